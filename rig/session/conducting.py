@@ -1,7 +1,7 @@
-"""Hold a session with a rig or a simulated hand: begin, rehearse, resume, amend, and state its progress in lines.
+"""Conduct a session with a rig or a simulated hand: begin, rehearse, resume, correct it, and format its log as text.
 
-`rig session run` and the page in the browser call it, each with a desk of its own for the operator. It shows nothing
-itself, and no caller writes to a session's directory but through it.
+`rig session run` and the page in the browser call it, each with its own desk (user interface) for the operator. It
+displays nothing itself. Callers must write to a session's directory only through these functions.
 """
 
 from rig.session.engine._desk import Desk, DeskView

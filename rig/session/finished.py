@@ -1,7 +1,7 @@
-"""What a session's directory contains once it is over: its events, state, trials, protocol and what changed between.
+"""Read the directory of a finished session: events, state, trials, protocol, and differences between sessions.
 
-`rig.extras.study` computes tables, reports and exports from it. Nothing here opens a device, holds a session or writes
-a file, and it loads neither the loop nor the simulation.
+`rig.extras.study` computes tables, reports and exports from it. This module opens no device, conducts no session,
+writes no file, and imports neither the control loop nor the simulation.
 """
 
 from rig.session.engine._log import Event, log_losses, read

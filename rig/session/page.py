@@ -1,7 +1,7 @@
-"""The operator's desk as a page shows it: questions, keys, the words of each view, and the simulated hand.
+"""Provide the operator's desk for a page in the browser: questions, keys, texts of each view, and the simulated hand.
 
-`rig.extras.console` calls it, the server for its views and the session's process for the desk. It opens no terminal
-and no device, and loads neither the loop nor the simulation; `rig.session.conducting` holds the session.
+In `rig.extras.console` the server uses it for views and the session's process for the desk. It opens no terminal and no
+device, and imports neither the control loop nor the simulation; `rig.session.conducting` conducts the session.
 """
 
 from rig.session.planning._keymap import STOP, VERDICTS, KeyMap

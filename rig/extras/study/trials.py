@@ -282,7 +282,7 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
         estimate = asked.estimate(probes)
         _add(found, "rule", estimate)
         series = _describe_series(asked, probes) if isinstance(asked, Ascending) else ""
-        note = "; ".join(filter(None, (estimate.mark, series)))
+        note = "; ".join(filter(None, (estimate.distrust_reason, series)))
     else:
         note = AMENDED
     for measure, judge in (("K50 person", "person"), ("K50 automatic", "automatic")):
@@ -310,7 +310,7 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
             censored=estimate.censored,
             share=estimate.share if math.isfinite(estimate.share) else None,
             step=estimate.step,
-            mark=estimate.mark,
+            mark=estimate.distrust_reason,
         )
 
 

@@ -1,7 +1,7 @@
-"""List the walls of a study that the arming gate refuses on a rig's link, as measured (`rig.doctor.gate`).
+"""List the walls of a study that the arming gate (`rig.doctor.gate`) refuses with the measured delay of a rig's link.
 
-A session begins with consent to all of them, or it does not begin: they must be found before a person touches the
-handle.
+A session begins only if the operator has consented to all of these walls. They are therefore listed before a person
+touches the handle.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CONSENT = (
 
 
 def walls_of(walls: Walls) -> Iterator[SessionWall]:
-    """Yield every wall that a session may ask for, practice too; of a condition and damping all one after the other."""
+    """Yield every wall that a session may present, with practice; grouped by condition and damping."""
     protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
     for condition in protocol.condition:
@@ -46,14 +46,14 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
 def refusals(
     device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
 ) -> tuple[RefusedWalls, ...]:
-    """Measure this device's link and return the walls that the gate refuses on it. Nothing moves.
+    """Measure the device's link and return the walls that the gate refuses, by condition and damping. Nothing moves.
 
     Parameters
     ----------
     device
-        Open, and not in a run.
+        Open device without a running trial.
     under
-        By condition and damping: experiments as they would run, at rising stiffness.
+        Experiments in ascending order of stiffness, for each condition and damping.
     """
     if device.link.clock.virtual:
         return ()
@@ -74,9 +74,9 @@ def refusals(
 
 
 def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` when this rig refuses a wall of the session without consent (`arm_anyway`).
+    """Raise `rig.core.errors.PlanError` if the gate refuses a wall of the session and `arm_anyway` is not set.
 
-    For a blinded operator the error gives only the number of such walls.
+    For a blinded operator the error contains only the number of such walls.
     """
     blinded = walls.protocol.study.blind in BLINDED
     if runner.simulated:  # never refused
@@ -101,7 +101,7 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
 
 
 def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
-    """Say which walls a real rig does not arm without consent. Its link is measured; nothing moves."""
+    """Measure the link and yield a check that lists the walls which a real rig arms only with consent."""
     if runner.simulated:
         return
     try:

@@ -1,4 +1,4 @@
-"""Measure a rig's baseline without contact with the wall: the free space at the start of a person's trial."""
+"""Measure a rig's baseline noise without wall contact, in the free-space phase at the start of a person's trial."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from rig.recording.data import Recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baseline:
-    """Free space before a hit, as it was recorded; velocities and efforts in the units of the rig.
+    """Measured values of the free-space phase before a hit.
 
     Attributes
     ----------
     duration_s
-        How much of it there is (s).
+        Duration of the phase (s).
     velocity_rms
-        Rms of the estimated velocity (rad/s or m/s).
+        Root mean square of the estimated velocity (rad/s or m/s).
     effort_rms
-        Rms effort of the measured current (N·m or N): noise and offset of the sensor, where none is sent.
+        Root mean square of the measured current as effort (N·m or N): noise and offset of the sensor.
     sent_rms
-        Rms of the sent effort (N·m or N): 0, except at the end of homing.
+        Root mean square of the sent effort (N·m or N): 0, except at the end of homing.
     count_range
-        How many counts the encoder went through.
+        Largest minus smallest encoder count.
     """
 
     duration_s: float
@@ -37,7 +37,7 @@ class Baseline:
 
 
 def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
-    """Measure the free space in a recording of this experiment; None if it contains none of that phase."""
+    """Return the baseline of a recording of this experiment; None if the recording has no free-space phase."""
     rows = recording.rows[recording.rows["phase"] == Phase.FREE]
     if len(rows) == 0:
         return None

@@ -1,8 +1,8 @@
-"""What a protocol will come to, and whether it may: listed and checked before a person touches the handle.
+"""Plan a study and check it before a person touches the handle: trials, times, disk space, and every possible wall.
 
-Trials and times are expectations with a range (`rig.session.planning._expected`, `rig.session.planning._times`); every
-wall that a rule may ask for is checked like a hit of its own (`rig.experiments.trials.plan`) and held against linear
-theory.
+Numbers of trials and times are expected ranges (`rig.session.planning._expected`, `rig.session.planning._times`). Every
+wall that a search rule may present is checked like a single hit (`rig.experiments.trials.plan`) and compared with
+linear theory.
 """
 
 from __future__ import annotations
@@ -67,24 +67,23 @@ def check(
     Parameters
     ----------
     protocol
-        A checked one.
+        Checked protocol.
     folder
-        Where its file is: what it names is relative to that.
+        Directory of the protocol file, to which its paths are relative.
     participants
-        How many will come; those that the protocol plans if not given.
+        Number of participants; by default the number in the protocol.
     of_device
-        Returns checks of these walls on a device, see `rig.session.engine._device_checks`; without it no device is
-        loaded.
+        Returns checks of the walls on a device (`rig.session.engine._device_checks`); by default no device is checked.
     study
-        Directory of the participants: what those took who have finished replaces the planned times of people, and the
-        protocol is compared with that of their sessions.
+        Directory of the participants. Times measured in finished sessions replace the planned times of people, and the
+        protocol is compared with that of the earlier sessions.
 
     Raises
     ------
     ConfigError
-        A condition that this rig does not allow.
+        This rig does not allow one of the conditions.
     RigError
-        A device that does not open.
+        The device cannot be opened.
     """
     if participants is not None:
         protocol = replace(protocol, study=replace(protocol.study, participants=participants))
@@ -148,14 +147,14 @@ def check(
 
 
 def refuse_walls(study: Walls) -> None:
-    """Raise `rig.core.errors.PlanError` when a rule may ask for a wall that must not be hit on this rig."""
+    """Raise `rig.core.errors.PlanError` if a search rule may present a wall that is not allowed on this rig."""
     under = [_experiments(study, condition) for condition in study.protocol.condition]
     walls = [*_walls(study.protocol, under), *_practice(study)]
     refuse(wall_checks(walls))
 
 
 def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
-    """Return experiments of a condition: at every damping, all its levels."""
+    """Return the experiments of a condition: for each damping, one for each level of stiffness, ascending."""
     levels = levels_of(study.protocol.search_of(condition))
     found = []
     for damping in condition.damping:
@@ -211,7 +210,7 @@ def _durations(
     stiffest: Experiment,
     question_s: float,
 ) -> Iterator[tuple[str, ExpectedRange]]:
-    """Yield durations of the parts of a session (s)."""
+    """Yield name and expected duration (s) of each part of a session."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
     yield "ready and verdict", trials * (times.ready + times.verdict)
@@ -238,7 +237,7 @@ def _durations(
 def _disk(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
 ) -> ExpectedRange:
-    """Return the room for the recordings of a participant."""
+    """Return the expected disk space for the recordings of a participant (bytes)."""
     of_a_trial = {
         one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
     }
@@ -249,7 +248,7 @@ def _disk(
 def _rehearsal(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
 ) -> ExpectedRange:
-    """Estimate the computing time of a rehearsal in virtual time (s)."""
+    """Return the expected computing time of a rehearsal in virtual time (s)."""
     rates = {
         one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
     }
@@ -263,7 +262,7 @@ def _same(value: float) -> ExpectedRange:
 
 
 def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
-    """Return names of the runs of each block."""
+    """Return the names of the runs in each block, without practice."""
     several = {one.name for one in protocol.condition if len(one.damping) > 1}
     return tuple(
         tuple(

@@ -1,4 +1,4 @@
-"""What the times of a session's log are taken from."""
+"""Clocks for the times in a session's log."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from typing import Protocol
 
 
 class SessionClock(Protocol):
-    """A clock that may have to be moved on (`rig.session.engine._rehearsal.Day`)."""
+    """Clock of a session: real, or virtual and advanced by its methods (`rig.session.engine._rehearsal.Day`)."""
 
     def __call__(self) -> float:
-        """Return the current time (s since the epoch, or since a virtual begin)."""
+        """Return the current time (s since 1970, or since the start of a virtual clock)."""
         ...
 
     def took(self, seconds: float) -> None:
-        """Something took so long, on whatever clock it had."""
+        """Advance a virtual clock by the duration of an action; a real clock ignores it."""
         ...
 
     def resume_at(self, at: float) -> None:
-        """Continue a clock that is moved by hand from the time of the newest event."""
+        """Set a virtual clock to the time of the newest event in the log; a real clock ignores it."""
         ...
 
 
 class WallClock:
-    """The clock on the wall."""
+    """Real time of day."""
 
     def __call__(self) -> float:
-        """Return the current time in seconds since the epoch."""
+        """Return the current time (s since 1970)."""
         return time.time()
 
     def took(self, seconds: float) -> None:
-        """Ignore the duration, which has passed on this clock."""
+        """Do nothing: the duration has already passed on this clock."""
 
     def resume_at(self, at: float) -> None:
-        """Ignore the time of the newest event; this clock moves by itself."""
+        """Do nothing: this clock advances by itself."""

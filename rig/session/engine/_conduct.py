@@ -1,7 +1,7 @@
-"""The engine of a session: takes what comes next from the state, does it, and writes it down before anything follows.
+"""Conduct a session: read the next step from the state, execute it, and write the result to the log before the next.
 
-There is no other memory than the log: whatever ends the process, the same function resumes from the log. It knows the
-rig only as a `TrialRunner`, and people only as a `Desk`.
+The log is the only memory: whatever ended the process, the same function resumes from it. The engine uses the rig only
+through a `TrialRunner`, and people only through a `Desk`.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the softest wall of the first run: what a device is opened with before anything is hit."""
+    """Return the experiment with the softest wall of the first run, and its fixed settings, for opening a device."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -96,14 +96,14 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
 def _wall(
     walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment of a hit, and what a device must not change of it."""
+    """Return the experiment of a hit, and the settings of it that a device must not change."""
     condition = walls.protocol.condition_named(name)
     experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
 
 
 class Marks(Protocol):
-    """Reports events to other programs and never makes a session wait."""
+    """Reporter of events to other programs, which never delays the session."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Report an event, at a host time (ns) or now."""
@@ -111,19 +111,19 @@ class Marks(Protocol):
 
 
 class Streams(Marks, Protocol):
-    """Marks that a session opens and closes itself: what a row "marks" of an extra's table makes."""
+    """Reporter of events that the session opens and closes itself; an extra provides it (table "marks")."""
 
     @property
     def lost(self) -> int:
-        """Return how many marks could not be sent."""
+        """Return the number of events that could not be sent."""
         ...
 
     def wait(self) -> None:
-        """Return once other programs can receive; `RigError` when that fails."""
+        """Wait until other programs can receive; raise `RigError` if that fails."""
         ...
 
     def close(self) -> Mapping[str, Any] | None:
-        """End, and return what was sent for the log; None if that is not known."""
+        """Close the streams; return a summary of the sent data for the log, or None if it is unknown."""
         ...
 
 
@@ -141,28 +141,29 @@ def conduct(
     Parameters
     ----------
     session
-        Just begun, or resumed.
+        New or resumed session.
     runner
-        The rig.
+        Rig that runs the trials.
     desk
-        Who sits there.
+        User interface of the operator, or a simulated person.
     walls
-        Of its study; None for those of the protocol and the experiment in its log.
+        Walls of the study; by default those of the protocol and the experiment in the session's log.
     on_event
-        Called with each event after it was written.
+        Called with each event after it was written to the log.
     marks
-        Called with what happens when it does: each trial before it begins, with its wall, and each event.
+        Receives each trial with its wall just before it begins, and each event.
 
     Returns
     -------
     State
-        How it stands: `ended`, or `stopped` when the operator left it.
+        State of the session: `ended`, or `stopped` if the operator left it.
 
     Raises
     ------
     RigError
-        What cannot continue: a disk that is full, a wall that must not run, a device that is gone. The effort is zero,
-        and the session can be resumed. A blinded operator reads no text that may name a wall: it is in the log.
+        The session cannot continue: for example, the disk is full, a wall is not allowed, or the device is gone. The
+        effort is zero, and the session can be resumed. For a blinded operator the message hides any text that may
+        describe a wall; the full text is in the log.
     """
     # There is no other memory than the log: whatever ended an earlier process, the same function resumes from it.
     engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
@@ -189,7 +190,7 @@ def conduct(
 
 
 def _hide_error(state: SessionState, error: Exception) -> RigError | None:
-    """Return the error that a blinded operator sees instead of one that may name a wall; None if it may be shown."""
+    """Return a substitute error for a blinded operator if `error` may describe a wall; None if it may be shown."""
     if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
         return None
     recording = getattr(error, "recording", None)
@@ -216,7 +217,7 @@ class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
 
 
 class _Engine:
-    """What `conduct` remembers between two steps: nothing that the log does not have, but for what is on show."""
+    """State of `conduct` between two steps: nothing beyond the log, except what the desk displays."""
 
     def __init__(
         self,
@@ -248,7 +249,7 @@ class _Engine:
         return self._state.protocol.study.blind in BLINDED
 
     def record(self, kind: str, **content: Any) -> None:
-        """Write down an event, and pass it to those who listen."""
+        """Write an event to the log, then pass it to `on_event` and `marks`."""
         event = self._session.record(kind, **content)
         self._lines.append(line_of_event(event))
         if self._on_event is not None:
@@ -263,7 +264,7 @@ class _Engine:
         self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
 
     def step(self) -> bool:
-        """Do what comes next; return False when the session is over or the operator left it."""
+        """Execute the next step; return False if the session has ended or the operator left it."""
         try:
             if self._state.paused is not None:
                 self._pause(self._state.paused)
@@ -318,7 +319,10 @@ class _Engine:
                 self._hit(presented)
 
     def _pulse(self, presented: Presented) -> bool:
-        """Before a block's first trial, where the rig was left, or is in doubt: whether it moves as it is described."""
+        """Send a torque pulse, with hands off, and return True if the rig moves as it is described.
+
+        It is called before the first trial of a block, after a resume, and after a trial whose end leaves a doubt.
+        """
         self._show("hands off", presented, say="Let go of the handle.")
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
         wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
@@ -374,7 +378,7 @@ class _Engine:
             self._after_early_end(done, presented)
 
     def _after_early_end(self, done: TrialDone, presented: Presented) -> None:
-        """Raise the error that ended a hit, or ask the operator how to continue; the effort is zero."""
+        """Raise the error that ended a hit early, or ask the operator how to continue. The effort is zero."""
         error = done.error
         if error is not None and not isinstance(error, _ASKED):
             raise error  # the law or the desk is broken: the next hit would end like this one
@@ -395,7 +399,7 @@ class _Engine:
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
-        """Continue only when the operator chooses to."""
+        """Show a problem and wait until the operator chooses how to continue."""
         self._show("stopped", presented)
         actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
         reply = self._ask(
@@ -462,7 +466,7 @@ class _Engine:
         self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
 
     def _may_end(self) -> bool:
-        """Ask whether the session may end, the last chance to redo a trial; return True if it may."""
+        """Ask the operator whether to end the session or to repeat the last trial; return True to end it."""
         if self._redoable() is None:
             return True
         self._show("ready to end", say="That was the last one.")
@@ -472,7 +476,7 @@ class _Engine:
         return reply.action == "go"
 
     def _machine_pauses(self, reason: str) -> None:
-        """Wait until a person has fixed the machine; without a person at the desk, leave the session for that."""
+        """Pause until a person has fixed the rig or computer; without a person at the desk, raise `OverrunError`."""
         if self._desk.who != "simulated":
             self._pause(reason)
             return
@@ -495,7 +499,7 @@ class _Engine:
         self.record("continued")
 
     def _redoable(self) -> RecordedTrial | None:
-        """Return the trial that `redo` is about: the newest that counts, in the current block."""
+        """Return the trial that `redo` would repeat: the newest valid one, if it is in the present block; else None."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
@@ -506,7 +510,7 @@ class _Engine:
             self.record("redone", trial=trial.trial)
 
     def _ask(self, question: Question) -> Reply:
-        """Ask until the reply is more than a note; ignore an action that was not offered."""
+        """Ask until the reply is a permitted action other than a note; write notes to the log."""
         while True:
             reply = self._desk.ask(question)
             if reply.action not in question.actions:
@@ -522,7 +526,7 @@ class _Engine:
     # What is seen.
 
     def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
-        """Return the function that is called during a hit: it shows the phase and calls the desk's own `watch`."""
+        """Return a function to call during a hit: it displays each new phase and calls the desk's `watch`."""
         beside = self._desk.watch()
         seen = -1
         self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
@@ -547,7 +551,7 @@ class _Engine:
         experiment: Experiment | None = None,
         say: str = "",
     ) -> None:
-        """Show how things stand, with the wall only to an operator who may know it."""
+        """Display the state of the session; include the wall only if the operator is not blinded."""
         state = self._state
         trial = wall.trial if wall else state.newest
         blind = state.protocol.study.blind in BLINDED
@@ -579,7 +583,7 @@ class _Engine:
 
 
 def _scale(x: Experiment) -> dict[str, Any]:
-    """Return the limits that bars are drawn against."""
+    """Return start, wall, limits and units with which a desk scales its bars."""
     limits, motion = x.rig.limits, x.rig.motion
     return {
         "start": x.trial.start,

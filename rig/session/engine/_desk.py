@@ -1,7 +1,6 @@
-"""The person at the rig: what a session shows and asks there, and the replies.
+"""Interface between a session and the operator at the rig: views, questions and replies.
 
-All that a view or a question contains may be shown: the engine leaves out what a blinded operator must not know, so
-nothing behind this interface has to keep a secret.
+Everything in a view or a question may be displayed: the engine leaves out what a blinded operator must not know.
 """
 
 from __future__ import annotations
@@ -33,33 +32,33 @@ Action = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeskView:
-    """What a desk shows now.
+    """Present state of a session, to be displayed by a desk.
 
     Attributes
     ----------
     state
-        In a word or two: "ready", "homing", "free space", "go", "hold", "verdict?", "rest", "paused", "done" …
+        Short name of the state: "ready", "homing", "free space", "go", "hold", "verdict?", "rest", "paused", "done" …
     say
-        What to say to the participant now; empty for nothing.
+        Text for the operator to read to the participant; empty for none at present.
     code, block, blocks, run, runs, trial, trials
-        Where the session stands; `trials` is about how many there will be, 0 if unknown.
+        Code of the participant; number and total of blocks, runs and trials. `trials` is an estimate, 0 if unknown.
     practice, attempt
-        Whether it counts; which attempt at a trial it is, from 1.
+        True for a practice trial; number of the attempt at this trial, from 1.
     condition, stiffness, damping
-        None where the operator is blinded.
+        Condition and wall of the trial; None if the operator is blinded.
     blinded
-        Whether effort may be shown in words only (`rig.session.terminal`): effort over penetration is stiffness.
+        True if effort must be shown in words, because effort divided by penetration would reveal the stiffness.
     asked
-        Of the hand: impact speed and press, in words; empty for nothing.
+        Required impact speed and press of the hand, in words; empty if the protocol requires none.
     scale
-        For bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
+        Values for bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
         velocity_unit.
     heat
-        Share of the winding's budget.
+        Heat of the motor's winding as a share of its budget.
     last
-        What the last trial came to, in a few words, and why it is invalid.
+        Result of the last trial in a few words, with the reason if it is invalid.
     lines
-        The newest lines of the log, oldest first.
+        Newest lines of the log, oldest first.
     """
 
     state: str
@@ -91,13 +90,13 @@ class Question:
     Attributes
     ----------
     actions
-        Permitted answers.
+        Permitted actions of the reply.
     seconds
-        Of a rest that is due.
+        Duration of the rest, for a question of kind "rest" (s).
     item
-        Of the questionnaire: name, text, kind, lowest, highest, choices.
+        Item of the questionnaire: name, text, kind, lowest, highest, choices.
     trial
-        That the question is about; 0 for none.
+        Number of the trial that the question concerns; 0 for no trial.
     """
 
     kind: QuestionKind
@@ -110,7 +109,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """An answer, and how long it took (s)."""
+    """Reply to a question: action, its value, and the response time (s)."""
 
     action: Action
     value: str = ""
@@ -118,22 +117,22 @@ class Reply:
 
 
 class Desk(ABC):
-    """A person at the rig, or what stands in for one."""
+    """User interface of the operator at the rig, or a simulated person."""
 
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Called once, before anything else, with the session. It changes by itself: change nothing of it here."""
+        """Receive the session, once, before any other call. The engine changes it; a desk must only read it."""
 
     @abstractmethod
     def show(self, view: DeskView) -> None:
-        """Show how things stand; returns at once."""
+        """Display the present state of the session; return at once."""
 
     @abstractmethod
     def ask(self, question: Question) -> Reply:
-        """Ask, and wait for the answer.
+        """Ask a question and wait for the reply.
 
-        Raises `rig.core.errors.StoppedError` when no answer can come any more.
+        Raise `rig.core.errors.StoppedError` if no reply is possible any more.
         """
 
     def watch(self) -> Callable[[int, int], None] | None:
@@ -144,7 +143,7 @@ class Desk(ABC):
         return None
 
     def close(self) -> None:  # noqa: B027  (most leave nothing behind)
-        """Leave the place as it was found."""
+        """Restore the terminal or page to its state before the session."""
 
     def __enter__(self) -> Desk:
         return self

@@ -1,4 +1,4 @@
-"""What a device says of a protocol before a session: whether it fits, arms these walls, and keeps up."""
+"""Check a protocol on a device before a session: whether it supports the conditions, arms the walls and keeps pace."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rig.session.planning._conditions import Walls
 
 
 def device_checks(url: str, walls: Walls) -> list[Check]:
-    """Ask the device behind a URL, as a session with a person has it; nothing moves on it.
+    """Return checks of the walls on the device at `url`, opened as for a session with a person; nothing moves.
 
-    Raises `rig.core.errors.RigError` for one that does not open.
+    Raise `rig.core.errors.RigError` if the device cannot be opened.
     """
     with closing(DeviceRunner(url=url, realtime=True, verified=True)) as runner:
         fits = fit_checks(walls, runner)

@@ -1,9 +1,9 @@
-"""The directory of one participant: how a session begins, is resumed after whatever ended it, and is corrected.
+"""Manage the directory of one participant: begin a session, resume it after any end, and correct it.
 
-session.log               every decision (`rig.session.engine._log`); nothing else is remembered
-protocol.toml             the protocol file as it was
-trials/t0001.parquet …    recordings; the name has the trial's number and nothing of its wall
-trials/abandoned/         recordings of trials that were not logged, because the process died
+session.log               every decision (`rig.session.engine._log`), the only memory of a session
+protocol.toml             copy of the protocol file at the start
+trials/t0001.parquet …    recordings; the name contains the trial's number, but nothing about its wall
+trials/abandoned/         recordings of trials that were not logged because the process died
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ LOG, PROTOCOL, TRIALS, ABANDONED = "session.log", "protocol.toml", "trials", "ab
 
 @dataclass(kw_only=True)
 class Session:
-    """The open directory of one participant; one process at a time.
+    """Open session of one participant; only one process at a time can open it.
 
     Attributes
     ----------
     directory
-        Of the participant.
+        Directory of the participant.
     log, state
-        The decisions so far, and where they lead.
+        Log of the events so far, and the state that follows from it.
     clock
-        What the log's times are taken from.
+        Clock for the times in the log.
     """
 
     directory: Path
@@ -56,7 +56,7 @@ class Session:
     clock: SessionClock = field(default_factory=WallClock)
 
     def record(self, kind: str, **content: Any) -> Event:
-        """Write an event to the log, and only then apply it to the state."""
+        """Write an event to the log, then apply it to the state; return the event."""
         event = self.log.append(kind, **content)
         self.state.apply(event)
         return event
@@ -73,7 +73,7 @@ class Session:
 
 
 def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
-    """Return where the participants of a protocol are kept, or those who were simulated."""
+    """Return the directory of all participants of a study: `study` if given, else one named after the title."""
     if study is not None:
         return study
     return (REHEARSALS if rehearsal else SESSIONS) / directory_name(protocol.study.title)
@@ -98,24 +98,24 @@ def begin(
     Parameters
     ----------
     directory
-        Made when it is not there.
+        Directory of the participant; created if it does not exist.
     protocol, experiment
-        What is done, and on which rig (`rig.session.planning._conditions.base_of`).
+        Protocol, and the experiment that it names (`rig.session.planning._conditions.base_of`).
     text, sha256
-        The protocol file as it is, of which a copy is kept.
+        Contents and hash of the protocol file, of which a copy is stored.
     code, row
-        Of the participant; the row decides the order.
+        Code of the participant, and row of the order of conditions.
     versions, rehearsal, differs
-        What goes into the log with it; `differs`: keys in which the study's earlier sessions have another value.
+        Further contents of the first event; `differs` are keys that have another value in the study's earlier sessions.
     clock
-        Time of day (s).
+        Clock for the times in the log (s).
 
     Raises
     ------
     ConfigError
-        The code is not valid, or the participant has a session already: nothing is overwritten.
+        The code is not valid, or the participant has a session already. Nothing is overwritten.
     RecordingError
-        Another process has the session open, or the disk refuses.
+        Another process has the session open, or writing to the disk fails.
     """
     refuse_begun(protocol, directory, code)
     make_directories(directory / TRIALS)
@@ -145,14 +145,14 @@ def begin(
 
 
 def refuse_begun(protocol: Protocol, directory: Path, code: str) -> None:
-    """Raise `ConfigError` for an invalid code, or a directory that holds a session already."""
+    """Raise `ConfigError` if the code is not valid or the directory already contains a session."""
     check_code(protocol, code)
     if (directory / LOG).exists() and (events := read(directory / LOG)):
         raise _begun(directory, events)
 
 
 def clear_rehearsal(directory: Path) -> None:
-    """Delete a rehearsal, which can be repeated; leave a person's session, or any other directory, as it is."""
+    """Delete the directory if it contains a rehearsal; leave a person's session or any other directory unchanged."""
     events = read(directory / LOG) if (directory / LOG).exists() else []
     if events and events[0].content.get("rehearsal") is not None:
         shutil.rmtree(directory)
@@ -171,23 +171,23 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
 def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
     """Resume a session, whatever ended it.
 
-    Recordings of trials that were not logged are moved aside, hashed, and named in the log.
+    Recordings without an event in the log are moved to trials/abandoned and listed in the log with their hashes.
 
     Parameters
     ----------
     directory
-        Of the participant.
+        Directory of the participant.
     at
-        "trial": with the next one; "block": the block that was begun starts over, its trials count no more.
+        "trial": continue with the next trial. "block": repeat the present block; its trials so far do not count.
     clock
-        Time of day (s).
+        Clock for the times in the log (s).
 
     Raises
     ------
     ConfigError
-        There is nothing to resume.
+        The directory contains no session, or the session has ended.
     RecordingError
-        Another process has it open, the log is damaged, or the disk refuses.
+        Another process has the session open, the log is damaged, or writing to the disk fails.
     """
     _refuse_no_session(directory)
     log = SessionLog(directory / LOG, clock=clock)
@@ -228,9 +228,10 @@ def _refuse_no_session(directory: Path) -> None:
 
 
 def event_of_trial(directory: Path, trial: int, value: str) -> int:
-    """Number of the event that an amendment of a trial is about: its verdict, or with `OF_TRIAL` the trial itself.
+    """Return the number of the event that a correction of a trial changes.
 
-    Raises `ConfigError` if the session has no such event.
+    It is the event of the verdict, or, if `value` is a key of `OF_TRIAL` (void, counts), that of the trial itself.
+    Raise `ConfigError` if the session has no such event.
     """
     _refuse_no_session(directory)
     kind = "trial" if value in OF_TRIAL else "judged"
@@ -248,17 +249,17 @@ def event_of_trial(directory: Path, trial: int, value: str) -> int:
 def amend(
     directory: Path, number: int, value: str, why: str, *, clock: Callable[[], float] = time.time
 ) -> Event:
-    """Record a correction of an event; nothing is erased, and the state is what the corrected events give.
+    """Append a correction of event `number` to the log; the original event stays in the log.
 
-    A verdict, the text of a note and an answer can be corrected; a trial can be excluded ("void"), or included again
+    A verdict, the text of a note, and an answer can be corrected. A trial can be excluded ("void") or included again
     ("counts").
 
     Raises
     ------
     ConfigError
-        No such event, one that cannot be corrected, no such verdict, or no reason.
+        The event does not exist or cannot be corrected, the value is not valid, or the reason is empty.
     RecordingError
-        As `resume`.
+        Another process has the session open, the log is damaged, or writing to the disk fails.
     """
     _refuse_no_session(directory)
     with SessionLog(directory / LOG, clock=clock) as log:
@@ -292,7 +293,7 @@ def amend(
 
 
 def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
-    """Return an answer as the protocol wants it; raise `ConfigError` if it is not valid."""
+    """Return a corrected answer in the form that the item requires; raise `ConfigError` if it is not valid."""
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:
         return value
@@ -305,7 +306,7 @@ def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
 
 
 def _set_aside(session: Session) -> list[dict[str, str]]:
-    """Move away recordings that no event names, and list those that no earlier event listed."""
+    """Move recordings without an event to trials/abandoned; return file and hash of those not yet in the log."""
     trials = session.directory / TRIALS
     aside = trials / ABANDONED
     logged = {Path(trial.recording).name for trial in session.state.trials if trial.recording}
@@ -336,7 +337,7 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
 
 
 def _find_damaged(session: Session) -> list[dict[str, str]]:
-    """Return lines that were taken out of the log, and that no earlier event names."""
+    """Return file and hash of damaged lines that were moved out of the log and are not yet listed in it."""
     events = [event for event in session.log.events if event.kind == "resumed"]
     known = {one["file"] for event in events for one in event.content.get("damaged", ())}
     found = [path for path in set_aside(session.log.path) if path.name not in known]

@@ -1,4 +1,4 @@
-"""Whether the device of a session carries every condition: asked before a session leaves a trace, and by a check."""
+"""Check whether the device of a session can run every condition, before a session writes anything."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from rig.session.planning._schedule import levels_of
 
 
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
-    """Check the conditions against the device and its link; return the worst result of each check.
-
-    The device is opened and asked; nothing moves.
+    """Check all conditions on the device and its link; return the worst result of each check. Nothing moves.
 
     Raises
     ------
     RigError
-        A device that does not open.
+        The device cannot be opened.
     """
     worst: dict[str, Check] = {}
     for x, changes in _stiffest(walls):
@@ -34,12 +32,12 @@ def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
 
 
 def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` when the device of a session cannot run one of its conditions."""
+    """Raise `rig.core.errors.PlanError` if the device cannot run one of the session's conditions."""
     refuse(fit_checks(walls, runner))
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield the stiffest wall of each condition and damping."""
+    """Yield experiment and fixed settings of the stiffest wall for each condition and damping."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:
@@ -48,7 +46,7 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
 
 
 def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:
-    """In words of a protocol: a session has no rate of its own, and one device."""
+    """Return a remedy that names keys of a protocol, because a session itself has no rate and uses one device."""
     if one.name == "rig of the device" and any(condition.fit for condition in walls.protocol.condition):
         return (
             f"{one.remedy}; a board has one encoder: run conditions with another encoder as a separate study"

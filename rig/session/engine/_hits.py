@@ -1,4 +1,4 @@
-"""One trial of a session on a device: an ordinary recorded hit, and what the session's log keeps of it."""
+"""Run the trials of a session on a device as recorded hits, and compute the values of each for the session's log."""
 
 from __future__ import annotations
 
@@ -62,25 +62,24 @@ NUMBERS = (
 
 @dataclass(slots=True, kw_only=True)
 class DeviceRunner:
-    """The rig of a session.
+    """Runner of a session's trials on a device, real or simulated.
 
-    In virtual time each trial has a fresh device, in real time all trials have one.
+    In virtual time each trial uses a new device; in real time all trials use the same one.
 
     Attributes
     ----------
     url
-        Of the device; None simulates.
+        URL of the device; None to simulate.
     realtime, verified
-        As in `rig.experiments.hits.hit.HitRequest`.
+        Same as in `rig.experiments.hits.hit.HitRequest`.
     arm_anyway
-        Arm what the gate refuses, in every trial: consent for a whole session, because a search for the limit asks for
-        walls that do not hold.
+        Consent, for the whole session, to walls that the arming gate refuses. A search for the limit needs them.
     lossy_anyway
-        Begin although nearly every trial would be lost to the computer or the link.
+        Begin although nearly every trial would be invalid because of lost samples.
     hand
-        File through which a person moves the simulated hand (`rig.realtime.hand`); None: it plays its script.
+        File through which a person moves the simulated hand (`rig.realtime.hand`); None to play the hand's script.
     messages
-        What this computer or the port did not grant, once each.
+        Permissions that this computer or the port did not grant, each once.
     """
 
     url: str | None = None
@@ -101,12 +100,12 @@ class DeviceRunner:
 
     @property
     def virtual(self) -> bool:
-        """Return True if time is the simulation's own."""
+        """Return True if trials run in virtual time."""
         return not self.realtime and (self.url or "sim://").startswith("sim:")
 
     @property
     def simulated(self) -> bool:
-        """Return True if no rig can move."""
+        """Return True if the device is simulated, so that no real rig can move."""
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,12 +139,12 @@ class DeviceRunner:
         }
 
     def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
-        """Return which of these walls a real rig does not arm without consent. Its link is measured; nothing moves.
+        """Measure the link and return the walls that a real rig arms only with consent; nothing moves.
 
         Raises
         ------
         PlanError, ConfigError
-            A wall that this rig must not or cannot run, consent or not; or the polarity of the rig is not verified.
+            A wall is not allowed on this rig even with consent, or the polarity of the rig is not verified.
         """
         if self.simulated or not walls:
             return ()
@@ -166,12 +165,14 @@ class DeviceRunner:
         return self._refused
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure the losses of this computer and the link at an experiment's rate on the open device; nothing moves.
+        """Measure lost and late samples at the experiment's rate on the open device; None in virtual time.
+
+        Nothing moves.
 
         Raises
         ------
         RigError
-            A device that does not open or answer, or scheduling that is demanded and not granted.
+            The device cannot be opened or does not reply, or the required scheduling is not granted.
         """
         device = self._device(experiment, changes)
         if device is None:
@@ -183,12 +184,12 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check whether the device and its link carry an experiment; nothing moves.
+        """Check whether the device and its link can run an experiment; nothing moves.
 
         Raises
         ------
         RigError
-            A device that does not open.
+            The device cannot be opened.
         """
         device = self._device(experiment, changes)
         if device is not None:
@@ -200,7 +201,7 @@ class DeviceRunner:
             return _fits(x, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
+        """Apply a torque pulse, with no hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
         device = self._device(experiment, changes)
         assert device is not None  # a real one
         with plain_errors("make", directory):
@@ -228,21 +229,21 @@ class DeviceRunner:
         Parameters
         ----------
         experiment, changes
-            Of the wall, and what of it the device's own defaults must not change.
+            Experiment with the wall, and the settings of it that the device's defaults must not change.
         directory, name
-            Of the recording.
+            Directory and name of the recording.
         watch
-            Given the experiment in effect, returns what is called while the hit runs.
+            Receives the effective experiment; returns a function to call during the hit.
         heat
-            Share of the winding's budget before.
+            Heat of the winding before the hit, as a share of its budget.
         blinded
-            As in `rig.experiments.hits.hit.HitRequest`.
+            Same as in `rig.experiments.hits.hit.HitRequest`.
 
         Raises
         ------
         RigError
-            The trial must not or cannot run: nothing has moved, and nothing was recorded; or the disk refuses. Whatever
-            ended a hit that was recorded is in what this returns.
+            The trial is not allowed or not possible, so nothing moved and nothing was recorded; or writing to the disk
+            failed. An error that ended a recorded hit is not raised but returned.
         """
         device = self._device(experiment, changes)
         request = HitRequest(
@@ -281,7 +282,7 @@ class DeviceRunner:
         stack.close()
 
     def _device(self, experiment: Experiment, changes: Mapping[str, Any]) -> FramedDevice | None:
-        """Return the open device that the trial runs on; None in virtual time."""
+        """Return the open device for a trial, and open it if necessary; None in virtual time."""
         if self.virtual:
             return None
         if not self.simulated:
@@ -306,7 +307,7 @@ class DeviceRunner:
 
 
 def _serial_number(link: Link) -> str | None:
-    """Return the serial number of the plugged-in board, if the link has it."""
+    """Return the serial number of the connected board, or None if the link does not report it."""
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 
@@ -320,16 +321,16 @@ def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
 
 
 def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: float) -> float:
-    """Share of a winding's heat budget after a stretch of efforts, by a first-order model.
+    """Return the heat of a winding after a series of efforts, as a share of its budget, by a first-order model.
 
     Parameters
     ----------
     before
-        Share at the beginning.
+        Share of the budget at the beginning.
     load
-        Effort over the nominal effort, tick by tick; 1 for ever ends at a share of 1.
+        Effort divided by the nominal effort in each tick; a constant load of 1 leads to a share of 1.
     tick_s, time_constant_s
-        Length of a tick, and of the winding (s).
+        Length of a tick, and thermal time constant of the winding (s).
     """
     decay = math.exp(-tick_s / time_constant_s)
     ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)

@@ -1,11 +1,11 @@
-"""Write and read the log of a session: one line for each decision, on disk before anything follows from it.
+"""Write and read the log of a session: one line for each event, written to disk before the session continues.
 
-The state is its replay (`_state`). A line (`rig.recording.lines`) holds an event::
+The state of a session is computed from its log (`_state`). A line (`rig.recording.lines`) contains an event::
 
     {"n": number from 0, "after": CRC of the line before (0 for the first), "at": seconds since 1970, "kind": …, …}
 
-The first line also has ``"log"``, the version of the format. Nothing is ever changed or removed: a correction is an
-event of its own.
+The first line also has ``"log"``, the version of the format. Lines are never changed or removed: a correction is a
+new event.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ RESERVED = ("n", "after", "at", "kind", "log")
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One decision: its number from 0, when it was written (s since 1970), what kind it is, and what belongs to it."""
+    """Event of a session: number from 0, time at which it was written (s since 1970), kind, and content."""
 
     number: int
     at: float
@@ -40,7 +40,10 @@ class Event:
 
 
 class DamagedLineError(RecordingError):
-    """A line of a log is damaged: `events` are those before it; `last` when none comes after it, at `place`."""
+    """A line of a log is damaged.
+
+    `events` are the events before it, `place` is its offset in the file (bytes), `last` is True if no line follows.
+    """
 
     def __init__(self, path: Path, events: Sequence[Event], place: int, *, last: bool) -> None:
         where = f"{path}, line {len(events) + 1}"
@@ -57,26 +60,26 @@ class DamagedLineError(RecordingError):
 
 
 class SessionLog:
-    """An open log; one process at a time.
+    """Open log of a session; only one process at a time can open it.
 
     Parameters
     ----------
     path
-        Of the file, made when it is not there.
+        Path of the file; created if it does not exist.
     clock
-        Time of day (s since 1970), for `Event.at`.
+        Returns the time of day (s since 1970), for `Event.at`.
 
     Attributes
     ----------
     events
-        All so far, oldest first.
+        Events so far, oldest first.
     torn
-        Bytes of a last line that a dying process had not finished, and that were cut off.
+        Number of bytes of an incomplete last line that were removed: a process died while it wrote them.
 
     Raises
     ------
     RecordingError
-        Another process has it open, a line is damaged or missing, or the disk refuses.
+        Another process has the log open, a line is damaged or missing, or writing to the disk fails.
     """
 
     def __init__(self, path: Path, *, clock: Callable[[], float] = time.time) -> None:
@@ -97,15 +100,15 @@ class SessionLog:
             raise
 
     def append(self, kind: str, **content: Any) -> Event:
-        """Write an event and bring it to disk; only then may anything follow from it.
+        """Append an event and write it to disk before returning it; the caller may act on it only after that.
 
         Raises
         ------
         RecordingError
-            The disk refuses: then it did not happen, unless the log contains it when it is opened again. Or an earlier
-            append failed, and what it left could not be cut off: opening the log anew does that.
+            Writing failed: the event has not happened, unless the log contains it when it is opened again. Or an
+            earlier append failed and its incomplete line could not be removed; opening the log again removes it.
         ValueError
-            A name that is the log's own.
+            A name in `content` is reserved for the log.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
@@ -138,7 +141,7 @@ class SessionLog:
         return line_of(json.dumps({**envelope, **version, **event.content}, allow_nan=False))
 
     def close(self) -> None:
-        """Release the lock. What was appended is on disk already."""
+        """Close the file and release its lock. All appended events are already on disk."""
         self._file.close(sync=not self._broken)
 
     def __enter__(self) -> SessionLog:
@@ -149,7 +152,10 @@ class SessionLog:
 
 
 def read(path: Path) -> list[Event]:
-    """Return the events of a log, also of one that is being written; raises as `SessionLog`."""
+    """Return the events of a log, also while a session writes to it.
+
+    Raise `RecordingError` if the log does not exist or a line is damaged or missing.
+    """
     with plain_errors("read", path):
         if not path.is_file():
             raise RecordingError(f"session log {path} not found", remedy="check the path")
@@ -165,12 +171,12 @@ def read(path: Path) -> list[Event]:
 
 
 def set_damaged_line_aside(path: Path) -> Path | None:
-    """Take a damaged last line out of a log, and keep its bytes in a file beside; returns that, None without damage.
+    """Move a damaged last line of a log to a new file next to it; return its path, or None without damage.
 
     Raises
     ------
     RecordingError
-        The damage is elsewhere, another process has the log open, or the disk refuses.
+        Another line is damaged, another process has the log open, or writing to the disk fails.
     """
     file = LineFile(path, remedy="end the session that is running there, or wait for its end")
     try:
@@ -192,12 +198,12 @@ def set_damaged_line_aside(path: Path) -> Path | None:
 
 
 def set_aside(path: Path) -> list[Path]:
-    """Return files beside a log with lines that were taken out of it, oldest first."""
+    """Return the files with damaged lines that were moved out of a log, oldest first."""
     return list(takewhile(Path.exists, _beside(path)))
 
 
 def log_losses(event: Event) -> list[str]:
-    """Return what a log had lost when the session was resumed, as sentences without a full stop."""
+    """Return sentences (without a full stop) about lines that the log had lost when the session was resumed."""
     losses = []
     if torn := event.content.get("torn"):
         losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")
@@ -212,7 +218,7 @@ def _beside(path: Path) -> Iterator[Path]:
 
 
 def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], int, int]:
-    """Return events, CRC of the last line, and where the good part ends."""
+    """Return the events, the CRC of the last line, and the offset at which the valid part of the file ends (bytes)."""
     events: list[Event] = []
     last = end = 0
     for place, line in lines:

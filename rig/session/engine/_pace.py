@@ -1,8 +1,8 @@
-"""Whether this computer and the link keep up with a session: measured before it begins, reported, stored in its log.
+"""Measure, before a session begins, how many samples this computer and the link lose; report the result and log it.
 
-Nearly every trial would be invalid where a hit in each quarter of the measurement would have been, by the limits of
-`[verdict]` on lost samples: such a session is refused, unless the operator accepts that (`lossy_anyway`).
-Smaller losses give a warning: the trials that they spoil are repeated.
+A session is refused if a hit in each quarter of the measurement would have been invalid by the limits of `[verdict]` on
+lost samples, because nearly every trial would then be invalid. The operator can accept that (`lossy_anyway`).
+Smaller losses give a warning; trials that they make invalid are repeated.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from rig.session.planning._conditions import Walls, own_rates
 
 
 def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
-    """Measure at the fastest rate of a session; raise `PlanError` where nearly every trial would be invalid."""
+    """Measure losses at the fastest rate of a session; raise `PlanError` if nearly every trial would be invalid."""
     found = list(pace_checks(walls, runner))
     if not runner.lossy_anyway:
         refuse(found)
 
 
 def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
-    """Say what is lost at the fastest rate of a session; nothing moves.
+    """Yield a check of the samples lost at the fastest rate of a session; nothing moves.
 
-    Nothing is measured in virtual time, nor of a law on the device, which loses no sample to the host.
+    Yield nothing in virtual time, and for laws on the device, which lose no samples because of the host.
     """
     if runner.virtual:
         return
@@ -49,12 +49,12 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:
-    """Return how to avoid the losses, for a real rig or a simulated one."""
+    """Return a text about how to avoid the losses, for a real or a simulated rig."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
     ways = [slower, "rehearse" if simulated else "", "close other programs and run `rig doctor`"]
     return ", or ".join(filter(None, ways))
 
 
 def sentence(found: Pace, *, simulated: bool) -> str:
-    """Return a sentence with the losses and the remedy; empty if nothing was lost."""
+    """Return a sentence with losses and remedy; empty if nothing was lost."""
     return found.text and f"{found.text}; {remedy(found, simulated=simulated)}"

@@ -1,6 +1,6 @@
-"""Where a session takes place, as its log says each time that the rig was opened, and what a resumption goes by.
+"""Read from a session's log on which device it takes place, and compare it with the device of a resumed session.
 
-A session stays on its rig: limits found on two devices, or on a rig and on its simulation, are no session's.
+A session must stay on its device: limits found on two devices, or on a rig and its simulation, cannot be combined.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TELLING = {"simulated": "", "device": "device", "serial_number": "serial number
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """URL of a session's device (None simulates), and whether time there is real; `simulated` if no rig moves."""
+    """URL of a session's device (None to simulate), whether it runs in real time, and whether it is simulated."""
 
     url: str | None = None
     realtime: bool = False
@@ -32,7 +32,7 @@ class Place:
 
 
 def last_place(events: Sequence[Event]) -> Place:
-    """Return where a session took place when it was opened last."""
+    """Return the device on which a session was opened last."""
     opened = last_opened(events)
     place = opened.get("place")
     if place is None:
@@ -41,12 +41,12 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """Return the log's entry about the device that was opened last; empty if none was."""
+    """Return the content of the last ``opened`` event; empty if the session has none."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 
 def resume_command(directory: Path, events: Sequence[Event]) -> str:
-    """Return the command that resumes a session where it took place."""
+    """Return the command that resumes a session on the same device with the same consents."""
     place = last_place(events)
     words = ["rig", "session", "resume", str(directory)]
     if place.url is not None:
@@ -61,7 +61,7 @@ def resume_command(directory: Path, events: Sequence[Event]) -> str:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """In what two ``opened`` events name different devices; empty where they may be the same."""
+    """Return the names of the properties in which the devices of two ``opened`` events differ; empty if they agree."""
     return [
         name or ("the one is simulated" if one[key] else "the other is simulated")
         for key, name in _TELLING.items()
@@ -70,14 +70,14 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def device_words(opened: Mapping[str, Any]) -> str:
-    """Return name, kind and serial number of a device, in words."""
+    """Return name, kind (simulated or real) and serial number of a device as text."""
     kind = "simulated" if opened.get("simulated") else "real"
     number = opened.get("serial_number")
     return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
 
 
 def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
-    """Return the loss of samples measured when the rig was opened (content of that event): one sentence or none."""
+    """Return a list of one sentence about the losses in an ``opened`` event; an empty list without losses."""
     pace = opened.get("pace") or {}
     if not pace.get("said"):
         return []
@@ -87,7 +87,7 @@ def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
 
 @cache
 def software() -> dict[str, str]:
-    """Return versions of what runs a session here."""
+    """Return the versions of software and platform, for the log."""
     return {
         **versions(f"{MAJOR}.{MINOR}"),
         "sources": code_version().partition("+")[2],

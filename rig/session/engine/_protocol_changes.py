@@ -1,7 +1,7 @@
-"""In what the protocols of a study's sessions differ, key by key, and which of these keys can decide a result.
+"""Compare the protocols of a study's sessions key by key, and decide which differences can affect a result.
 
-A session compares itself with the earlier ones before it begins, and an analysis compares all of them: both by these
-functions, so that what one accepts the other does not refuse.
+A session compares its protocol with the earlier sessions before it begins; an analysis compares all sessions. Both use
+these functions, so an analysis accepts every session that was allowed to begin.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ _LISTED = 5  # names in a message
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A key in which protocols differ: its value by participant; None where the key is missing."""
+    """Key in which protocols differ, with its value for each participant; None if the key is missing."""
 
     key: str
     values: Mapping[str, Any]
 
     @property
     def is_neutral(self) -> bool:
-        """Return True if the key cannot decide a result."""
+        """Return True if the key cannot affect a result."""
         return is_within(self.key, NEUTRAL)
 
     @property
     def usual(self) -> Any:
-        """Return the value of most participants, of the first of them where that is not one."""
+        """Return the most frequent value; of several equally frequent ones, the first participant's."""
         texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
         (most, _), *_ = Counter(texts.values()).most_common(1)
         return next(self.values[code] for code, text in texts.items() if text == most)
@@ -71,32 +71,32 @@ class Difference:
 
 
 def is_within(key: str, keys: Iterable[str]) -> bool:
-    """Return True if a dotted key is one of these, or lies in a section that is."""
+    """Return True if a dotted key is in `keys`, or belongs to a section in `keys`."""
     return any(key == one or key.startswith(f"{one}.") for one in keys)
 
 
 def value_words(value: Any) -> str:
-    """Return a setting's value as it is written in a message."""
+    """Return the value of a setting as text for a message, shortened if it is long."""
     text = "not given" if value is None else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
 
 
 def list_names(names: Sequence[str]) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names as text, with the number of the remaining ones."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a session: of the protocol and the experiment in its log; `reach_for` as `Walls` has it."""
+    """Return the walls of a session, from protocol and experiment in its log; `reach_for` is passed on to `Walls`."""
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
     return Walls(state.protocol, base, reach_for)
 
 
 def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every key of a protocol, and of the experiment that it names (``experiment.…``), as plain JSON.
+    """Return the plain value of every dotted key of a protocol, and of its experiment (``experiment.…``).
 
-    Conditions and questions are keyed by their names; the key ``condition`` has these names in order.
+    Keys of conditions and questions contain their names; the key ``condition`` has the names of conditions in order.
     """
     table = as_mapping(protocol)
     names = [one["name"] for one in table["condition"]]
@@ -107,17 +107,17 @@ def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, 
 
 
 def differences(settings: Mapping[str, Mapping[str, Any]]) -> list[Difference]:
-    """In what these settings, by participant, differ."""
+    """Return the keys in which the settings of participants (by code) differ."""
     keys = dict.fromkeys(key for of in settings.values() for key in of)
     each = [Difference(key, {code: of.get(key) for code, of in settings.items()}) for key in keys]
     return [one for one in each if any(value != one.usual for value in one.values.values())]
 
 
 def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
-    """In what a protocol differs from the sessions in a study's directory; those under "here" are its own values.
+    """Return the differences between a protocol and the sessions in a study's directory.
 
-    Sessions without a trial decide nothing, nor does that of `code`, which is about to begin; what cannot be read is
-    left for the analysis to refuse. Another title counts where the title chose the directory.
+    The values of this protocol have the name "here". Sessions without a trial, the session of `code`, and sessions that
+    cannot be read are ignored; the analysis rejects the last.
     """
     there = _settings_there(study, code)
     here = settings_of(walls.protocol, config.as_mapping(walls.base))
@@ -125,7 +125,7 @@ def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
 
 
 def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
-    """Return those changes that can decide a result, or that make two studies of one directory."""
+    """Return the changes that can affect a result, and a changed title if the directory is named after a title."""
 
     def shares_a_directory(one: Difference) -> bool:
         return one.key == TITLE and study.name in {directory_name(title) for title in one.values.values()}
@@ -134,14 +134,14 @@ def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
 
 
 def refuse_changed(changes: Sequence[Difference], study: Path) -> None:
-    """Raise `ChangedProtocolError` for changes that can decide a result."""
+    """Raise `ChangedProtocolError` if one of the changes can affect a result."""
     found = deciding(changes, study)
     if found:
         raise ChangedProtocolError(_sentence(found, study), remedy=_remedy(found))
 
 
 def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
-    """Compare a protocol with the sessions in a study's directory, if there are any."""
+    """Yield a check that compares a protocol with the sessions in a study's directory; nothing without sessions."""
     changes = changed_keys(walls, study)
     found = deciding(changes, study)
     if found:
@@ -158,7 +158,7 @@ def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
 
 
 class ChangedProtocolError(ConfigError):
-    """A protocol is not that of the study's earlier sessions."""
+    """The protocol differs from that of the study's earlier sessions."""
 
 
 def _sentence(found: Sequence[Difference], study: Path) -> str:
@@ -187,7 +187,7 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
-    """Return the settings of a session with a trial, by its code."""
+    """Return code and settings of a session as a mapping; empty if the session has no trial."""
     if not any(event.kind == "trial" for event in events):
         return {}
     began = events[0].content

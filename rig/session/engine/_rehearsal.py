@@ -1,7 +1,7 @@
-"""A session with a simulated person, who hits through the simulated hand and judges by known thresholds.
+"""Rehearse a session with a simulated person: hits by the simulated hand, verdicts by known thresholds.
 
-It shows what a protocol needs, how long it takes and how its search rules respond to lapses, before the first
-participant comes; and a test knows what an analysis must find.
+A rehearsal shows how long a protocol takes and how its search rules respond to lapses. Because the thresholds are
+known, tests can check the results of an analysis.
 """
 
 from __future__ import annotations
@@ -34,20 +34,21 @@ LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at mo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Person:
-    """A simulated person whose thresholds are known beforehand.
+    """Simulated person with known thresholds.
 
     Attributes
     ----------
     thresholds
-        K50 by condition; of a condition that is not there, the automatic verdict is theirs.
+        K50 of each condition: the stiffness with half of the verdicts stable. Without one, the person gives the
+        automatic verdict.
     spread
-        How gradually verdicts change along stiffness (`rig.session.search._psychometric`).
+        Spread s of the psychometric function (unit of stiffness; `rig.session.search._psychometric`).
     lapse_rate
-        Share of verdicts that are turned round.
+        Share of verdicts that are inverted by mistake (0 to 1).
     unsure
-        Share of trials after which they cannot say.
+        Share of trials judged "unsure" (0 to 1).
     people_sd
-        How people differ: standard deviation of the logarithm of the factor that `of_code` draws for the thresholds.
+        Standard deviation, over people, of the logarithm of the factor by which `of_code` multiplies the thresholds.
     """
 
     thresholds: Mapping[str, float]
@@ -57,12 +58,12 @@ class Person:
     people_sd: float = 0.0
 
     def of_code(self, code: str, seed: int) -> Person:
-        """Return the person of that code: all thresholds multiplied by one factor."""
+        """Return the person with this code: all thresholds multiplied by a random factor that the code determines."""
         drawn = random.Random(f"person {seed} {code}").gauss(0.0, self.people_sd)
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
     def judge(self, trial: RecordedTrial, drawn: np.random.Generator) -> str:
-        """Return the simulated person's verdict of a trial."""
+        """Return the verdict of the simulated person on a trial."""
         if drawn.random() < self.unsure:
             return "unsure"
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
@@ -78,7 +79,7 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Return thresholds from texts like ``dual=430``; raises `ConfigError` for another form."""
+    """Return the threshold of each condition from texts like ``dual=430``; raise `ConfigError` for another form."""
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
@@ -97,7 +98,7 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
 
 
 def check_person(person: Person, protocol: Protocol) -> None:
-    """Raise `ConfigError` for numbers that no person of this study can have."""
+    """Raise `ConfigError` if a number of the simulated person is out of range or names an unknown condition."""
     names = [one.name for one in protocol.condition]
     for name, stiffness in person.thresholds.items():
         if name not in names:
@@ -121,7 +122,7 @@ def check_person(person: Person, protocol: Protocol) -> None:
 
 
 class Day:
-    """A clock that only its methods move: seconds since an arbitrary morning."""
+    """Virtual clock (s), which only its methods advance."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -135,7 +136,7 @@ class Day:
         self.seconds = round(self.seconds + seconds, 6)
 
     def resume_at(self, at: float) -> None:
-        """Continue at the time where the log ends."""
+        """Set the virtual time to `at`, the time of the newest event in the log."""
         self.seconds = at
 
     def rests(self, seconds: float) -> None:
@@ -144,15 +145,15 @@ class Day:
 
 
 class RealDay(WallClock):
-    """The clock on the wall, where a rest takes its time."""
+    """Real time of day; a rest waits in real time."""
 
     def rests(self, seconds: float) -> None:
-        """Wait for the length of a rest, in real time."""
+        """Wait for the duration of a rest (s)."""
         time.sleep(seconds)
 
 
 class RehearsalDesk(Desk):
-    """A simulated person at a desk, who answers at once and moves the clock on by what it would have taken."""
+    """Desk with a simulated person, who replies at once and advances the clock by a simulated response time."""
 
     who = "simulated"
 
@@ -165,7 +166,7 @@ class RehearsalDesk(Desk):
         self.state: SessionState | None = None  # of the session, as it is now
 
     def attend(self, session: Session) -> None:
-        """Judge what stands in its log, and live by its clock."""
+        """Use state, participant's code and clock of this session."""
         self.state = session.state
         self.person = self.person.of_code(session.state.code, session.state.seed)
         if isinstance(session.clock, Day | RealDay):
@@ -177,7 +178,7 @@ class RehearsalDesk(Desk):
             self.looks(view)
 
     def ask(self, question: Question) -> Reply:
-        """Answer as this person does; a run whose trials are invalid is left."""
+        """Return the reply of the simulated person; a run with too many invalid trials is skipped."""
         reply = self._answer(question)
         (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
         return reply

@@ -1,4 +1,4 @@
-"""A participant's session from a protocol file: what `rig session run` and `rig session resume` do."""
+"""Run or resume a participant's session from a protocol file, for `rig session run` and `rig session resume`."""
 
 from __future__ import annotations
 
@@ -63,27 +63,27 @@ DeskFor = Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResult:
-    """How a session stands after it has ended or was left. Nothing in it identifies a wall.
+    """Result of a session that has ended or was left. It contains nothing about the walls.
 
     Attributes
     ----------
     directory
-        Of the participant.
+        Directory of the participant.
     code, row
-        Of the participant.
+        Code of the participant, and row of the order of conditions.
     ended, stopped
-        Why it is over, or why it was left; None where it is not.
+        Reason for which the session ended, or for which it was left; else None.
     trials, counted, invalid, by_machine, aborted, outside
-        Recorded hits; those that count and were judged; invalid ones, and how many of these the computer or the link
-        spoiled; those cut off for safety; those outside the protocol's bands.
+        Numbers of recorded hits; of judged hits that count; of invalid hits, and of those that computer or link made
+        invalid; of hits cut off for safety; of hits outside the bands of the protocol.
     invalid_trials
-        A sentence each with the reasons, oldest first, as a blinded operator may read them.
+        Sentence with the reasons for each invalid trial, oldest first, without hints at the wall.
     blocks, blocks_done
-        Of the order, practice aside, and how many of them are finished.
+        Number of blocks without practice, and number of finished blocks.
     resume
-        The command that resumes it; empty when it is over.
+        Command that resumes the session; empty if it has ended.
     messages
-        What this computer or the port did not grant.
+        Permissions that this computer or the port did not grant, and lines that the log had lost.
     """
 
     directory: Path
@@ -111,7 +111,7 @@ class SessionResult:
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """Return its names and values to show."""
+        """Return names and values of the result, to be displayed."""
         outside = f", {self.outside} outside the bands" if self.outside else ""
         trials = (
             f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
@@ -143,37 +143,36 @@ def run_session(
     Parameters
     ----------
     protocol_file
-        TOML (`rig.session.planning._protocol`).
+        Protocol file in TOML (`rig.session.planning._protocol`).
     code
-        Of the participant.
+        Code of the participant.
     desk
-        Makes the desk: a person's, or a simulated one's.
+        Function that creates the desk, for a person or a simulated person.
     runner
-        The rig; closed at the end.
+        Rig that runs the trials; closed at the end.
     study
-        Directory of all participants; unless given ``sessions/`` and the study's title, for a rehearsal
-        ``rehearsals/`` and that: people and simulated ones never lie side by side by themselves.
+        Directory of all participants; by default a directory named after the study's title, in ``sessions/`` or, for a
+        rehearsal, in ``rehearsals/``.
     row
-        Of the order; the number in the code, from 1, unless given.
+        Row of the order, from 0; by default the number in the code minus 1.
     person
-        Who is rehearsed, for the log; None with a participant.
+        Simulated person of a rehearsal; None for a participant.
     again
-        Delete a rehearsal that is there, and begin it anew.
+        Delete an existing rehearsal of this code first.
     other_protocol
-        Begin although the protocol differs from that of the study's earlier sessions in what can decide a result.
+        Begin even if the protocol differs from that of the earlier sessions in a key that can affect a result.
     on_event
-        Called with each event once it is written.
+        Called with each event after it was written to the log.
     marks
-        Stream samples and markers by that extra (`rig.core.extras`), without walls where a person is blinded.
+        Name of the extra (`rig.core.extras`) that streams samples and markers; without walls if a person is blinded.
 
     Raises
     ------
     ConfigError
-        The protocol or the code is invalid, the participant has a session already, the protocol is not that of the
-        study's earlier sessions (`ChangedProtocolError`), or the rig refuses a wall that the session may ask for
-        (`rig.session.engine._arming`).
+        The protocol or the code is not valid, the participant has a session already, the protocol differs from that of
+        the earlier sessions (`ChangedProtocolError`), or the rig refuses a wall (`rig.session.engine._arming`).
     RigError
-        As `rig.session.engine._conduct.conduct`.
+        The session cannot continue; see `rig.session.engine._conduct.conduct`.
     """
     code = normalise(code)
     walls = load_walls(protocol_file, _reach_for(runner))
@@ -221,7 +220,10 @@ def run_session(
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
-    """Raise `ChangedProtocolError` if the study's earlier sessions had another protocol; arguments as `run_session`."""
+    """Raise `ChangedProtocolError` if the protocol differs from that of the study's earlier sessions.
+
+    Only differences that can affect a result count. `code`, `study` and `person` are those of `run_session`.
+    """
     place = study_directory(walls.protocol, study, rehearsal=person is not None)
     refuse_changed(changed_keys(walls, place, normalise(code)), place)
 
@@ -236,10 +238,10 @@ def resume_session(
     marks: str | None = None,
     other_device: bool = False,
 ) -> SessionResult:
-    """Resume a session; see `rig.session.engine._directory.resume` and `run_session`.
+    """Resume a session; see `run_session` and, for `at`, `rig.session.engine._directory.resume`.
 
-    Raises `ConfigError`, before anything is written, on another device than the session took place on; with
-    `other_device` it is accepted.
+    Raise `ConfigError`, before anything is written, if the device is not that of the session, unless `other_device` is
+    set.
     """
     person = read_person(directory)
     _refuse_a_real_rig(person, runner)
@@ -289,19 +291,19 @@ def _resume(
 
 
 def read_person(directory: Path) -> Person | None:
-    """Return the simulated person of a session that was a rehearsal; None of one with a participant."""
+    """Return the simulated person of a rehearsal; None for a session with a participant."""
     events = read(directory / LOG)
     found = events[0].content.get("rehearsal") if events else None
     return None if found is None else Person(**found)
 
 
 def took_place(directory: Path) -> Place:
-    """Return where a session took place when it was opened last."""
+    """Return the device on which a session was opened last."""
     return last_place(read(directory / LOG))
 
 
 def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
-    """A desk for `run_session` at which this simulated person sits; `looks` is shown what a console would show."""
+    """Return the `desk` argument of `run_session` for a simulated person; `looks` is called with each view."""
 
     def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
         return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
@@ -310,7 +312,7 @@ def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = No
 
 
 def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
-    """Return where a session stands, and its events; also while it runs."""
+    """Return the state of a session and its events, also while the session runs."""
     events = read(directory / LOG)
     return SessionState.of(events), events
 
@@ -318,7 +320,7 @@ def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
 def summary(
     directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
-    """Return how a session stands, without anything that identifies a wall."""
+    """Return the result of a session, without anything about its walls."""
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(
@@ -342,9 +344,9 @@ def summary(
 
 
 def row_of(code: str) -> int:
-    """Return the row of the order, from 0, that a participant's code names: its last number, counted from 1.
+    """Return the row of the order, from 0, for a participant's code: the last number in the code minus 1.
 
-    Raises `ConfigError` for a code without a number.
+    Raise `ConfigError` if the code contains no number or the number 0.
     """
     numbers = re.findall(r"[0-9]+", code)
     if not numbers:
@@ -361,7 +363,7 @@ def row_of(code: str) -> int:
 
 
 def _checked_row(row: int, protocol: Protocol) -> int:
-    """Return the given row; raise `ConfigError` for one that the plan does not have."""
+    """Return the given row; raise `ConfigError` if the order does not have it."""
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
@@ -373,12 +375,12 @@ def _checked_row(row: int, protocol: Protocol) -> int:
 
 
 def _reach_for(runner: TrialRunner) -> ReachFor | None:
-    """Return the function that finds the reach of the simulated hand; None on a real rig."""
+    """Return the function that computes the reach of a simulated hand; None for a real rig."""
     return reach_for if runner.simulated else None
 
 
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
-    """Raise `ConfigError` for a simulated person at a rig that moves."""
+    """Raise `ConfigError` if a simulated person is to use a real rig."""
     if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",
@@ -416,7 +418,7 @@ def _conduct(
 def _streams(
     protocol: Protocol, experiment: Mapping[str, Any], marks: str | None
 ) -> Iterator[Streams | None]:
-    """Yield the streams of a session, once they are open; None without a name of `marks`."""
+    """Yield the open streams of a session; None if `marks` is None."""
     if marks is None:
         yield None
         return

@@ -1,4 +1,4 @@
-"""Interface of the engine to a rig: where trials are run, and what is reported about them."""
+"""Interface between the engine and a rig: it runs trials and returns their results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionWall:
-    """A wall that a session may ask for, and what of it a device must not change."""
+    """Wall that a session may present, and the settings of its experiment that a device must not change."""
 
     condition: str
     experiment: Experiment
@@ -29,7 +29,10 @@ class SessionWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefusedWalls:
-    """What the gate refuses of one condition at one damping, out of so many walls; why, for the softest of them."""
+    """Walls that the arming gate refuses for a condition and a damping.
+
+    `stiffness` are the refused walls, `walls` the number of all walls, `text` the reason for the softest refused one.
+    """
 
     condition: str
     damping: float
@@ -40,7 +43,7 @@ class RefusedWalls:
 
 @dataclass(frozen=True, slots=True)
 class TrialDone:
-    """A trial that was run: its hit, what ended it early, if anything did, and how long it took (s)."""
+    """Result of a trial: its hit, the error that ended it early (or None), and its duration (s)."""
 
     hit: HitOutcome
     error: Exception | None
@@ -48,11 +51,10 @@ class TrialDone:
 
 
 class TrialRunner(Protocol):
-    """Where trials are run: a rig (`DeviceRunner`), or what a test puts in its place.
+    """Runner of trials: a rig (`DeviceRunner`), or a substitute in tests.
 
-    `hand` is the file through which a person moves the simulated hand, None while it plays its script. `arm_anyway`:
-    the operator consented to walls that the arming gate refuses; `lossy_anyway`: to a computer or a link that loses
-    samples.
+    `hand` is the file through which a person moves the simulated hand, or None if it plays its script. With
+    `arm_anyway` the operator accepts walls that the arming gate refuses, with `lossy_anyway` the loss of samples.
     """
 
     hand: Path | None
@@ -61,17 +63,17 @@ class TrialRunner(Protocol):
 
     @property
     def simulated(self) -> bool:
-        """Return True if no rig can move."""
+        """Return True if the device is simulated, so that no real rig can move."""
         ...
 
     @property
     def virtual(self) -> bool:
-        """Return True if time is the simulation's own."""
+        """Return True if trials run in virtual time."""
         ...
 
     @property
     def messages(self) -> Sequence[str]:
-        """Return messages about permissions that this computer or the port did not grant, each once."""
+        """Return messages about permissions that this computer or the port did not grant, without repetition."""
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,19 +81,19 @@ class TrialRunner(Protocol):
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
-        """Return which of these walls the rig does not arm without consent; see `DeviceRunner.refusals`."""
+        """Return the walls that the rig arms only with consent; see `DeviceRunner.refusals`."""
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure the losses of this computer and the link at an experiment's rate; None in virtual time."""
+        """Measure lost and late samples at an experiment's rate; return None in virtual time."""
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Check whether the device and its link carry an experiment; nothing moves."""
+        """Check whether the device and its link can run an experiment; nothing moves."""
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Send the rig a torque pulse, without a hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
+        """Apply a torque pulse, with no hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
         ...
 
     def hit(
@@ -104,7 +106,7 @@ class TrialRunner(Protocol):
         heat: float,
         blinded: bool = False,
     ) -> TrialDone:
-        """Run one trial, and return what the log keeps of it; see `DeviceRunner.hit`."""
+        """Run one trial and return its result; see `DeviceRunner.hit`."""
         ...
 
     def close(self) -> None:

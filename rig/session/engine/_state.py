@@ -1,7 +1,7 @@
-"""Where a session stands, and what comes next: a pure function of its log.
+"""Compute the state of a session and its next step, as a pure function of its log.
 
-Nothing is remembered outside the log, so a session that was killed resumes as if nothing had happened, and an analysis
-reads what the session itself went by. The kinds of events, and what each holds:
+Nothing is stored outside of the log, so a killed session can be resumed, and an analysis uses the same data as the
+session itself. Kinds of events and their content:
 
 =============  ====================================================================================================
 ``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal, differs (keys in which
@@ -59,21 +59,24 @@ _TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of t
 
 @dataclass(frozen=True, slots=True)
 class DoTrial:
-    """Hit this wall."""
+    """Next step: run a trial with this wall."""
 
     presented: Presented
 
 
 @dataclass(frozen=True, slots=True)
 class DoJudge:
-    """Have this trial judged."""
+    """Next step: obtain the verdict on this trial."""
 
     trial: RecordedTrial
 
 
 @dataclass(frozen=True, slots=True)
 class DoAsk:
-    """An item of the questionnaire, before the first block (block 0), after one, or at the end (-1); or `FITTED`."""
+    """Next step: ask an item of the questionnaire, or have the rig fitted for a block (item `FITTED`).
+
+    `block` is 0 before the first block, the number of the finished block after one, and -1 at the end.
+    """
 
     item: Item
     block: int
@@ -81,14 +84,14 @@ class DoAsk:
 
 @dataclass(frozen=True, slots=True)
 class DoBlock:
-    """A block begins."""
+    """Next step: begin this block."""
 
     block: Block
 
 
 @dataclass(frozen=True, slots=True)
 class DoRest:
-    """A rest is due: for how long (s), and why."""
+    """Next step: rest for `seconds`; `reason` is every, block or heat."""
 
     seconds: float
     reason: str
@@ -96,14 +99,14 @@ class DoRest:
 
 @dataclass(frozen=True, slots=True)
 class DoPause:
-    """The computer or the link spoiled so many trials in a row that the next one would most likely go the same way."""
+    """Next step: pause, because computer or link made too many trials in a row invalid."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Ask the operator how to continue: trials of this run were invalid again and again."""
+    """Next step: ask the operator how to continue, because too many trials of this run in a row were invalid."""
 
     run: SearchRun
     last: RecordedTrial
@@ -111,7 +114,7 @@ class DoDecide:
 
 @dataclass(frozen=True, slots=True)
 class DoEnd:
-    """Nothing is left to do, for this reason."""
+    """Next step: end the session, for this reason."""
 
     reason: str
 
@@ -127,28 +130,28 @@ AS_IT_IS = "the rig as it is"
 
 @dataclass
 class SessionState:
-    """A session after some of its events; `SessionState.of` replays a log, `apply` adds an event.
+    """State of a session after its events so far; `SessionState.of` replays a log, `apply` adds an event.
 
     Attributes
     ----------
     protocol, experiment, code, row, seed, rehearsal
-        As the log began.
+        Contents of the first event of the log.
     blocks
-        The order.
+        Blocks in the order of this participant.
     trials
-        All so far, void ones too.
+        All trials so far, with those that do not count.
     skipped, corrected
-        Runs that were left, and runs of which a verdict was corrected or a trial left out afterwards.
+        Numbers of the runs that were skipped, and of the runs with a corrected verdict or an excluded trial.
     answered
         Answers to the questionnaire, by item and block.
     fitted
-        What is fitted to the rig, as the operator confirmed; None if unknown, as after a resume.
+        Part that is fitted to the rig, as the operator confirmed; None if unknown, for example after a resume.
     stopped
-        Why the session was left, until it is resumed.
+        Reason for which the session was left; None after it was resumed.
     paused
-        Why it pauses, until the operator continues.
+        Reason of a pause; None after the operator continued.
     ended
-        Why it is over; None while it is not.
+        Reason for which the session ended; None while it has not.
     """
 
     protocol: Protocol
@@ -179,14 +182,14 @@ class SessionState:
 
     @classmethod
     def of(cls, events: Sequence[Event]) -> SessionState:
-        """Replay a log.
+        """Return the state after the events of a log.
 
         Raises
         ------
         RecordingError
-            It does not begin with ``began``.
+            The log does not begin with the event ``began``.
         ConfigError
-            Its protocol is not valid.
+            The protocol in the log is not valid.
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
@@ -231,7 +234,7 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """Return the block that was begun last, unless it is finished."""
+        """Return the block that was begun last; None if it is finished or no block was begun."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])
@@ -335,7 +338,7 @@ class SessionState:
         return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
 
     def trial_numbered(self, number: int) -> RecordedTrial:
-        """Return the trial of this number; raises `RecordingError` when the log has none."""
+        """Return the trial with this number; raise `RecordingError` if the log does not contain it."""
         if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
             raise RecordingError(
                 f"the log refers to trial {number}, which it does not contain",
@@ -344,7 +347,7 @@ class SessionState:
         return self.trials[number - 1]
 
     def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
-        """Return trials of a run that count, invalid ones too."""
+        """Return the trials of a run that were not excluded, with the invalid ones."""
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
@@ -352,11 +355,11 @@ class SessionState:
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return the answers that the rule of a run receives: all, unless one was corrected.
+        """Return the answers that the search rule of a run receives: all judged probes, unless a verdict was corrected.
 
-        A rule that walks from wall to wall derives its place from the walls that it asked for: after a correction it
-        receives the answers to walls that it would have asked for, continues there, and never jumps to a wall far from
-        all that were hit. The other answers stay for every estimate that needs no walk.
+        Rules in `WALKING` derive the next wall from the sequence of walls that they chose. After a correction such a
+        rule receives only the answers to walls that it would still have chosen, so it never jumps to a distant wall.
+        `judged_probes` returns the other answers too, for estimates that do not depend on the sequence.
         """
         probes = self.judged_probes(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -370,10 +373,10 @@ class SessionState:
         return led
 
     def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return all answers about the walls of a run: each judged trial that counts.
+        """Return the answers of a run: one for each judged trial that counts.
 
-        An unsure verdict is an empty answer, until there are `trial.unsure` of them in a row about one wall: then it
-        counts as not stable.
+        An unsure verdict is an answer without a verdict (`stable` is None). After `trial.unsure` unsure verdicts in a
+        row on the same wall, the last of them counts as not stable.
         """
         probes: list[JudgedProbe] = []
         unsure, about = 0, None
@@ -393,7 +396,7 @@ class SessionState:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
     def asks(self, run: SearchRun) -> Probe | None:
-        """Return which wall a run wants next; None when it has enough or was left."""
+        """Return the next wall of a run; None if the run is finished or was skipped."""
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
@@ -453,7 +456,7 @@ class SessionState:
         return DoTrial(self._present(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
-        """Return the step that must precede the next trial of a block; None without one."""
+        """Return the rest, fitting or start of the block that must precede its next trial; None if nothing must."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:
@@ -461,7 +464,7 @@ class SessionState:
         return self._ask_fitting(block) or (None if begun else DoBlock(block))
 
     def _ask_fitting(self, block: Block) -> DoAsk | None:
-        """Ask for what the rig needs in a block, or no longer; None where it is there."""
+        """Return the request to fit or remove the part that a block needs on the rig; None if the rig is ready."""
         fit = self._fit_of(block)
         if fit == self.fitted:
             return None
@@ -494,18 +497,21 @@ class SessionState:
         )
 
     def _turn(self, block: Block, waiting: int) -> int:
-        """Return whose turn it is among the runs that are not finished."""
+        """Return the index of the next run among the `waiting` unfinished runs of a block."""
         if not block.interleave:
             return 0
         done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
         return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
 
     def seed_of(self, trial: int) -> int:
-        """Return the seed of the simulation in a trial, and of the simulated person there."""
+        """Return the random seed of a trial, for the simulation and the simulated person."""
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: SearchRun) -> int:
-        """Count invalid trials of a run in a row since the operator last chose to continue, without the machine's."""
+        """Return the number of invalid trials in a row at the end of a run, since the operator last chose to continue.
+
+        Trials that computer or link made invalid are not counted.
+        """
         since = self._retried.get(run.number, 0)
         count = 0
         for trial in reversed(self.trials_of(run)):
@@ -531,7 +537,7 @@ class SessionState:
         return None
 
     def _owes(self) -> bool:
-        """Return True if a redone trial has not been repeated yet; nothing ends before it is."""
+        """Return True if a discarded trial has not been repeated yet; the session must not end before."""
         return any(
             self._owed.get(run.number) and self.asks(run) is not None
             for block in self.blocks
@@ -539,7 +545,7 @@ class SessionState:
         )
 
     def _stop_rule(self) -> str | None:
-        """Return the rule that ends the session now, if one does. What was redone does not count."""
+        """Return the stop rule that ends the session now, as text; None if no rule does."""
         stop = self.protocol.stop
         counted = sum(not (trial.practice or trial.void) for trial in self.trials)
         if stop.trials is not None and counted >= stop.trials:
@@ -560,7 +566,7 @@ def _run_of(events: Sequence[Event], trial: int) -> int:
 
 
 def _count_in_a_row(found: Iterable[bool]) -> int:
-    """Return how many of the newest are true, without one between that is not."""
+    """Return the number of true values in a row at the end."""
     count = 0
     for one in found:
         count = count + 1 if one else 0
@@ -568,7 +574,7 @@ def _count_in_a_row(found: Iterable[bool]) -> int:
 
 
 def apply_corrections(events: Iterable[Event]) -> list[Event]:
-    """Return the events with their corrections in place; the corrections themselves stay too."""
+    """Return the events with corrected content; the events of the corrections remain in the list."""
     events = list(events)
     changes: dict[int, dict[str, Any]] = {}
     for event in events:

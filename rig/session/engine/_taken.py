@@ -1,7 +1,7 @@
-"""How long people took in the finished sessions of a study: their medians replace what a plan assumes.
+"""Compute how long people took in the finished sessions of a study; the medians replace the assumptions of a plan.
 
-A log dates its events and not what people do in between. So *ready* is what a trial's line comes later than the line
-before it, less what the rig takes by itself; homing, free space, hit and release stay as they are planned.
+The log dates events, not pauses. *ready* = (time of a trial's event − time of the event before) − (planned duration of
+the rig's own part: homing, free space, hit and release).
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ def find_taken(protocol: Protocol, study: Path) -> Taken | None:
     Parameters
     ----------
     study
-        Directory of the participants. What is no session there, or cannot be read, counts for nothing.
+        Directory of the participants. Other directories, and sessions that cannot be read, are ignored.
     """
     logs = [events for path in sorted(study.glob(f"*/{LOG}")) if (events := _read_finished(protocol, path))]
     steps = [step for events in logs for step in _steps(events)]
-    of = {kind: [s for name, s in steps if name == kind] for kind in ("trial", "judged", "answered")}
-    if not of["trial"]:
+    durations_s = {kind: [s for name, s in steps if name == kind] for kind in ("trial", "judged", "answered")}
+    if not durations_s["trial"]:
         return None
     return Taken(
         sessions=len(logs),
-        trials=len(of["trial"]),
-        trial=median(of["trial"]),
-        verdict=median(of["judged"] or [0.0]),
-        question=median(of["answered"] or [QUESTION_S]),
+        trials=len(durations_s["trial"]),
+        trial=median(durations_s["trial"]),
+        verdict=median(durations_s["judged"] or [0.0]),
+        question=median(durations_s["answered"] or [QUESTION_S]),
     )
 
 
 def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
-    """Return the events of a participant's session that is over and had the same trials; none of another."""
+    """Return the events of a session if it has ended, is no rehearsal, and had the same trials; otherwise ()."""
     try:
         events = read(path)
         state = SessionState.of(events)
@@ -60,7 +60,9 @@ def _trial_timing(protocol: Protocol) -> tuple[str, Trial]:
 
 
 def _steps(events: Sequence[Event]) -> Iterator[tuple[str, float]]:
-    """Yield the kind of each event, and how long after the one before it came (s)."""
+    """Yield the kind of each event and the time since the event before (s), without practice."""
     for before, after in pairwise(events):
+        # A verdict counts only directly after its trial: with a note or a pause in between, the time is not the
+        # response time of a person.
         if not after.content.get("practice") and (after.kind != "judged" or before.kind == "trial"):
             yield after.kind, after.at - before.at

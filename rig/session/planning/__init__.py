@@ -1,1 +1,1 @@
-"""What a protocol plans: sections and their rules, conditions, order, times, and what a search will come to."""
+"""Plan a study from its protocol: sections and their rules, conditions, order, times, expected searches."""

@@ -1,4 +1,4 @@
-"""Judge bands of impact speed and press: what a protocol requires, what the hand did, what a simulated hand aims at.
+"""Judge whether impact speed and press of a hit lie in the bands of a protocol, and set those of a simulated hand.
 
 The impact speed is that of the handle at the first contact (`rig.control.verdict`). The press is the mean effort that
 pushed the hand out of the wall over the judged tail (`verdict.tail_s`), whatever the law of the wall.
@@ -26,7 +26,7 @@ BANDS: Mapping[str, tuple[str, str, str]] = {
 
 
 def describe_task(trial: Trial, motion: Motion) -> str:
-    """Return the ranges that a protocol requires of the hand, in words; empty if it requires none."""
+    """Return the required ranges of impact speed and press as text; empty if the protocol requires none."""
     return ", ".join(
         f"{words} {_words(band)} {unit_of(quantity, motion)}"
         for name, (quantity, _, words) in BANDS.items()
@@ -35,7 +35,7 @@ def describe_task(trial: Trial, motion: Motion) -> str:
 
 
 def press_of(recording: Recording, experiment: Experiment) -> float | None:
-    """Press of a hit (N·m or N); None of one without a trial."""
+    """Return the press of a hit (N·m or N); None if the recording has no trial phase."""
     rows = recording.rows
     effort = rows["effort_sent"][rows["phase"] == Phase.TRIAL]
     tail = effort[-round(experiment.verdict.tail_s * experiment.controller.position_rate) :]
@@ -43,7 +43,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """Return the hit with what of it lies outside the bands, and invalid because of that where the protocol says so."""
+    """Return the hit with its deviations from the bands; also mark it invalid if the protocol requires that."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)
@@ -75,10 +75,10 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """Return the press of a simulated hand as keys of a wall's experiment: the middle of the band."""
+    """Return the settings of an experiment that make the simulated hand press with the middle of the band."""
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 
 def middle(band: Band) -> float:
-    """Return the value that a simulated hand aims at."""
+    """Return the middle of a band, at which a simulated hand aims."""
     return 0.5 * (band[0] + band[-1])

@@ -1,4 +1,4 @@
-"""What a study is compared with beforehand: limits, theory, heat, order, stop rules."""
+"""Check the plan of a study against limits, theory, heat, balance of the order, and stop rules."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Walls = Sequence[tuple[str, Experiment]]  # each with its condition
 
 
 def wall_checks(walls: Walls) -> list[Check]:
-    """Return every wall like a hit of its own; of each comparison the worst wall, and how many walls are like it."""
+    """Check every wall like a single hit; for each check, return the worst wall and the number of similar walls."""
     worst: dict[str, tuple[Check, str]] = {}
     number: dict[tuple[str, Outcome], int] = {}
     for condition, x in walls:
@@ -62,7 +62,7 @@ def _severity(check: Check) -> int:
 
 
 def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
-    """Check whether the limit is likely to lie among the levels: beyond them it is censored, and there is no mean."""
+    """Check whether the limit is likely to lie among the levels; otherwise it is censored, and there is no mean."""
     unit = unit_of("stiffness", motion)
     beyond = []
     for cell in cells:
@@ -100,7 +100,7 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
 
 
 def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
-    """Check whether `most` leaves a search its turns: a limit without them is marked, and left out of the analysis."""
+    """Check whether `most` verdicts suffice for the reversals of a search; if not, the analysis excludes its limit."""
     short = [cell for cell in cells if cell.trials.ended_by_most]
     if short:
         each = "; ".join(
@@ -127,7 +127,7 @@ def _cell(cell: CellPlan) -> str:
 
 
 def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
-    """Check whether the motor keeps cool, and how often it has to wait for that."""
+    """Check whether the motor stays below its heat limit, and how often a session must pause for that."""
     share = protocol.rest.heat
     text = (
         f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
@@ -148,7 +148,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check whether a wall that gives energy to a hand ends by that."""
+    """Check whether a trial ends if an unstable wall transfers energy to the hand."""
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in under for one in of]
@@ -165,7 +165,7 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
 
 
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
-    """Check whether the simulated hand of a rehearsal keeps within the bands, in these soft walls."""
+    """Check whether the simulated hand of a rehearsal stays within the bands on these soft walls."""
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
     does = [simulate_hits(x) for x in walls] if bands else []
     for name, band in bands.items():
@@ -182,7 +182,7 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check whether a cap can ever act: one far beyond what any hit here can give is a typing error."""
+    """Check whether the caps can act: a cap far above every possible value is probably a typing error."""
     caps, experiments = protocol.caps, [one for of in under for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
@@ -197,7 +197,7 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
 
 
 def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
-    """Check whether the order is balanced over those who come; it is after so many `rows`."""
+    """Check whether the order is balanced over the participants: a Latin square needs a multiple of `rows`."""
     number = protocol.study.participants
     if protocol.order.kind == "latin-square":
         runs = sum(len(one.damping) for one in protocol.condition)
@@ -221,7 +221,7 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
 def stop_checks(
     protocol: Protocol, trials: ExpectedRange, failures: ExpectedRange, session_s: ExpectedRange
 ) -> Iterator[Check]:
-    """Check whether a stop rule leaves a session its end."""
+    """Check whether a stop rule is likely to end a session before all its trials."""
     stop = protocol.stop
     for name, limit, expected, unit in (
         ("trials", stop.trials, trials, "trials"),
@@ -237,7 +237,7 @@ def stop_checks(
 
 
 def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
-    """Check whether a hand has time to rest."""
+    """Check whether a session gives the hand enough rest."""
     rest = protocol.rest
     if protocol.trial.kind != "human":
         return

@@ -1,8 +1,9 @@
-"""The experiment behind a protocol: its rig and trial, and what each condition makes of them.
+"""Build the experiments of a protocol: rig and trial, changed by each condition.
 
-Later ones win: the preset or the experiment file; what a person at the handle demands (`SAFE`); ``[study.changes]``;
-``[trial]`` and ``[caps]``; the condition's scheme and its changes; damping and stiffness of the run. A simulated hand
-follows the bands of ``[trial]`` unless something else sets how it hits (`rig.session.planning._bands`).
+Settings are applied in this order, later ones replace earlier ones: the preset or the experiment file; the settings for
+safety with a person (`SAFE`); ``[study.changes]``; ``[trial]`` and ``[caps]``; scheme and changes of the condition;
+damping and stiffness of the run. A simulated hand follows the bands of ``[trial]``, unless other settings determine how
+it hits (`rig.session.planning._bands`).
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ OWNED = {  # keys of the experiment that a protocol says in its own words
 
 
 def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
-    """Read what ``[study]`` names, as it stands in the file, or say what is wrong with that.
+    """Return the preset or experiment that the table ``[study]`` names, without changes, or the problems found.
 
     Parameters
     ----------
     study
-        That table of a protocol file, not checked yet.
+        Table ``[study]`` of a protocol file, not checked yet.
     folder
-        Where the protocol file is.
+        Directory of the protocol file.
     """
     study = study if isinstance(study, Mapping) else {}
     preset, file = study.get("preset"), study.get("experiment")
@@ -74,17 +75,17 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
 
 
 class Walls:
-    """The walls of a study, as experiments: each is checked once and then cached.
+    """Walls of a study as experiments; each is checked once and then cached.
 
     Parameters
     ----------
     protocol
-        A checked one.
+        Checked protocol.
     base
-        What its ``[study]`` names, from `base_of`.
+        Experiment that the protocol names, from `base_of`.
     reach_for
-        Finds the reach of a simulated hand for an impact speed (`rig.session.planning._simulated_hand`); None without a
-        simulated hand: a band of impact speeds then changes nothing.
+        Returns the reach of a simulated hand for an impact speed (`rig.session.planning._simulated_hand`). Without a
+        simulated hand it is None, and a band of impact speeds changes nothing.
     """
 
     def __init__(self, protocol: Protocol, base: Experiment, reach_for: ReachFor | None = None) -> None:
@@ -102,16 +103,16 @@ class Walls:
         Parameters
         ----------
         condition
-            One of the protocol's.
+            Condition of the protocol.
         damping, stiffness
-            B and K of the wall (`rig.core.sample.unit_of`).
+            B and K of the wall (units: `rig.core.sample.unit_of`).
         seed
-            Of a trial; that of the study, unless given.
+            Seed of the trial; by default that of the study.
 
         Raises
         ------
         ConfigError
-            Something that this rig, this trial or this estimator does not allow.
+            The rig, the trial or the estimator does not allow this wall.
         """
         key = (condition.name, damping, stiffness)
         if key not in self._known:
@@ -120,7 +121,7 @@ class Walls:
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
     def softest(self, condition: Condition) -> Experiment:
-        """Return the softest wall of a condition, at its first damping; raises as `at`."""
+        """Return the experiment with the softest wall of a condition, at its first damping; errors as in `at`."""
         return self.at(condition, *self._softest(condition))
 
     def _softest(self, condition: Condition) -> tuple[float, float]:
@@ -153,7 +154,7 @@ class Walls:
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
-    """Return the settings that a device must not change: the rates, if the condition's scheme names them."""
+    """Return the settings that a device must not change: the rates, if the scheme of the condition sets them."""
     if condition.scheme is None:
         return {}
     rates = experiment.controller
@@ -164,7 +165,10 @@ def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
 
 
 def base_of(protocol: Protocol, folder: Path) -> Experiment:
-    """Return the experiment that a protocol names; `folder` is where its file is. Raises `ConfigError`."""
+    """Return the experiment that a protocol names; raise `ConfigError` if it is not valid.
+
+    `folder` is the directory of the protocol file.
+    """
     study = {"preset": protocol.study.preset, "experiment": protocol.study.experiment}
     base = base_experiment(study, folder)
     if isinstance(base, list):
@@ -173,7 +177,7 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
 
 
 def broken_conditions(walls: Walls) -> list[Problem]:
-    """Return the first problems of each condition that rig, trial or estimators do not allow."""
+    """Return the first problems of each condition that the rig, the trial or an estimator does not allow."""
     protocol, base = walls.protocol, walls.base
     problems = [*_find_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
     return problems or list(_find_refused(walls))
@@ -185,7 +189,7 @@ def _study_changes(protocol: Protocol) -> dict[str, Any]:
 
 
 def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
-    """Return the settings of ``[trial]`` and ``[caps]`` as keys of the experiment, without those they omit."""
+    """Return the given settings of ``[trial]`` and ``[caps]`` as keys of the experiment."""
     trial, caps = protocol.trial, protocol.caps
     values = {
         "trial.duration_s": trial.duration_s,
@@ -201,7 +205,7 @@ def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
 
 
 def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
-    """Yield changes to unknown keys, and to keys that the protocol sets elsewhere."""
+    """Yield a problem for each change to an unknown key, or to a key that another section of the protocol sets."""
     places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
     places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
     for place, changes in places:
@@ -216,7 +220,7 @@ def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield a cap only narrows what the rig allows."""
+    """Yield a problem for each cap that is above the limit of the rig."""
     limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
     for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
         cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
@@ -231,7 +235,7 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield problems of bands beyond the limits that end a hit, or beyond the motor's effort."""
+    """Yield a problem for each band beyond the limits that end a hit, or beyond the effort of the motor."""
     studied, kind = _study_changes(protocol), {"trial.kind": protocol.trial.kind}
     limits = config.override(base, kind, "the study", check_rules=False).rig.limits
     for name, (quantity, _, _) in BANDS.items():
@@ -244,7 +248,7 @@ def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _find_refused(walls: Walls) -> Iterator[Problem]:
-    """Yield every condition and damping at the softest and the stiffest wall, until one of them is refused."""
+    """Yield, for each condition, the problem of the first wall (softest, stiffest or practice) that is refused."""
     protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):
         levels = levels_of(protocol.search_of(condition))

@@ -1,4 +1,4 @@
-"""How much room the recordings of a session take, and whether it is there."""
+"""Compute the disk space for the recordings of a session, and check whether it is available."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
 
 
 def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
-    """Raise `ConfigError` where a session would run out of room; `place` need not exist yet."""
+    """Raise `ConfigError` if the disk of directory `place` (which need not exist yet) has too little free space."""
     protocol = walls.protocol
     trials = likely_trials(protocol, schedule(protocol, row))
     needed = 0.0
@@ -44,5 +44,5 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
 
 
 def format_size(size: float) -> str:
-    """Return a size in bytes for people."""
+    """Return a size in bytes as text with a suitable unit."""
     return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

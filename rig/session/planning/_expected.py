@@ -1,7 +1,7 @@
-"""Estimate what to expect of a search before a person has touched the handle: where its limit lies, and what it costs.
+"""Estimate the limit of a search and its number of trials before a person has touched the handle.
 
-Checks and plans of a session call it. Observers whose K50 lie at both ends of the expected range and between
-(`rig.session.search._observer`) show how many trials a rule takes there.
+Linear theory gives a range for the limit. Simulated observers (`rig.session.search._observer`) with K50 at both ends of
+this range and in between give the number of trials.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MOST_TRIALS = 500  # of one simulated search: more than a participant can endure
 
 @dataclass(frozen=True, slots=True)
 class ExpectedRange:
-    """From the least to the most that is expected, and what is likely."""
+    """Expected range of a value: least, likely and most."""
 
     least: float
     likely: float
@@ -46,7 +46,7 @@ class ExpectedRange:
 
     @property
     def values(self) -> tuple[float, float, float]:
-        """Return least, likely and most, in rising order."""
+        """Return least, likely and most, in ascending order."""
         return self.least, self.likely, self.most
 
 
@@ -55,16 +55,16 @@ NOTHING = ExpectedRange(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
-    """Where the limit of one condition and damping is expected.
+    """Expected limit of one condition and damping.
 
     Attributes
     ----------
     by_hand
-        Largest stable stiffness of linear theory, by hand: ``none``, and the grips of `rig.core.operators`.
+        Largest stable stiffness by linear theory for each kind of grip: ``none``, and those of `rig.core.operators`.
     limit
-        Of a search, friction and encoder allowed for; without theory the whole range of levels.
+        Expected limit of a search, with friction and encoder; without theory the whole range of levels.
     note
-        Why theory gives no limit, or what it assumes instead of the estimator; empty otherwise.
+        Reason for which theory gives no limit, or its assumption in place of the estimator; otherwise empty.
     """
 
     by_hand: Mapping[str, float]
@@ -78,7 +78,7 @@ class Expected:
 
     @property
     def in_hand(self) -> tuple[float, float] | None:
-        """Return those of the hand that bears least, and of the hand that bears most."""
+        """Return the smallest and the largest stable stiffness over the grips of a hand; None without theory."""
         held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
         return (min(held), max(held)) if held else None
 
@@ -86,16 +86,16 @@ class Expected:
 def expected_limits(
     experiment: Experiment, dampings: tuple[float, ...], wanted: Search
 ) -> dict[float, Expected]:
-    """Return where the limits of one condition lie, by damping.
+    """Return the expected limits of one condition for each damping.
 
     Parameters
     ----------
     experiment
-        Of the condition, at any wall.
+        Experiment of the condition, with any wall.
     dampings
-        B of its searches.
+        Dampings B of its searches.
     wanted
-        Whose levels stand in where theory gives no limit.
+        Search whose levels are used if theory gives no limit.
     """
     levels = levels_of(wanted)
     unknown = ExpectedRange(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
@@ -131,9 +131,9 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedTrials:
-    """What one search takes: trials, and how many of them are of unstable walls.
+    """Expected numbers of trials, and of trials with unstable walls, in one search.
 
-    `ended_by_most` counts the simulated searches, of `simulated`, that ended by `most` before they had their turns.
+    Of `simulated` searches, `ended_by_most` reached their largest number of verdicts before their reversals.
     """
 
     count: ExpectedRange
@@ -152,9 +152,9 @@ NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
 
 
 def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
-    """Simulate a search with observers whose K50 lie around the expected limit; return its numbers of trials.
+    """Return the numbers of trials of a search, simulated with observers whose K50 lie around the expected limit.
 
-    Invalid and repeated trials come on top.
+    Invalid and repeated trials are not included.
     """
     levels, settings = levels_of(wanted), wanted.settings
     if wanted.rule == "psi" and not settings.get("enough"):  # same for all observers, half of it above K50
@@ -181,7 +181,7 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
 
 
 def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, float]:
-    """About how many trials of each condition a session takes, whatever the limits are; practice with its own."""
+    """Return the approximate number of trials of each condition in a session, with practice."""
     found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
     searches = {one.name: protocol.search_of(one) for one in protocol.condition}
     likely: dict[str, float] = {}  # by search: most conditions have the same one
@@ -200,7 +200,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
-    """Mean trials of some observers, those among them that were not stable, and searches that ended by `most`."""
+    """Return mean number of trials, mean number of those not stable, and number of searches that ended by `most`."""
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
     answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]

@@ -1,4 +1,4 @@
-"""Items of the questionnaire: as a desk is given them, and what is an answer."""
+"""Convert items of the questionnaire for a desk, and parse the answers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def describe_item(item: Item) -> dict[str, Any]:
-    """Return an item of the questionnaire as a desk is given it."""
+    """Return an item of the questionnaire as a mapping for a desk."""
     return {
         "name": item.name,
         "text": item.text,
@@ -25,9 +25,10 @@ def describe_item(item: Item) -> dict[str, Any]:
 
 
 def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
-    """Return an answer as it is stored; None if it is not valid, so that the item is asked again.
+    """Return an answer in the form that the log stores; None if it is not valid.
 
-    A choice may be given by its number, from 1, or by its words, which win. What comes out may be parsed again.
+    A choice may be given by its words or by its number, from 1; words have priority. Parsing the result again gives the
+    same result.
     """
     text, kind = text.strip(), item["kind"]
     if kind == "text":

@@ -1,4 +1,4 @@
-"""Which key means what: the protocol's ``[keys]``, checked."""
+"""Check the section ``[keys]`` of a protocol, and find the meaning of a key."""
 
 from __future__ import annotations
 
@@ -44,26 +44,26 @@ NAMED = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class KeyMap:
-    """Keys by what they mean; `meaning` the other way round."""
+    """Key for each meaning; the method `meaning` returns the meaning of a key."""
 
     keys: Mapping[str, str]  # what it means → key
     bell: bool = True
 
     @classmethod
     def of(cls, keys: Keys) -> KeyMap:
-        """Return the map of a protocol.
+        """Return the key map of a protocol.
 
         Raises
         ------
         ConfigError
-            A key that is not valid, that has two meanings, or that the console needs itself.
+            A key is not valid, has two meanings, or is reserved for the console.
         """
         named = {field.name: getattr(keys, field.name) for field in fields(keys) if field.name != "bell"}
         return cls({meaning: _check_key(meaning, key, named) for meaning, key in named.items()}, keys.bell)
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
-        """Return the map of plain values (`rig.core.present.plain`)."""
+        """Return the key map from its plain values (`rig.core.present.plain`)."""
         return cls(dict(value["keys"]), bool(value["bell"]))
 
     def meaning(self, key: str) -> str:
@@ -74,12 +74,12 @@ class KeyMap:
         return next((meaning for meaning, known in self.keys.items() if known == key.lower()), "")
 
     def key_of(self, meaning: str) -> str:
-        """Return how a screen names the key for this."""
+        """Return the name of the key with this meaning, for display."""
         return self.keys.get(meaning, "")
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Return the key and verdict, in the order of `VERDICTS`."""
+        """Return key and verdict for each verdict, in the order of `VERDICTS`."""
         return [(self.keys[verdict], verdict) for verdict in VERDICTS]
 
 

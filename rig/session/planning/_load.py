@@ -1,4 +1,4 @@
-"""From a protocol file or a mapping to a checked `Protocol`, or to one error that lists everything that is wrong."""
+"""Read a protocol file or mapping and return a checked `Protocol`, or raise one error that lists all problems."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def load_protocol(path: str | Path) -> Protocol:
 
 
 def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
-    """Read and check a protocol file; returns it with the experiment that it names, and its walls on that.
+    """Read and check a protocol file; return its walls, which contain the protocol and the experiment that it names.
 
-    `reach_for` is of the walls: for who simulates a hand.
+    `reach_for` is passed on to `Walls`; it is needed only for a simulated hand.
 
     Raises
     ------
     ConfigError
-        With every problem found, one per line: file, key, value, allowed range with its unit, and what to do.
+        The file is not valid. The message has one line for each problem: file, key, value, allowed range, remedy.
     """
     path, source = Path(path), str(path)
     table = tidy(read_toml(path, "a protocol"))
@@ -62,9 +62,10 @@ def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
 
 
 def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
-    """Check nested tables like those of a protocol file; `source` is what errors call them.
+    """Return the checked protocol of nested tables; error messages name them `source`.
 
-    The experiment that it names is not looked at: a log can be read where that file is not. Raises as `load_protocol`.
+    The experiment that they name is not read, so that a log can be read without that file. Raise `ConfigError` if the
+    tables are not valid.
     """
     table = tidy(mapping)
     if not isinstance(table, dict):
@@ -79,12 +80,12 @@ def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
 
 
 def as_mapping(protocol: Protocol) -> dict[str, Any]:
-    """Return plain nested dicts for JSON; `protocol_from_mapping` makes an equal protocol of them."""
+    """Return the protocol as nested dicts for JSON; `protocol_from_mapping` converts them back."""
     return plain(protocol)  # type: ignore[no-any-return]
 
 
 def check_code(protocol: Protocol, code: str) -> None:
-    """Raise `ConfigError` unless this is a participant's code that the protocol allows, and not a name."""
+    """Raise `ConfigError` if a participant's code does not match the protocol's pattern or looks like a name."""
     pattern = protocol.study.code
     remedy = f"give the code assigned to this person in the study's list; it must match {pattern}"
     if "@" in code:
@@ -107,7 +108,7 @@ def check_code(protocol: Protocol, code: str) -> None:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return JSON schema of a protocol file, for editors that complete and check TOML (taplo, VS Code)."""
+    """Return the JSON schema of a protocol file, for editors that complete and check TOML (taplo, VS Code)."""
     schema = {"$schema": DIALECT, **schema_of(Protocol)}
     _type_settings(schema["$defs"]["Search"])
     schema["$defs"]["Study"]["properties"]["preset"]["examples"] = list(presets.names())
@@ -121,7 +122,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """Return the same for TOML, which has no null: what may be left out is left out."""
+    """Return a schema without the type null, which TOML does not have; optional keys are omitted instead."""
     if isinstance(schema, list):
         return [_without_null(one) for one in schema]
     if not isinstance(schema, dict):
@@ -135,7 +136,7 @@ def _without_null(schema: Any) -> Any:
 
 
 def _type_settings(search: dict[str, Any]) -> None:
-    """Let the rule decide which settings there are; without one it is the default."""
+    """Add to the schema of a search the settings that belong to each rule, or to the default rule."""
     names, default = search["properties"]["rule"]["enum"], search["properties"]["rule"]["default"]
     search["allOf"] = [
         {
@@ -150,7 +151,10 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 
 def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
-    """Return types and ranges of every key; rules between keys when those are right."""
+    """Return the protocol of a table (None if types are wrong), and its problems.
+
+    Rules between keys are checked only if types and ranges of all keys are valid.
+    """
     table = _with_names(_flat_changes(table))
     try:
         parsed = parse_table(PROTOCOL, table, motion)
@@ -170,7 +174,7 @@ def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol
 
 
 def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
-    """Return changes by dotted key, whether or not the file has the keys in quotes."""
+    """Return changes by dotted key; in the file they may be quoted dotted keys or nested tables."""
 
     def flat(section: Any) -> Any:
         if isinstance(section, dict) and isinstance(section.get("changes"), dict):
@@ -189,7 +193,7 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_names(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the names in one spelling; what has the wrong type is left for the check of types."""
+    """Return a table with all names normalised; values of a wrong type are unchanged and fail the later type check."""
 
     def spelt(value: Any) -> Any:
         if isinstance(value, list):

@@ -1,6 +1,6 @@
-"""One spelling of a name, made where it enters, so that everything behind compares plain strings; and its directory.
+"""Normalise names when they are read, so that other code can compare plain strings; and derive directory names.
 
-Names enter with a protocol (`rig.session.planning._load`), on a command line, and from logs of earlier versions.
+Names are read from protocols (`rig.session.planning._load`), from command lines, and from logs of earlier versions.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ _HASH_DIGITS = 8
 
 
 def normalise(name: str) -> str:
-    """Return a name in Unicode's composed form (NFC), white space at its ends removed and elsewhere one space."""
+    """Return a name in Unicode's composed form (NFC), without outer white space, and with single spaces inside."""
     return " ".join(unicodedata.normalize("NFC", name).split())
 
 
 def directory_name(title: str) -> str:
-    """Return the directory of a study's title: letters, digits and marks of any script, all else a hyphen.
+    """Return the directory name for a study's title: letters, digits and marks of any script, hyphens for the rest.
 
-    A hash of the title is added where a character outside ASCII was left out, or the end of a long title, so that other
-    titles have other directories. A title in ASCII never had one: such titles may share a directory.
+    If a character outside of ASCII or the end of a long title is omitted, a hash of the title is added, so that other
+    titles get other directories. Titles in ASCII get no hash and may share a directory.
     """
     title = normalise(title)
     lower = unicodedata.normalize("NFC", title.lower())
@@ -39,7 +39,7 @@ def directory_name(title: str) -> str:
 
 
 def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed: str) -> dict[str, str]:
-    """Return the name of each code's file or directory; `ConfigError` for codes that share one but for capitals."""
+    """Return the file or directory name for each code; raise `ConfigError` if two names are equal, ignoring case."""
     names = {code: name_of(code) for code in codes}
     sharing: dict[str, list[str]] = {}
     for code in sorted(names):

@@ -1,4 +1,4 @@
-"""The plan of a study, as values: searches, trials, times, order and checks."""
+"""Values that describe the plan of a study: searches, trials, times, order and checks."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from rig.session.planning._times import Heat, Taken, TrialTimes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellPlan:
-    """One condition at one damping.
+    """Plan of one search: a condition at one damping.
 
     Attributes
     ----------
     scheme
-        What a legend calls its rates and its estimator.
+        Short name of rates and estimator, for legends.
     rule, levels
-        Who decides, and among which stiffnesses.
+        Search rule, and the levels of stiffness.
     expected
-        Where its limit lies by theory.
+        Expected limit by linear theory.
     trials
-        Of one search, and how many of its walls do not hold.
+        Expected numbers of trials, and of trials with unstable walls.
     unstable_free, unstable_in_hand
-        Levels that linear theory calls unstable without a hand on the handle, and in one hand at least; None where it
+        Levels that are unstable by linear theory: without a hand, and with at least one kind of grip; None if theory
         gives no limit.
     fit
-        What a person must fit to the rig for it, in a time of its own; empty for nothing.
+        Part that a person must fit to the rig for this condition; empty for none.
     """
 
     condition: str
@@ -46,38 +46,38 @@ class CellPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyPlan:
-    """The plan of a study.
+    """Plan of a study.
 
     Attributes
     ----------
     title, rig, motion, kind
-        What it is about, and who hits.
+        Title of the study, name and motion of the rig, and kind of trial.
     participants, rows
-        How many are planned, and after how many the order is balanced.
+        Planned number of participants, and number of rows after which the order is balanced.
     blocks, runs, practice
-        Of one session.
+        Numbers of blocks, runs and practice trials in a session.
     cells
-        Condition by condition and damping by damping.
+        Plan of each search: every condition at each of its dampings.
     trials
-        Of one session, practice included.
+        Expected number of trials in a session, with practice.
     trial
-        Parts of one trial at a wall in the middle.
+        Durations of the parts of one trial (s).
     taken
-        What finished sessions say of people's times, which then stand in `trial` and `duration_s`; None: as planned.
+        Measured times of people in finished sessions, which `trial` and `duration_s` then contain; None if none exist.
     duration_s
-        Of one session by what it goes into; their sum is `session_s`.
+        Expected duration of each part of a session (s); `session_s` is their sum.
     trial_bytes, disk_bytes
-        Room for one recording, and for a participant's.
+        Disk space for one recording, and for all recordings of a participant (bytes).
     rehearsal_s
-        What a rehearsal costs a computer, roughly.
+        Approximate computing time of a rehearsal (s).
     heat
-        Of the motor at the stiffest wall.
+        Heat of the motor at the stiffest wall.
     orders
-        For each participant the names of the runs by block.
+        Names of the runs in each block, for each participant.
     hidden, blinded
-        Who does not see what, and whether that is the operator: then the orders are not for everybody.
+        Sentences about what is hidden from whom, and True if the operator is blinded, who must then not see `orders`.
     checks
-        All comparisons.
+        Results of all checks.
     """
 
     title: str
@@ -110,5 +110,5 @@ class StudyPlan:
 
     @reported
     def ok(self) -> bool:
-        """Return True if nothing is refused."""
+        """Return True if no check refuses the study."""
         return all(check.outcome is not Outcome.REFUSED for check in self.checks)

@@ -1,4 +1,4 @@
-"""What a protocol file may say: an experiment with people, as sections with types, ranges and meanings.
+"""Define the sections of a protocol file for an experiment with people: types, ranges and meanings of all keys.
 
 The physics (rig, trial, thresholds) is that of an experiment file, which the protocol names and changes by dotted keys.
 Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`).
@@ -26,7 +26,7 @@ Band = tuple[float, ...]  # least and most; empty: anything
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Study:
-    """What it is about, on which rig, and who may know what."""
+    """Title, rig, participants and blinding of a study."""
 
     title: Annotated[str, MinLen(1), Quantity("", "title of the study, printed in the report")]
     preset: Annotated[
@@ -74,7 +74,7 @@ class Study:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """In which order conditions and repeats come."""
+    """Order of conditions and repeats."""
 
     kind: Annotated[
         Literal["fixed", "randomised", "latin-square"],
@@ -103,7 +103,7 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Search:
-    """How the stiffest wall is searched: the rule, its levels, and its settings (`rig.session.search`)."""
+    """Search for the stiffest stable wall: rule, levels, and settings of the rule (`rig.session.search`)."""
 
     lowest: Annotated[float, Gt(0), Quantity("stiffness", "softest wall of the search")]
     highest: Annotated[float, Gt(0), Quantity("stiffness", "stiffest wall of the search")]
@@ -136,7 +136,7 @@ class Search:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Condition:
-    """One thing that is compared: a sampling scheme, with whatever else differs, at one or more dampings."""
+    """Condition to be compared: a sampling scheme and other changed settings, at one or more dampings."""
 
     name: Annotated[
         str, MinLen(1), Quantity("", "name in tables and figures; never shown to blinded persons")
@@ -175,7 +175,7 @@ class Condition:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """One hit, as a person lives it."""
+    """Course of a trial: who hits, instructions, times, and required bands of the hand."""
 
     kind: Annotated[
         Literal["human", "constant-effort"], Quantity("", "who hits: the participant, or the motor")
@@ -281,7 +281,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Practice:
-    """Trials before the first block, which count for nothing."""
+    """Practice trials before the first block, which are not evaluated."""
 
     stiffness: Annotated[
         tuple[float, ...], Quantity("stiffness", "stiffness of the practice trials, in this order")
@@ -295,7 +295,7 @@ class Practice:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rest:
-    """When hand and motor rest."""
+    """Rests of the hand and cooling pauses of the motor."""
 
     every: Annotated[
         int, Ge(0), Le(10_000), Quantity("", "number of trials between two rests; 0: no rests")
@@ -316,7 +316,7 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caps:
-    """What no trial may exceed, whatever a rule asks for."""
+    """Limits that no trial may exceed, whatever wall a search rule chooses."""
 
     stiffness: Annotated[
         float | None,
@@ -336,7 +336,7 @@ class Caps:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stop:
-    """When a session ends early, whatever is left of it."""
+    """Rules that end a session early."""
 
     trials: Annotated[int | None, Ge(1), Le(100_000), Quantity("", "end after this number of trials")] = None
     minutes: Annotated[
@@ -371,7 +371,7 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Item:
-    """One question of the questionnaire."""
+    """Question of the questionnaire."""
 
     name: Annotated[str, MinLen(1), Quantity("", "name of the table's column; letters, digits, underscores")]
     text: Annotated[str, MinLen(1), Quantity("", "text of the question")]
@@ -389,7 +389,7 @@ class Item:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Keys:
-    """Keys of the console; a foot pedal types one of them."""
+    """Keys of the console; a foot pedal acts as one of them."""
 
     stable: Annotated[str, MinLen(1), Quantity("", "verdict: stable")] = "1"
     buzz: Annotated[str, MinLen(1), Quantity("", "verdict: buzz")] = "2"
@@ -408,7 +408,7 @@ class Keys:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Protocol:
-    """A whole protocol, validated."""
+    """Complete, validated protocol."""
 
     study: Study
     condition: tuple[Condition, ...]
@@ -425,7 +425,7 @@ class Protocol:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def condition_named(self, name: str) -> Condition:
-        """Return the condition of this name; raise `KeyError` if it is missing."""
+        """Return the condition with this name; raise `KeyError` if it is missing."""
         for condition in self.condition:
             if condition.name == name:
                 return condition

@@ -1,6 +1,6 @@
-"""Why a trial is invalid, in words for a blinded operator: what to do differently, without a hint at the wall.
+"""Explain to a blinded operator why a trial is invalid and what to change, without information about the wall.
 
-Log lines, pauses and questions of a session use it. It must not pass on a reason that it does not list.
+Log lines, pauses and questions of a session use it. It must not show a reason that it does not list.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _OUTSIDE = {
 
 
 def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
-    """Return why a trial lies outside a band of the protocol (`rig.session.planning._bands`)."""
+    """Return a text that a trial lies outside a band of the protocol (`rig.session.planning._bands`)."""
     return f"{_OUTSIDE[name][above]}{value:.3g} {unit} (required: {band} {unit})"
 
 

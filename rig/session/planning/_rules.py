@@ -1,6 +1,6 @@
-"""Rules that tie the keys of a protocol together: each is a function that yields the problems it finds.
+"""Check the rules between keys of a protocol: each function yields the problems that it finds.
 
-They run on a protocol whose every value is already of the right type and in its own range, and need no experiment.
+They require a protocol in which every value already has the right type and range, and need no experiment.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _NO_TEXT = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]|\(\?(?:P?<\w+>|P=\w+|[a-z
 
 
 def broken_rules(protocol: Protocol) -> list[Problem]:
-    """Yield the problems that the rules between keys find in a protocol."""
+    """Return the problems that the rules between keys find in a protocol."""
     return [problem for rule_between in RULES for problem in rule_between(protocol)]
 
 
@@ -60,7 +60,7 @@ def spells_a_name(code: str, pattern: str) -> bool:
 # Every log of a study has its protocol with it, which is checked whenever the log is read.
 @lru_cache(maxsize=64)
 def _find_names(pattern: str) -> tuple[str, ...]:
-    """The first names that match a pattern, among those that are tried; raises as `re.compile`."""
+    """Return the common first names that match a pattern; raise `re.error` for an invalid pattern."""
     return tuple(islice(_iterate_names(re.compile(pattern)), 3))
 
 
@@ -76,7 +76,7 @@ def _iterate_names(compiled: re.Pattern[str]) -> Iterator[str]:
 
 
 def rig_of(protocol: Protocol) -> Iterator[Problem]:
-    """Either a preset or a file."""
+    """Yield a problem unless the protocol names either a preset or an experiment file."""
     study = protocol.study
     if (study.preset is None) == (study.experiment is None):
         yield Problem(
@@ -88,7 +88,7 @@ def rig_of(protocol: Protocol) -> Iterator[Problem]:
 
 
 def codes(protocol: Protocol) -> Iterator[Problem]:
-    """The pattern of codes is one, and takes no names."""
+    """Yield a problem if the pattern of codes is not a valid pattern or allows first names."""
     pattern = protocol.study.code
     try:
         taken = _find_names(pattern)
@@ -110,7 +110,7 @@ def codes(protocol: Protocol) -> Iterator[Problem]:
 
 
 def conditions(protocol: Protocol) -> Iterator[Problem]:
-    """There are some, with names and dampings of their own."""
+    """Yield problems of missing conditions, equal names, and invalid dampings or schemes."""
     if not protocol.condition:
         yield Problem(
             "[[condition]]",
@@ -130,7 +130,7 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def fits(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of conditions that change the machine: a person refits it between blocks, and `fit` says what."""
+    """Yield problems of conditions that need another part on the rig, which a person fits between blocks (`fit`)."""
     blocks = protocol.order.blocks
     if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
         must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'
@@ -151,7 +151,7 @@ def _scheme(key: str, text: str) -> Iterator[Problem]:
 
 
 def searches(protocol: Protocol) -> Iterator[Problem]:
-    """Each search has levels and a rule that takes its settings."""
+    """Yield problems of searches with invalid levels, or with settings that their rule does not have."""
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
         if wanted is not None:
@@ -188,7 +188,7 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
 
 
 def _wrong_setting(key: str, wanted: Search, name: str) -> Problem | None:
-    """A setting that the rule does not have, or of another type than the rule's."""
+    """Return the problem of a setting that the rule does not have or that has the wrong type; None without one."""
     settings = settings_of(wanted.rule)
     known = list(settings)
     key, value = f"{key}.settings.{name}", wanted.settings[name]
@@ -224,13 +224,13 @@ _TYPES: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
 
 
 def settings_of(name: str) -> dict[str, inspect.Parameter]:
-    """Settings of a rule that a protocol may say."""
+    """Return the settings of a search rule that a protocol may give, by name."""
     parameters = inspect.signature(search.RULES[name]).parameters
     return {key: one for key, one in parameters.items() if key not in ("levels", "seed")}
 
 
 def settings_schema(name: str) -> dict[str, Any]:
-    """JSON schema of a rule's settings, with what its documentation says of each."""
+    """Return the JSON schema of a rule's settings, with the description of each from the rule's docstring."""
     meanings: dict[str, str] = {}  # its own, and of those that it shares with a rule that says more
     for one in (*search.RULES.values(), search.RULES[name]):
         meanings |= _meanings(inspect.getdoc(one) or "")
@@ -244,7 +244,7 @@ def settings_schema(name: str) -> dict[str, Any]:
 
 
 def _meanings(documentation: str) -> dict[str, str]:
-    """Parameters of a docstring in numpy's style, each with its text in one line."""
+    """Return the text of each parameter in a docstring in numpy's style, in one line."""
     found: dict[str, str] = {}
     names: list[str] = []
     for line in documentation.splitlines():
@@ -284,7 +284,7 @@ def runs(protocol: Protocol) -> Iterator[Problem]:
 
 
 def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
-    """No rule may ask for a wall above the cap, and practice neither."""
+    """Yield a problem if a search or the practice may present a wall above the stiffness cap."""
     cap = protocol.caps.stiffness
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
@@ -305,7 +305,7 @@ def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
 
 
 def practice(protocol: Protocol) -> Iterator[Problem]:
-    """Practice is under a condition that exists."""
+    """Yield a problem if the condition of the practice does not exist."""
     names = [one.name for one in protocol.condition]
     wanted = protocol.practice.condition
     if wanted is not None and wanted not in names:
@@ -314,7 +314,7 @@ def practice(protocol: Protocol) -> Iterator[Problem]:
 
 
 def bands(protocol: Protocol) -> Iterator[Problem]:
-    """A band has two ends, and is about a hand."""
+    """Yield problems of bands without two ends in ascending order, or in trials without a hand."""
     for name in BANDS:
         key, band = f"trial.{name}", getattr(protocol.trial, name)
         if band and protocol.trial.kind != "human":
@@ -330,7 +330,7 @@ def bands(protocol: Protocol) -> Iterator[Problem]:
 
 
 def items(protocol: Protocol) -> Iterator[Problem]:
-    """Every question can be answered, and has a column of its own."""
+    """Yield problems of questions that cannot be answered, or that share a column of the tables."""
     yield from _names_twice("question.name", [item.name for item in protocol.question])
     for number, item in enumerate(protocol.question, 1):
         key = f"question {number}"
@@ -353,7 +353,7 @@ def items(protocol: Protocol) -> Iterator[Problem]:
 
 
 def console_keys(protocol: Protocol) -> Iterator[Problem]:
-    """Each key of the console is one, and does one thing."""
+    """Yield problems of console keys that are not valid or have two meanings."""
     try:
         KeyMap.of(protocol.keys)
     except ConfigError as error:
@@ -376,7 +376,7 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
 
 
 def _names_twice(key: str, names: list[str]) -> Iterator[Problem]:
-    """Names that are alike but for capitals, as they were written."""
+    """Yield a problem for names that are equal except for upper and lower case."""
     for name in _twice(name.casefold() for name in names):
         written = dict.fromkeys(shown(one) for one in names if one.casefold() == name)
         yield Problem(key, " and ".join(written), "is used more than once", "give each its own name")

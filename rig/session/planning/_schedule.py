@@ -1,7 +1,7 @@
-"""Draw up the order of a session: its blocks, the runs in them, and the rule of each run, by seed and row alone.
+"""Compute the order of a session from seed and row: its blocks, the runs in each block, and the rule of each run.
 
-A participant has a row of the order, from 0. With a Latin square the rows are Williams' designs: over a cycle of rows
-each condition is in each place equally often, and after each other one equally often (Williams, Australian Journal of
+Each participant has a row of the order, from 0. A Latin square uses Williams' designs: over a cycle of rows each
+condition is equally often in each place, and equally often after each other condition (Williams, Australian Journal of
 Scientific Research A 2, 1949).
 """
 
@@ -26,9 +26,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRun:
-    """One search: its number over the session (from 1; 0 is practice), what it is about, and which repeat it is.
+    """One search of a session: number (from 1; 0 is practice), condition, damping, and number of the repeat.
 
-    `seed` is that of the run's rule; runs of other participants and other runs have others.
+    `seed` is the seed of its rule, different for each run and participant.
     """
 
     number: int
@@ -41,7 +41,7 @@ class SearchRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Runs between two checkpoints; number 0 is practice."""
+    """Group of runs between two breaks of a session; number 0 is practice."""
 
     number: int
     runs: tuple[SearchRun, ...]
@@ -50,12 +50,12 @@ class Block:
 
 
 def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
-    """Return blocks of the session of one participant, practice first.
+    """Return the blocks of a participant's session, practice first.
 
     Parameters
     ----------
     protocol
-        A checked one (`rig.session.planning._load`).
+        Checked protocol (`rig.session.planning._load`).
     row
         The participant's row of the order, from 0: the first participant has 0, the next one 1.
     """
@@ -82,7 +82,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
 
 
 def rows_of(protocol: Protocol) -> int:
-    """Return participants after whom the order has been through all its rows: 1 unless it is a Latin square."""
+    """Return the number of rows of the order: 1 unless it is a Latin square."""
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
@@ -94,14 +94,14 @@ def rows_of(protocol: Protocol) -> int:
 
 
 def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
-    """Return what is searched, in the order of the file: every condition at each of its dampings."""
+    """Return the condition and damping of each search, in the order of the file."""
     return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
 
 
 def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """The rule of a run, without catch trials: its condition's, with the run's seed. Practice goes through its walls.
+    """Return the search rule of a run, without catch trials; for practice, a rule that presents each wall once.
 
-    Raises `rig.core.errors.ConfigError` for invalid settings, which `rig.session.planning._load` refuses earlier.
+    Raise `rig.core.errors.ConfigError` for invalid settings; `rig.session.planning._load` rejects them earlier.
     """
     if run.practice:
         return InOrder(protocol.practice.stiffness)
@@ -109,14 +109,14 @@ def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
 
 
 def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the rule of a run with its catch trials, see `rule_of`."""
+    """Return the search rule of a run, with catch trials; see `rule_of`."""
     if run.practice:
         return rule_of(protocol, run)
     return asking(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
 def asking(wanted: Search, seed: int) -> search.Rule:
-    """Return the rule of a search with its catch trials, where it has any; see `rule`."""
+    """Return the rule of a search, with catch trials if the protocol has any; see `rule`."""
     own = rule(wanted, seed)
     if not wanted.catch_share:
         return own
@@ -134,7 +134,7 @@ def rule(wanted: Search, seed: int) -> search.Rule:
 
 
 def levels_of(wanted: Search) -> tuple[float, ...]:
-    """Return stiffnesses that a search may ask for, rising; the last one does not exceed the highest."""
+    """Return the levels of stiffness of a search, ascending; the last one does not exceed the highest."""
     steps = level_steps(wanted)
     if wanted.step is not None:
         values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
@@ -144,7 +144,7 @@ def levels_of(wanted: Search) -> tuple[float, ...]:
 
 
 def level_steps(wanted: Search) -> int:
-    """Return steps from the lowest level to the last one."""
+    """Return the number of steps from the lowest to the last level."""
     if wanted.step is not None:
         steps = (wanted.highest - wanted.lowest) / wanted.step
     else:
@@ -154,7 +154,7 @@ def level_steps(wanted: Search) -> int:
 
 @dataclass(frozen=True)
 class InOrder:
-    """The rule of practice: each wall once, independent of the verdicts; it finds no limit."""
+    """Rule of practice: it presents each wall once, independent of the verdicts, and gives no limit."""
 
     levels: Sequence[float]
 
@@ -170,7 +170,7 @@ class InOrder:
 
 
 def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
-    """Return a row of the Williams design of these items; rows repeat after n of them, 2 n where n is odd."""
+    """Return a row of the Williams design of n items; rows repeat after n rows, or after 2 n if n is odd."""
     n = len(items)
     row %= _rows(n)
     mirrored = n % 2 == 1 and row % 2 == 1  # in turns, so that half a cycle is balanced as well as can be
@@ -189,7 +189,7 @@ _Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
 
 
 def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
-    """Return cells of each block, in their order."""
+    """Return condition, damping and repeat of the searches in each block, in their order."""
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
@@ -223,7 +223,7 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
 
 
 def _fits(protocol: Protocol) -> dict[str, list[str]]:
-    """Group conditions by what must be fitted to the rig, which is not refitted for every block."""
+    """Return the names of conditions grouped by the part that must be fitted to the rig, to avoid refitting."""
     found: dict[str, list[str]] = {}
     for one in protocol.condition:
         found.setdefault(one.fit, []).append(one.name)
@@ -231,7 +231,7 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
 
 
 def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
-    """Return items as the protocol wants them; `what` separates draws, `row` the rows of a square."""
+    """Return items in the order of the protocol, for a row. `what` names the draw, so that draws are independent."""
     seed = protocol.study.seed
     match protocol.order.kind:
         case "fixed":
@@ -243,7 +243,7 @@ def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Seque
 
 
 def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
-    """Number the repeats in the order in which they come."""
+    """Return the searches with the number of each repeat, counted in their order."""
     seen: dict[tuple[str, float], int] = {}
     counted = []
     for cell in cells:
@@ -268,7 +268,7 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
 
 
 def _draw(items: Sequence[T], key: str) -> list[T]:
-    """Return items in an order that the key decides, each order as likely as another."""
+    """Return items in a random order that `key` determines; all orders are equally likely."""
     # Drawn by hashing, not by a generator: the same order in every version of every library.
     places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
     return [items[place] for place in places]

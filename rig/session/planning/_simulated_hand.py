@@ -1,4 +1,4 @@
-"""What the simulated hand of a rehearsal does, by simulated hits: it follows its intention late, and hits as it can."""
+"""Find the reach with which the simulated hand of a rehearsal hits at a wanted impact speed, by simulated hits."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ HALVINGS = 8  # of the durations of a reach: to 2 % from `QUICKEST_S` to some se
 
 
 def reach_for(x: Experiment, speed: float) -> float:
-    """Duration of the reach (s) with which a simulated hand hits nearest to this impact speed (rad/s or m/s).
+    """Return the duration of the reach (s) whose impact speed is nearest to `speed` (rad/s or m/s).
 
-    It is found by simulated hits, within what the trial has room for.
+    It is found by simulated hits, and limited by the duration of the trial.
     """
     room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
     quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
@@ -34,9 +34,9 @@ def reach_for(x: Experiment, speed: float) -> float:
 
 
 def simulate_hits(x: Experiment) -> dict[str, list[float]]:
-    """Return speeds and presses of a simulated hand in some hits of a soft wall (units of the rig).
+    """Return impact speeds and presses of a simulated hand in some hits on a soft wall (units of the rig).
 
-    The press is that of the wall's spring at the resting penetration, which in a soft wall is the mean effort.
+    The press is the effort of the wall's spring at the resting penetration, on a soft wall equal to the mean effort.
     """
     verdicts = [
         HitSimulator(replace(x, trial=replace(x.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed)))

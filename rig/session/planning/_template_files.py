@@ -1,4 +1,4 @@
-"""Protocols to start from: commented files that this package ships, each of which passes its check."""
+"""Access the protocol templates of this package: commented protocol files that pass the check."""
 
 from __future__ import annotations
 
@@ -37,16 +37,15 @@ def template_path(name: str) -> Path:
 
 
 def template_subject(name: str) -> str:
-    """Return the subject of a template, its first line."""
+    """Return the subject of a template: its first line."""
     return template_text(name).partition("\n")[0].removeprefix("# ")
 
 
 def write_template(name: str, path: Path) -> Path | None:
-    """Write a template into a new file, and beside it the schema by which editors complete and check it.
+    """Write a template to a new file, and next to it the JSON schema with which editors complete and check it.
 
-    Returns the schema that was written; None where a file of that name was there, which stays.
-
-    Raises `ConfigError` for an unknown name, `RecordingError` when there is such a file or the disk refuses.
+    Return the path of the schema, or None if a file of that name existed and was kept. Raise `ConfigError` for an
+    unknown name, and `RecordingError` if the file `path` exists or writing fails.
     """
     if path.exists():
         raise RecordingError(

@@ -1,8 +1,8 @@
-"""How long a session takes, and how warm the motor gets: from the experiment's own times and what people take.
+"""Compute the duration of a session and the heat of the motor, from the experiment's times and the times of people.
 
-The winding's heat is counted as a share of its budget, which is what it holds after hours at the nominal effort: a push
-of `load` times that effort drives it towards load², with the winding's time constant; it cools with the same one. Above
-the share that ``rest.heat`` names, the motor waits until it is at `COOL_TO` of it. It cools all the time that passes.
+The heat of the winding is a share of its budget, the heat after hours at the nominal effort. A push with `load` times
+the nominal effort drives it towards load², with the thermal time constant of the winding; it cools with the same time
+constant. Above the share ``rest.heat``, the session pauses until the heat is `COOL_TO` times that share.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ LONG = 10_000  # trials after which the heat has settled, or never will
 
 
 def cooling_s(heat: float, share: float, time_constant_s: float) -> float:
-    """Return how long a motor rests above this share of its budget until it is at `COOL_TO` of it (s)."""
+    """Return the time (s) in which a motor cools from `heat` to `COOL_TO` times `share` of its budget."""
     return time_constant_s * math.log(heat / (COOL_TO * share))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialTimes:
-    """Parts of one trial (s), in their order."""
+    """Durations of the parts of one trial (s), in their order."""
 
     ready: float
     homing: float
@@ -37,7 +37,7 @@ class TrialTimes:
 
     @property
     def recorded(self) -> float:
-        """Return the recorded part of a trial: all but the waiting times of people."""
+        """Return the duration (s) of the recorded part of a trial, without the times of people."""
         return self.homing + self.baseline + self.hit + self.release
 
     @property
@@ -48,18 +48,18 @@ class TrialTimes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Taken:
-    """Medians of finished sessions (s), practice aside.
+    """Median times in finished sessions (s), without practice.
 
     Attributes
     ----------
     sessions, trials
-        How many are behind them.
+        Number of sessions and of trials.
     trial
-        From the line before a trial in the log to its own.
+        Time between a trial's event in the log and the event before it.
     verdict
-        From there to the verdict; 0 where no person is asked.
+        Time between a verdict and its trial; 0 if no person judges.
     question
-        From the line before an answer to its own.
+        Time between an answer to the questionnaire and the event before it.
     """
 
     sessions: int
@@ -69,28 +69,28 @@ class Taken:
     question: float
 
     def of_people(self, planned: TrialTimes) -> TrialTimes:
-        """Return planned times of a trial with these for what people take."""
+        """Return planned times of a trial in which these measured times replace the times of people."""
         return replace(planned, ready=max(0.0, self.trial - planned.recorded), verdict=self.verdict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heat:
-    """The winding over a session.
+    """Heat of the motor's winding in a session, as shares of its budget, and cooling pauses.
 
     Attributes
     ----------
     load
-        Push over nominal effort.
+        Effort of a push divided by the nominal effort.
     after_one
-        Share of the budget after one hit of a cold motor.
+        Heat after one hit with a cold motor.
     peak
-        Largest share, with the pauses.
+        Largest heat, with the pauses.
     first_pause
-        Trial before which the first pause comes; 0 when none does.
+        Number of the trial before which the first pause occurs; 0 without a pause.
     pause_s
-        Length of the last one (s).
+        Duration of the last pause (s).
     pauses
-        How many of them.
+        Number of pauses.
     """
 
     load: float
@@ -107,14 +107,14 @@ class Heat:
 
 
 def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: float = 0.0) -> TrialTimes:
-    """Return times of one trial.
+    """Return the durations of the parts of one trial.
 
     Parameters
     ----------
     experiment
-        Of a wall.
+        Experiment with any wall.
     ready_s, verdict_s
-        What people take before it and after it (s).
+        Times that people take before and after the trial (s).
     """
     trial, homing = experiment.trial, experiment.homing
     way = abs(experiment.wall.position - trial.start)
@@ -129,7 +129,7 @@ def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: floa
 
 
 def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float) -> Heat:
-    """Return the heat over so many trials that are all alike; `share` of the budget is where the motor has to cool."""
+    """Return the heat over a number of equal trials; above `share` of the budget the session pauses for cooling."""
     limits = experiment.rig.limits
     load = min(push_at_rest(experiment), limits.effort) / limits.nominal_effort
     tau = limits.thermal_time_constant_s
@@ -159,12 +159,12 @@ def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float
 
 
 def _push_s(experiment: Experiment) -> float:
-    """Return how long a hit pushes with all its effort (s): a person's hand has to get there first."""
+    """Return the time (s) for which a hit pushes with its full effort, without the time that a hand needs to reach."""
     trial = experiment.trial
     return trial.hold_s or max(0.0, trial.duration_s - _reaching_s(experiment))
 
 
 def _reaching_s(experiment: Experiment) -> float:
-    """From the cue to the contact of a person who makes no haste (s)."""
+    """Return the time (s) from the cue to the contact for a person who does not hurry."""
     operator = experiment.operator
     return operator.begin_s + 0.5 * operator.reach_s if experiment.trial.kind == "human" else 0.0

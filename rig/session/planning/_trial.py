@@ -1,8 +1,8 @@
-"""One trial, defined once: what was presented, what the rig returned, and how it was judged.
+"""Define the record of a trial: the presented wall, the result of the hit, and the verdict.
 
-Everything else that speaks of a trial is a view of this record: the line of the log and the replayed state, the marker
-of a stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and the sentences of
-`rig.session.engine._telling`. Unit and meaning of a column stand here and nowhere else.
+All other representations of a trial are derived from this record: the event in the log, the state, the marker of a
+stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and the sentences of
+`rig.session.engine._telling`. Units and meanings of columns are defined only here.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MARKED = ("trial", "condition", "stiffness", "damping")  # of a wall, in a marke
 
 @dataclass(kw_only=True)
 class Presented:
-    """Which wall is hit, and for which search."""
+    """Presented wall of a trial, and the search to which it belongs."""
 
     block: Annotated[int, Quantity("", "number from 1; 0 is practice")]
     run: Annotated[
@@ -53,18 +53,18 @@ class Presented:
 
     @property
     def probe(self) -> Probe:
-        """Return the wall that the search chose, as its probe."""
+        """Return the presented wall as a probe of the search."""
         return Probe(self.stiffness, track=self.track, catch=self.catch)
 
     @property
     def marked(self) -> dict[str, Any]:
-        """Return the facts about the wall for a marker."""
+        """Return the content of a marker about the presented wall."""
         return {name: getattr(self, name) for name in MARKED}
 
 
 @dataclass(kw_only=True)
 class HitOutcome:
-    """What a recorded hit came to."""
+    """Result of a recorded hit."""
 
     recording: Annotated[str, Quantity("", "file of the recording, relative to the participant's directory")]
     sha256: Annotated[str, Quantity("", "SHA-256 of the sealed recording")]
@@ -100,7 +100,7 @@ class HitOutcome:
 
 @dataclass(kw_only=True)
 class RecordedTrial(Presented, HitOutcome):
-    """A recorded trial as it stands in the log, and its verdict."""
+    """Recorded trial with its verdict, as stored in the log."""
 
     verdict: Annotated[
         str, Quantity("", "stable, buzz, unstable, unsure; corrections included; empty if not yet judged")
@@ -123,16 +123,16 @@ class RecordedTrial(Presented, HitOutcome):
 
     @property
     def invalid(self) -> bool:
-        """Return True if the hit cannot be judged: it is repeated, and no verdict is asked for."""
+        """Return True if the hit cannot be judged, so that it is repeated without asking for a verdict."""
         return self.automatic == Kind.INVALID
 
     @property
     def judged(self) -> bool:
-        """Return True if it has a verdict about its wall."""
+        """Return True if the trial has a verdict on its wall."""
         return self.verdict != "" and not self.invalid
 
     def leave_out(self, why: str) -> None:
-        """Exclude the trial; an earlier decision at the desk stays the reason."""
+        """Exclude the trial for the reason `why`; a reason that was given at the desk before is kept."""
         if self.void in ("", LEFT_OUT):
             self.void = why
 
@@ -144,7 +144,7 @@ def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
 
 
 def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
-    """Return the trial of an event; `void` is true in one that was left out afterwards."""
+    """Return the trial of an event; `void` is True if the trial was excluded later."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
     given["condition"] = normalise(given["condition"])  # of a log before protocols were
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])

@@ -1,12 +1,12 @@
-"""Search rules: which stiffness a person is to judge next, and where the limit lies.
+"""Search rules: they choose the stiffness that a person judges next, and estimate the limit of stable walls.
 
     rule = search.make("staircase", levels=range(100, 900, 25), seed=7)
-    probe = rule.next(answers)          # None when it has enough
+    probe = rule.next(answers)          # None when the search is finished
     estimate = rule.estimate(answers)   # with an interval
 
-A rule is a value: it is asked with all answers so far and keeps nothing itself. Sessions ask the rules, and the
-analysis of finished sessions fits their psychometric function. Nothing here presents a wall, reads a log or draws a
-random number without a given seed.
+A rule has no memory: each call receives all answers so far. Sessions use the rules; the analysis of finished sessions
+uses their psychometric function. This package presents no wall, reads no log, and uses random numbers only with a given
+seed.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ RULES: dict[str, Callable[..., Rule]] = {
 
 
 def make(name: str, **settings: Any) -> Rule:
-    """Return a rule by its name and settings.
+    """Return the rule with this name and these settings.
 
-    Raises `rig.core.errors.ConfigError` for an unknown name, setting or value.
+    Raise `rig.core.errors.ConfigError` for an unknown name, an unknown setting or an invalid value.
     """
     rule = RULES.get(name)
     if rule is None:

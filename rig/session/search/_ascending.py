@@ -1,7 +1,7 @@
-"""The rule of Koul et al., section III: from the softest wall upwards until one is not stable; so often.
+"""Ascending search rule of Koul et al., section III: from the softest wall upwards until one is not stable; repeated.
 
-Every stable verdict on the way is a chance for a lapse to end the series early, so the rule reads low by more than its
-scatter shows, and it costs most hits far below the limit (``README.md`` has the numbers).
+At every stable wall below the limit a lapse (a wrong verdict by mistake) can end the series early. Estimates are
+therefore too low by more than their scatter shows, and most hits are far below the limit (numbers in ``README.md``).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, slots=True)
 class AscendingSeries:
-    """The last stable level of an ascending series that has ended.
+    """Last stable level of a finished ascending series.
 
-    A series in which no wall failed, or already the softest, has its limit beyond the levels (`censored`) and enters
-    with the end of them. Below the softest level that is at most this level too much, as 0 would be too little.
+    If no wall was unstable, or already the softest one, the limit lies beyond the levels (`censored`), and `limit` is
+    the nearest level.
     """
 
     limit: float
@@ -41,19 +41,19 @@ class AscendingSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class Ascending:
-    """Ascending series through all levels; the limit is the mean of the last stable ones.
+    """Ascending series through all levels; the limit is the mean of the last stable levels of the series.
 
-    It lies above the levels when that of any series does: the mean is then a lower bound. It lies below them only when
-    that of every series does: a single one that ends at the softest wall may be a lapse.
+    The limit is reported above the levels if any series ends above them; the mean is then a lower bound. It is reported
+    below the levels only if every series ends below them, because a single one may be a lapse.
 
     Parameters
     ----------
     levels
-        Stiffnesses, rising.
+        Stiffnesses in ascending order.
     repeats
-        Series.
+        Number of series.
     seed
-        Not used: the rule draws nothing. Taken, so that all rules are made alike.
+        Not used, because this rule is not random; accepted so that all rules have the same arguments.
     """
 
     levels: Sequence[float]
@@ -65,15 +65,15 @@ class Ascending:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next level of the series, or the first one of the next."""
+        """Return the next level of the present series, or the first level of a new series; None after the last."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean over the series that have ended, and Student's interval of it.
+        """Return the mean over the finished series with its Student's interval (95 %).
 
-        It is infinite for a single series, and for series that scatter by no more than rounding to the levels makes;
-        where all of these lie beyond the levels, the end of the levels is the bound.
+        The interval is infinite for a single series, and for series that scatter no more than rounding to levels
+        explains. In the latter case, if the limit is censored, it is bounded by the end of the levels.
         """
         series = self.series(answers)
         if not series:
@@ -103,7 +103,7 @@ class Ascending:
         return mark_contradictions(estimate, verdicts_of(answers))
 
     def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
-        """Return the series that have ended, in their order."""
+        """Return the finished series, in their order."""
         return tuple(self._series(place) for place in self._places(answers)[0])
 
     def _series(self, place: int) -> AscendingSeries:
@@ -111,7 +111,7 @@ class Ascending:
         return AscendingSeries(self.levels[max(place - 1, 0)], side)
 
     def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
-        """Return stable levels of each series that has ended, and the step of the one that has not."""
+        """Return the number of stable levels of each finished series, and that of the unfinished one."""
         places: list[int] = []
         step = 0
         for _, stable in verdicts_of(answers):

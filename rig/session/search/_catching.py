@@ -1,7 +1,7 @@
-"""Catch trials among the trials of any rule: now and then the softest or the stiffest wall, whose verdict is known.
+"""Add catch trials to any search rule: occasional trials with the softest or stiffest wall, whose verdict is known.
 
-It is known where the limit lies between them: the share that comes out otherwise is the lapse rate. A catch
-trial counts for no limit and moves no track, so the rule that it stands among asks as if there were none.
+If the limit lies between these walls, the share of wrong verdicts is the lapse rate. A catch trial is not used for the
+limit and does not change the next wall of the rule.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ TRACK = -1  # of a catch trial
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CatchTrials:
-    """Results of catch trials, by kind: a person who calls walls unstable too soon lapses on the soft ones alone.
+    """Numbers of catch trials and lapses, separately for soft and stiff walls.
+
+    A person who calls walls unstable too soon has lapses only on soft walls.
 
     Attributes
     ----------
     soft, false_unstable
-        Verdicts of the softest wall, and those among them that were not "stable".
+        Number of verdicts on the softest wall, and number of those that were not "stable".
     stiff, false_stable
-        Verdicts of the stiffest wall, and those among them that were "stable".
+        Number of verdicts on the stiffest wall, and number of those that were "stable".
     """
 
     soft: int = 0
@@ -55,9 +57,10 @@ class CatchTrials:
         Parameters
         ----------
         levels
-            Of the search.
+            Levels of the search, ascending.
         sides
-            Where its limit lies beyond the levels: what the wall at that end is, is not known then.
+            Sides on which the limit lies beyond the levels; catch trials at that end are not counted, because the
+            correct verdict is unknown.
         """
         caught = [(one.probe.level, one.stable) for one in answers if one.probe.catch]
         # A wall beyond the limit has no known verdict: then its catch trials measure no lapses.
@@ -81,18 +84,18 @@ class CatchTrials:
 
 @dataclass(frozen=True, kw_only=True)
 class Catching:
-    """A rule, with catch trials among its own.
+    """Search rule with added catch trials.
 
     Parameters
     ----------
     rule
-        That asks for all other walls.
+        Rule that chooses all other walls.
     levels
-        Of the search.
+        Levels of the search, ascending.
     share
-        Of trials that are catch trials, half of them of either kind (0 … `MOST_SHARE`).
+        Share of trials that are catch trials (0 … `MOST_SHARE`), half of them soft and half stiff on average.
     seed
-        Of their places.
+        Seed of the random places of the catch trials.
     """
 
     rule: Rule
@@ -108,7 +111,10 @@ class Catching:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the rule's next probe, or a catch trial before it; an invalid catch trial is repeated."""
+        """Return a catch trial or the rule's next probe; None if the search is finished.
+
+        A catch trial without a verdict is repeated.
+        """
         probe = self.rule.next(answers)
         if probe is None:
             return None
@@ -121,7 +127,7 @@ class Catching:
         return self.rule.estimate(answers)
 
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:
-        """The catch trial after so many verdicts of the rule's own and so many catch trials since, if there is one."""
+        """Return the catch trial after this number of verdicts and of catch trials since the last one, or None."""
         drawn = np.random.default_rng([self.seed, verdicts, caught])
         if drawn.random() >= self.share:
             return None

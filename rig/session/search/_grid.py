@@ -1,7 +1,7 @@
-"""The full grid: every level so often, in an order drawn from the seed (the method of constant stimuli).
+"""Grid search rule: every level equally often, in random order (the method of constant stimuli).
 
-It costs most and assumes least: also a limit that is no threshold shows, such as stiff walls that hold where softer
-ones do not.
+It needs the most trials and the fewest assumptions: it also shows walls that do not follow a threshold, such as stiff
+walls that are stable although softer ones are not.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rig.session.search._rule import Estimate, JudgedProbe, Probe, check_whole, 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelGrid:
-    """Every level `repeats` times, each time all levels in another order (`seed`)."""
+    """Rule that presents all levels `repeats` times, each time in another random order (`seed`)."""
 
     levels: Sequence[float]
     repeats: int = 5
@@ -28,7 +28,7 @@ class LevelGrid:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next level of the order."""
+        """Return the next level of the order; None after the last."""
         done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
             return None
@@ -37,5 +37,5 @@ class LevelGrid:
         return Probe(self.levels[int(order[place])], track=block)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return K50 of the psychometric function that the verdicts show."""
+        """Return the estimate of K50, the stiffness at which half of the verdicts are stable."""
         return posterior_estimate(tuple(self.levels), answers)

@@ -1,7 +1,7 @@
-"""Two staircases that come from below and from above, in random turns.
+"""Interleaved search rule: two staircases, one from below and one from above, alternating at random.
 
-A person cannot follow a track whose turn is drawn at random, so an answer depends more on the wall and less on the
-last answer.
+A person cannot follow a track that continues at random times, so a verdict depends more on the wall and less on the
+verdict before.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from rig.session.search._staircase import Staircase
 
 @dataclass(frozen=True, kw_only=True)
 class Interleaved:
-    """Tracks from the softest and the stiffest level; see `Staircase` for the settings that they share.
+    """Two staircases that begin at the softest and at the stiffest level; other settings are those of `Staircase`.
 
     Parameters
     ----------
     seed
-        Of the turns.
+        Seed for the random choice between the two staircases.
     """
 
     levels: Sequence[float]
@@ -54,7 +54,10 @@ class Interleaved:
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return a draw among the tracks that have not ended; an answer without a verdict is asked again."""
+        """Return the next level of an unfinished track, chosen at random; None if both are finished.
+
+        A probe without a verdict is repeated.
+        """
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
         if not going:
@@ -65,7 +68,7 @@ class Interleaved:
         return going[int(drawn.integers(len(going)))]
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean of both tracks, and the interval that all verdicts together give."""
+        """Return the mean of both tracks' estimates, with the 95 % interval from all verdicts together."""
         single = [
             track.estimate_of(
                 track.walk(verdicts_of(answers, number)), verdicts_of(answers, number), len(answers)
@@ -78,10 +81,14 @@ class Interleaved:
         value = sum(values) / len(values) if values else math.nan
         censored: Censored = next((one.censored for one in single if one.censored), "")
         low, high = psychometric.open_interval(censored, value, low, high)
-        short = [f"{one.mark}, track {number}" for number, one in enumerate(single, 1) if one.ended_by_most]
-        mark = "; ".join(short)
+        short = [
+            f"{one.distrust_reason}, track {number}"
+            for number, one in enumerate(single, 1)
+            if one.ended_by_most
+        ]
+        distrust_reason = "; ".join(short)
         if {"above", "below"} <= {one.censored for one in single}:
-            mark = "its two tracks ended beyond opposite ends of the levels"
+            distrust_reason = "its two tracks ended beyond opposite ends of the levels"
         estimate = Estimate(
             value=value,
             low=low,
@@ -90,7 +97,7 @@ class Interleaved:
             censored=censored,
             hits=len(answers),
             step=step_at(self.levels, value) * self.steps[-1],
-            mark=mark,
+            distrust_reason=distrust_reason,
             ended_by_most=bool(short),
         )
         return mark_contradictions(estimate, verdicts_of(answers))

@@ -1,4 +1,4 @@
-"""A simulated observer, and what each rule makes of it: bias, scatter, hits, and whether the intervals are honest."""
+"""Simulate observers and measure each search rule: bias, scatter, number of hits, and coverage of the intervals."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Making = Callable[..., Rule]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observer:
-    """An observer whose verdicts follow the psychometric function (`rig.session.search._psychometric`).
+    """Observer whose verdicts follow the psychometric function (`rig.session.search._psychometric`).
 
-    `threshold` is K50, `spread` how gradually verdicts change, `lapse_rate` the share of verdicts turned round, as
-    when a finger takes the wrong key.
+    `threshold` is K50 and `spread` is s (both in the unit of stiffness); `lapse_rate` is the share of verdicts that are
+    inverted by mistake, for example by a wrong key.
     """
 
     threshold: float
@@ -29,16 +29,16 @@ class Observer:
     lapse_rate: float = 0.0
 
     def judge(self, stiffness: float, drawn: np.random.Generator) -> bool:
-        """Draw one verdict of this observer: True for stable."""
+        """Return a random verdict of this observer: True for stable."""
         return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
-        """Return the stiffness with this share of stable verdicts, lapses left aside."""
+        """Return the stiffness at which this share of verdicts is stable, without lapses."""
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 
 def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
-    """Return answers of an observer until the rule has enough, or `most` of them; the same seed gives the same."""
+    """Return the answers of an observer until the search is finished, at most `most`; reproducible by `seed`."""
     drawn = np.random.default_rng(seed)
     answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:
@@ -48,21 +48,21 @@ def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Performance:
-    """What a rule made of an observer over many sessions; stiffnesses in the units of the levels.
+    """Results of a rule with an observer over many simulated sessions; stiffnesses in the unit of the levels.
 
     Attributes
     ----------
     bias, scatter
-        Mean and standard deviation of the estimate less the stiffness that the rule aims at (K50 for the ascending
-        rule, which aims at none); NaN where no session gave an estimate.
+        Mean and standard deviation of estimate minus true stiffness; NaN if no session gave an estimate. The true
+        stiffness has the share of stable verdicts that the rule aims at (for the ascending rule: K50).
     hits
-        Mean of the verdicts that a session cost.
+        Mean number of verdicts in a session.
     covered
-        Share of 95 % intervals that hold the stiffness aimed at.
+        Share of the 95 % intervals that contain the true stiffness.
     width
         Median width of the intervals.
     above, below
-        Share of sessions that put the limit above the levels, and below them.
+        Share of sessions with a limit above the levels, and below them.
     """
 
     rule: str
@@ -78,7 +78,7 @@ class Performance:
 
     @property
     def censored(self) -> float:
-        """Share of sessions that put the limit beyond the levels."""
+        """Return the share of sessions with a limit above or below the levels."""
         return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ def study(
     seed: int = 0,
     off_lattice: float = 0.0,
 ) -> list[Performance]:
-    """Run each observer through each rule `sessions` times; see `performance`."""
+    """Simulate `sessions` sessions of each observer with each rule; see `performance`."""
     return [
         performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
         for observer in observers
@@ -110,14 +110,14 @@ def performance(
     Parameters
     ----------
     name
-        Of the rule, for the result.
+        Name of the rule, for the result.
     make
-        Makes the rule of one session from `seed=`.
+        Creates the rule of one session from the argument `seed=`.
     seed
-        Of all sessions; each has one of its own for rule and observer.
+        Seed of the whole simulation, from which each session's seed is derived.
     off_lattice
-        Half a range about K50 from which each session draws the observer's own: half a step of the levels, so that it
-        does not matter where K50 lies between two of them.
+        In each session K50 is shifted at random by at most ± this value. Half a step of the levels makes the result
+        independent of where K50 lies between two levels.
     """
     errors, found = [], []
     for one in np.random.SeedSequence(seed).generate_state(sessions, np.uint64).tolist():

@@ -1,8 +1,8 @@
-"""The Psi method: ask where the answer is expected to say most about the threshold.
+"""The Psi method: present the level whose verdict is expected to give the most information about the threshold.
 
 Kontsevich and Tyler, Vision Research 39 (1999), with lapse rate and spread integrated out (Prins 2013). After each
-answer the posterior over (K50, spread, lapse rate) is known; for every level, what either answer would leave of the
-entropy of K50 is computed, and the level with the least expected entropy is asked next.
+answer the posterior over (K50, spread, lapse rate) is updated. For every level the expected entropy of K50 after its
+verdict is computed; the level with the least expected entropy is next.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, kw_only=True)
 class Psi:
-    """Bayesian search for K50.
+    """Bayesian search for K50, the stiffness at which half of the verdicts are stable.
 
     Parameters
     ----------
     levels
-        Stiffnesses, rising.
+        Stiffnesses in ascending order.
     hits
-        Verdicts that are enough in any case.
+        Number of verdicts after which the search ends.
     enough
-        Half width of the 95 % interval, relative to K50, that is enough before; 0: always all hits.
+        The search ends earlier when the half width of the 95 % interval, relative to K50, is at most this; 0: never.
     least
-        Verdicts before `enough` may end it.
+        Least number of verdicts before `enough` can end the search.
     seed
-        Not used: the rule draws nothing.
+        Not used, because this rule is not random.
     """
 
     levels: Sequence[float]
@@ -61,7 +61,7 @@ class Psi:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the level whose answer is expected to leave the least entropy of K50."""
+        """Return the level whose verdict leaves the least expected entropy of K50; None if the search is finished."""
         verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
             return None
@@ -81,12 +81,12 @@ class Psi:
         return (estimate.high - estimate.low) / 2.0 <= self.enough * estimate.value
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the posterior median and interval of K50."""
+        """Return the posterior median of K50 with its 95 % interval."""
         return posterior_estimate(tuple(self.levels), answers)
 
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]) -> Estimate:
-    """Return K50 after any answers on these levels, see `rig.session.search._psychometric.locate`."""
+    """Return the estimate of K50 from answers on these levels; see `rig.session.search._psychometric.locate`."""
     verdicts = verdicts_of(answers)
     found = psychometric.locate(levels, verdicts)
     estimate = Estimate(
@@ -102,7 +102,10 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
 
 
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the entropy that an answer leaves, weighted by how likely it is: rows of joint probabilities over K50."""
+    """Return for each row the entropy of K50 after a verdict, times the probability of the verdict.
+
+    Each row of `joint` contains the joint probabilities of the verdict and each K50.
+    """
     likely = joint.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):
         terms = np.where(joint > 0.0, joint * np.log(joint / likely), 0.0)

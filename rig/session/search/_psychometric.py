@@ -1,10 +1,11 @@
-"""Compute the psychometric function of walls, and what answers show of it: a posterior on a grid.
+"""Compute the psychometric function of walls, and its posterior from verdicts, on a grid.
 
     P(stable | K) = λ + (1 − 2 λ) / (1 + exp((K − K50) / s))
 
-K50 is where half of the verdicts are stable, s the spread, λ the lapse rate: the share of verdicts turned round, as
-likely one way as the other. Spread and lapse rate are integrated out (the marginal of Prins, Journal of Vision 13(7):3,
-2013, of the Psi method of Kontsevich and Tyler, Vision Research 39, 1999).
+At the stiffness K50 half of the verdicts are stable. s is the spread: how gradually verdicts change with stiffness. λ
+is the lapse rate: the share of verdicts that are inverted by mistake, equally likely in both directions. Spread and
+lapse rate are integrated out (the marginal of Prins, Journal of Vision 13(7):3, 2013, of the Psi method of Kontsevich
+and Tyler, Vision Research 39, 1999).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gra
 def share_stable(
     stiffness: Floats | float, threshold: float, spread: float, lapse_rate: float = 0.0
 ) -> Floats:
-    """Share of stable verdicts at a stiffness."""
+    """Return the expected share of stable verdicts at a stiffness; `threshold` is K50."""
     odds = np.clip((np.asarray(stiffness, dtype=np.float64) - threshold) / spread, -700.0, 700.0)
     return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
 
@@ -41,13 +42,13 @@ def share_stable(
 # A grid, not a fit: nothing can fail to converge, and a few answers give a wide interval instead of none.
 @dataclass(frozen=True)
 class PsychometricGrid:
-    """The grid for a set of levels (stiffnesses, rising). `log_share` is made once for all levels."""
+    """Grid of K50, spread and lapse rate for a set of levels (stiffnesses in ascending order)."""
 
     levels: tuple[float, ...]
 
     @cached_property
     def edges(self) -> Floats:
-        """Return ends of the ranges that the values of K50 stand for, shape (thresholds + 1,)."""
+        """Return the limits of the cells around the grid's values of K50, shape (thresholds + 1,)."""
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -70,7 +71,7 @@ class PsychometricGrid:
 
     @cached_property
     def shares(self) -> Floats:
-        """Share of stable verdicts, shape (levels, thresholds, spreads, lapse rates)."""
+        """Return the share of stable verdicts, shape (levels, thresholds, spreads, lapse rates)."""
         level = np.array(self.levels)[:, None, None, None]
         lapses = np.array(LAPSE_RATES)
         odds = (level - self.thresholds[:, None, None]) / self.spreads[:, None]
@@ -78,17 +79,20 @@ class PsychometricGrid:
 
     @cached_property
     def logs(self) -> tuple[Floats, Floats]:
-        """Return logarithms of the shares of stable and of other verdicts."""
+        """Return the logarithms of `shares` and of 1 − `shares`."""
         with np.errstate(divide="ignore"):
             return np.log(self.shares), np.log1p(-self.shares)
 
     @cached_property
     def _latest(self) -> list[tuple[tuple[tuple[float, bool], ...], Floats]]:
-        """Verdicts and log likelihood of the latest posterior: the next is mostly of the same and one verdict more."""
+        """Cache of the last verdicts and their log likelihood, because the next call mostly adds one verdict."""
         return [((), np.zeros(self.shares.shape[1:]))]
 
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
-        """Probability of each grid point after these verdicts (level, stable), shape as one level of `shares`."""
+        """Return the probability of each grid point after verdicts (level, stable).
+
+        The shape is (thresholds, spreads, lapse rates).
+        """
         known, log = self._latest[0]
         if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
             known, log = (), np.zeros(self.shares.shape[1:])
@@ -100,10 +104,10 @@ class PsychometricGrid:
         return np.asarray(weights / weights.sum())
 
     def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
-        """Return quantiles of the stiffness at which `share` of the verdicts are stable, lapses aside; none below zero.
+        """Return quantiles of the stiffness at which `share` of the verdicts is stable, without lapses; at least 0.
 
-        Each K50 of the grid counts as the range between its edges: that is not small against what some dozens of
-        verdicts tell, and intervals between bare points would be too narrow.
+        The probability of each K50 is spread over its cell, because cells are not small compared with the uncertainty
+        after some dozens of verdicts; intervals between grid points would be too narrow.
         """
         shifts = self.spreads * math.log((1.0 - share) / share)
         at = np.unique(self.edges + shifts[:, None])  # the distribution function is straight between these
@@ -115,16 +119,15 @@ class PsychometricGrid:
 
 @lru_cache(maxsize=16)
 def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
-    """Return the grid for these levels, made once."""
+    """Return the grid for these levels, from a cache."""
     return PsychometricGrid(levels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Located:
-    """Where verdicts put a stiffness: value, interval of 95 %, and the end of the levels beyond which it lies, if any.
+    """Stiffness estimated from verdicts: value, 95 % interval, and the side on which it lies beyond the levels, if any.
 
-    Beyond the levels nothing is known but the side: `value` is the last level then, and the interval open, up to
-    infinity or down to zero.
+    If it lies beyond the levels (`censored`), `value` is the last level, and the interval extends to infinity or to 0.
     """
 
     value: float
@@ -134,12 +137,10 @@ class Located:
 
 
 def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float = 0.5) -> Located:
-    """Find the stiffness with this share of stable verdicts, whatever rule asked for them.
+    """Return the stiffness at which this share of verdicts is stable, from the verdicts of any rule.
 
-    The value is the posterior median.
-
-    Beyond the levels lies a stiffness whose median does. Where all verdicts are of one kind, it lies beyond the walls
-    that were judged, which need not be all levels yet.
+    The value is the posterior median. It is censored if the median lies beyond the levels, or if all verdicts are equal
+    (the value is then the last judged level).
     """
     if not verdicts:
         return Located(value=math.nan, low=0.0, high=math.inf, censored="")
@@ -161,7 +162,10 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
 
 
 def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
-    """Open an interval on the side where a stiffness lies beyond an end; the same where it lies beyond none."""
+    """Return an interval extended to infinity (`side` above) or to 0 (below); unchanged for an empty `side`.
+
+    The extended interval contains `end`, the last level on that side.
+    """
     if side == "above":
         return min(low, end), math.inf
     return (0.0, max(high, end)) if side == "below" else (low, high)
@@ -170,14 +174,14 @@ def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[
 def interval(
     levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float
 ) -> tuple[float, float]:
-    """Interval of 95 % for the stiffness with this share of stable verdicts, whatever rule asked for them."""
+    """Return the 95 % interval of the stiffness at which this share of verdicts is stable, for any rule."""
     grid = of_levels(levels)
     low, high = grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.975))
     return float(low), float(high)
 
 
 def _edges(levels: Floats, least: float) -> Floats:
-    """Return even ranges from half a range below the levels, or `least`, to half a range above."""
+    """Return evenly spaced cell limits, from half the range below the levels (or `least`) to half the range above."""
     half = (levels[-1] - levels[0]) / 2.0
     low, high = max(levels[0] - half, least), levels[-1] + half
     wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))
@@ -185,7 +189,7 @@ def _edges(levels: Floats, least: float) -> Floats:
 
 
 def _ratio_apart(levels: Sequence[float]) -> bool:
-    """Return True if the levels are more evenly spaced in their logarithm than as they are."""
+    """Return True if the logarithms of the levels are more evenly spaced than the levels themselves."""
 
     def unevenness(values: Floats) -> float:
         steps = np.diff(values)

@@ -1,7 +1,6 @@
-"""Decide whether values scatter by more than rounding to the levels makes: the condition of every interval and p value.
+"""Decide whether values scatter more than rounding to levels explains, as every interval and p value requires.
 
-Search rules and the analysis of studies call it. Means over independent searches round less, by the root of their
-number.
+For means over n independent searches the caller divides the rounding by √n.
 """
 
 from __future__ import annotations
@@ -14,29 +13,29 @@ FLOATING = 1e-9  # relative: the same numbers added in another order differ by l
 
 
 def step_at(levels: Sequence[float], value: float) -> float:
-    """Return the distance of the two levels about a value; at an end of the levels that of the last two."""
+    """Return the distance between the two levels around a value; beyond the levels, that of the two nearest ones."""
     place = min(max(bisect_right(levels, value), 1), len(levels) - 1)
     return levels[place] - levels[place - 1]
 
 
 def rounding_deviation(step: float) -> float:
-    """Return the standard deviation of the error of rounding to levels this far apart."""
+    """Return the standard deviation of the rounding error for levels that are `step` apart."""
     # A search rounds its limit to the distance of two levels. Values that scatter by less do not show how much people
     # vary: three differences of exactly 30 on levels 10 apart once gave 30 (29.99 … 30.01), p < 0.001.
     return step / math.sqrt(12.0)
 
 
 def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0) -> bool:
-    """Return True if a standard deviation is more than rounding makes.
+    """Return True if a standard deviation is larger than rounding explains.
 
     Parameters
     ----------
     deviation
-        Standard deviation of some values, or of a residual; one that is not finite is not resolved.
+        Standard deviation of values or of a residual; the result is False if it is not finite.
     rounding
-        Standard deviation that the rounding of each value to its levels makes; 0 for continuous values.
+        Standard deviation of the rounding of each value to levels; 0 for continuous values.
     magnitude
-        Of the largest value, for the rounding of floating-point numbers.
+        Magnitude of the largest value, for the rounding of floating-point numbers.
     """
     return math.isfinite(deviation) and deviation > max(rounding * (1.0 + FLOATING), FLOATING * magnitude)
 

@@ -1,4 +1,4 @@
-"""What all search rules share: probes, answers, estimates, and the levels that they move on."""
+"""Common parts of all search rules: probes, answers, estimates, and checks of levels and settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Censored = Literal["", "above", "below"]
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A wall to be judged: its stiffness, the track that asks, whether it is a catch trial that moves no track."""
+    """Wall to be judged: its stiffness, the number of the track that chose it, and whether it is a catch trial."""
 
     level: float
     track: int = 0
@@ -25,7 +25,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class JudgedProbe:
-    """A judged probe; `stable`: None without a verdict (unsure, invalid), so that the rule asks again."""
+    """Answer to a probe; `stable` is None without a verdict (unsure), so that the rule presents the wall again."""
 
     probe: Probe
     stable: bool | None
@@ -33,26 +33,27 @@ class JudgedProbe:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """Where the limit lies.
+    """Estimate of the limit of stable walls.
 
     Attributes
     ----------
     value
-        Stiffness; NaN without any verdict.
+        Limit (unit of stiffness); NaN without any verdict.
     low, high
-        Interval of 95 %.
+        Ends of the 95 % interval (unit of stiffness).
     share
-        Share of stable verdicts at `value` that the rule aims at; the ascending rule aims at none (NaN).
+        Share of stable verdicts at `value` that the rule aims at; NaN for the ascending rule, which has no such aim.
     censored
-        "above" when the stiffest wall was still held, "below" when the softest was not: the limit lies beyond.
+        "above" if the stiffest wall was still stable, "below" if the softest was not; the limit lies beyond the levels.
     hits
-        Verdicts that it cost, catch trials and invalid ones included.
+        Number of answers, with catch trials and answers without a verdict.
     step
-        Distance of the levels between which it lies, so how finely the value is known (`resolution`).
-    mark
-        Why the value is no limit that the verdicts show, see `mark_contradictions`; empty where it is one.
+        Distance between the two levels around `value`: the resolution of the estimate.
+    distrust_reason
+        Reason for which the value must not be used as a limit (`mark_contradictions`); empty if it may be used.
     ended_by_most
-        True if the rule ended by its largest number of verdicts before it had its turns; then `mark` says so.
+        True if the search reached its largest number of verdicts before its number of reversals (`Staircase.turns`);
+        then `distrust_reason` is set.
     """
 
     value: float
@@ -62,33 +63,33 @@ class Estimate:
     censored: Censored
     hits: int
     step: float = 0.0
-    mark: str = ""
+    distrust_reason: str = ""
     ended_by_most: bool = False
 
 
 class Rule(Protocol):
-    """A way to find the limit; see the package."""
+    """Search rule; see the documentation of the package."""
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return what to ask after these answers, or None when it is enough."""
+        """Return the next wall after these answers; None if the search is finished."""
         ...
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the limit that these answers show, also when they are not yet enough."""
+        """Return the estimate of the limit from these answers, also for an unfinished search."""
         ...
 
 
 def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
     """Return the levels as a tuple of numbers.
 
-    Raises `rig.core.errors.ConfigError` unless there are two or more, above zero and rising.
+    Raise `rig.core.errors.ConfigError` unless there are at least two levels, above zero and in ascending order.
     """
     values = tuple(float(level) for level in levels)
     rising = all(a < b for a, b in pairwise(values))
     if len(values) < 2 or not rising or not values[0] > 0.0 or not math.isfinite(values[-1]):
         raise ConfigError(
-            f"the {len(values)} levels of stiffness are not valid",
-            remedy="give two or more levels above 0, in rising order",
+            f"the {len(values)} levels of stiffness {list(values[:5])}{' …' if len(values) > 5 else ''} are not valid",
+            remedy="give two or more levels above 0, in ascending order",
         )
     return values
 
@@ -98,21 +99,22 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise ConfigError(
             f"{name} = {value!r} is not a whole number from {least} to {most}",
-            remedy="choose one in this range",
+            remedy=f"set {name} to a whole number in this range",
         )
 
 
 def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
-    """Return the estimate with the reason in `mark` if its own verdicts contradict it; see `contradiction`."""
-    if estimate.mark or estimate.censored:
+    """Return the estimate with `distrust_reason` set if its own verdicts contradict it; see `contradiction`."""
+    if estimate.distrust_reason or estimate.censored:
         return estimate
-    return replace(estimate, mark=contradiction(estimate.value, estimate.low, estimate.high, verdicts))
+    reason = contradiction(estimate.value, estimate.low, estimate.high, verdicts)
+    return replace(estimate, distrust_reason=reason)
 
 
 def contradiction(value: float, low: float, high: float, verdicts: Sequence[tuple[float, bool]]) -> str:
-    """Return why verdicts contradict a limit among the levels, or an empty text.
+    """Return the reason for which verdicts contradict a limit, or an empty text.
 
-    A limit lies inside its own interval, and between a wall that was judged stable and one that was not.
+    A limit must lie in its own interval, and between a wall that was judged stable and one that was not.
     """
     if math.isnan(value):
         return ""
@@ -127,7 +129,7 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 
 
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
-    """Return the level and verdict of each answer that has one and is no catch trial; of one track, or of all."""
+    """Return level and verdict of each answer with a verdict, without catch trials; of one track, or of all (None)."""
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

@@ -1,8 +1,8 @@
-"""Up-down rules: stiffer after stable verdicts, softer after another, with steps that shrink at each turn.
+"""Staircase (up-down) search rule: stiffer after stable verdicts, softer after others; steps shrink at each reversal.
 
-With `stable_to_rise` = 1 it settles where half of the verdicts are stable; with n, where their share to the n-th power
-is a half: 0.71 for 2, 0.79 for 3 (Levitt, Journal of the Acoustical Society of America 49, 1971; "1-up-1-down",
-"1-up-2-down", "1-up-3-down", where up means softer).
+With `stable_to_rise` = 1 it converges to the stiffness at which half of the verdicts are stable. With n, the n-th power
+of their share is a half: shares of 0.71 for 2, 0.79 for 3 (Levitt, Journal of the Acoustical Society of America 49,
+1971; "1-up-1-down", "1-up-2-down", "1-up-3-down", where up means softer).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EDGE_VERDICTS = 3  # in a row at an end of the levels, which it cannot leave: th
 
 @dataclass(slots=True)
 class _Walk:
-    """Where a staircase stands after some verdicts."""
+    """State of a staircase after some verdicts."""
 
     place: int
     direction: int
@@ -41,24 +41,24 @@ class _Walk:
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase:
-    """One track.
+    """Staircase with one track.
 
     Parameters
     ----------
     levels
-        Stiffnesses, rising.
+        Stiffnesses in ascending order.
     stable_to_rise
-        Stable verdicts in a row before the wall gets stiffer.
+        Number of stable verdicts in a row before the wall gets stiffer.
     start
-        Level to begin with; the middle one unless given.
+        First level; by default the middle one.
     steps
-        Sizes of steps in levels, one for each turn, the last one for all that follow.
+        Step sizes in numbers of levels; the next one is used after each reversal, the last one for all that follow.
     turns
-        Turns at the smallest step that are enough.
+        Number of reversals at the smallest step after which the search ends.
     most
-        Verdicts after which it ends in any case; a limit without its turns is marked (`Estimate.mark`).
+        Largest number of verdicts; a search that ends by it sets `Estimate.distrust_reason`.
     seed
-        Not used: the rule draws nothing.
+        Not used, because this rule is not random.
     """
 
     levels: Sequence[float]
@@ -81,25 +81,28 @@ class Staircase:
         for step in self.steps:
             check_whole("steps", step, 1, len(levels) - 1)
         if self.start is not None and self.start not in levels:
-            raise ConfigError(f"start = {self.start:g} is not one of the levels", remedy="choose one of them")
+            raise ConfigError(
+                f"start = {self.start:g} is not one of the levels",
+                remedy=f"choose one of {', '.join(f'{level:g}' for level in levels)}",
+            )
 
     @property
     def share(self) -> float:
-        """Share of stable verdicts where it settles."""
+        """Return the share of stable verdicts to which the staircase converges."""
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
     def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
-        """Return the level where the track stands, or None when it has turned often enough."""
+        """Return the present level of the track; None if the search is finished."""
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean of the turns at the smallest step, and the interval that all verdicts together give."""
+        """Return the mean of the reversals at the smallest step, with the 95 % interval from all verdicts together."""
         verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 
     def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
-        """Follow the staircase through verdicts; return its place, step and turns."""
+        """Return the state of the staircase after these verdicts: place, direction and reversals."""
         top, last = len(self.levels) - 1, len(self.steps) - 1
         place = len(self.levels) // 2 if self.start is None else list(self.levels).index(self.start)
         step = direction = run = pressed = 0
@@ -117,12 +120,12 @@ class Staircase:
         return _Walk(place, direction, pressed, turns, len(verdicts))
 
     def has_ended(self, walk: _Walk) -> bool:
-        """Return True if it knows enough, or cannot know more on these levels."""
+        """Return True if the search is finished: by reversals, by `most` verdicts, or at an end of the levels."""
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """Return the limit that a walk shows."""
+        """Return the estimate of the limit from the state of the staircase and its verdicts."""
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]
@@ -142,7 +145,7 @@ class Staircase:
             censored=censored,
             hits=hits,
             step=step_at(self.levels, value) * self.steps[-1],
-            mark=f"ended by most after {len(fine)} of {self.turns} turns" if ended_by_most else "",
+            distrust_reason=f"ended by most after {len(fine)} of {self.turns} turns" if ended_by_most else "",
             ended_by_most=ended_by_most,
         )
         return mark_contradictions(estimate, verdicts)

@@ -1,7 +1,7 @@
-"""The operator's terminal: what a session shows and asks there, and a STOP that needs no other process.
+"""The operator's terminal: it displays a session, asks its questions, and stops the rig without another process.
 
-The session's program has the device and the log (`desk`); the console is a child (``python -m rig.session.terminal``)
-that has the terminal, and that may hang or die without more harm than a hit that ends. They exchange JSON lines over
-two pipes (`_messages`); besides, the console looks at the rows of the running loop in shared memory, and sets its stop
-word.
+The session's program controls the device and the log (`desk`). The console is a child process (``python -m
+rig.session.terminal``) that controls the terminal; if it hangs or dies, at worst the present hit ends. They exchange
+JSON lines over two pipes (`_messages`). The console also reads the rows of the running loop in shared memory, and sets
+its stop word.
 """

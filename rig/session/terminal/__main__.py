@@ -1,4 +1,4 @@
-"""``python -m rig.session.terminal IN OUT``: the child; the numbers are descriptors of its two pipes."""
+"""Run the console as a child process: ``python -m rig.session.terminal IN OUT``, with the descriptors of two pipes."""
 
 import sys
 

@@ -1,6 +1,6 @@
-"""Ask over a line, whatever carries it: what a desk sends, and what is an answer.
+"""Send views and questions to a user interface in another process, and receive the replies.
 
-The terminal (`desk`) and the page's job (`rig.extras.console.session_desk`) inherit from it.
+The desks of the terminal (`desk`) and of the page (`rig.extras.console.session_desk`) inherit from it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Message = Mapping[str, Any]
 
 
 class AskingDesk(Desk):
-    """A desk at the other end of a line: subclasses send, receive, and check that the other end is alive."""
+    """Desk whose user interface is another process; subclasses send, receive, and check that this process is alive."""
 
     def __init__(self) -> None:
         self._view: DeskView | None = None
@@ -35,32 +35,32 @@ class AskingDesk(Desk):
 
     @abstractmethod
     def _send(self, kind: str, **content: Any) -> None:
-        """Send a message: ``view`` or ``ask``."""
+        """Send a message of a kind, ``view`` or ``ask``."""
 
     @abstractmethod
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message, its ``kind`` in it, within so long (s); None for none."""
+        """Return the next message, with its ``kind``; None if none arrives within `patience_s` (s)."""
 
     @abstractmethod
     def _check_there(self) -> None:
-        """Raise `StoppedError` when the other end must be feared to be gone while a hit runs."""
+        """Raise `StoppedError` if the user interface does not respond while a hit runs."""
 
     def _is_renewed(self) -> bool:
-        """Return True if the other end is a new one, which has received no question yet."""
+        """Return True if the user interface was restarted, so that the question must be sent again."""
         return False
 
     def show(self, view: DeskView) -> None:
-        """Show how things stand; returns at once, also when who shows it hangs."""
+        """Display the present state of the session; return at once, also if the user interface hangs."""
         self._view = view
         self._send("view", view=plain(view))
 
     def ask(self, question: Question) -> Reply:
-        """Ask, and wait for the answer.
+        """Ask a question and wait for the reply.
 
         Raises
         ------
         StoppedError
-            The console is gone, so that no answer can come.
+            The user interface is gone, so no reply is possible.
         """
         if question.kind != "rest" or question != self._question:  # a rest continues while a note is written
             self._began_s = time.monotonic()
@@ -81,7 +81,7 @@ class AskingDesk(Desk):
                 self._put(question)
 
     def watch(self) -> Callable[[int, int], None] | None:
-        """Watch who shows it while a hit runs: STOP, and silence, end it."""
+        """Return a function to call during a hit; it ends the hit on STOP or if the user interface is silent."""
         return self._watch
 
     def _watch(self, ticks: int, phase: int) -> None:
@@ -92,7 +92,7 @@ class AskingDesk(Desk):
         self._check_there()
 
     def _put(self, question: Question) -> None:
-        """Send a question; for a rest, with its remaining time."""
+        """Send a question; for a rest, with the remaining time (s)."""
         seconds = question.seconds
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
@@ -105,7 +105,7 @@ class AskingDesk(Desk):
         return message
 
     def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
-        """Return the reply in a message; None when it is not one to this question."""
+        """Return the reply in a message; None if the message is not a reply to this question."""
         # An answer names its question: one to an earlier question, or with an action that was not offered, is ignored.
         if message["kind"] != "reply" or message.get("number") != self._number:
             return None

@@ -1,4 +1,4 @@
-"""The console as a process: started on a terminal, read by a thread, ended, and the terminal restored."""
+"""Start the console as a process on a terminal, read its messages in a thread, end it, and restore the terminal."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ Message = dict[str, Any]
 
 
 class Child:
-    """One console process.
+    """Console process.
 
     Parameters
     ----------
     place
-        Descriptor of its terminal.
+        Descriptor of the terminal.
     before
-        How the terminal was set.
+        Settings of the terminal before the console.
     setup
-        Content of the first message.
+        Content of the first message to the console.
     inbox
-        Where its messages go, with this object.
+        Queue for messages from the console, each with this object.
 
     Attributes
     ----------
     heard_s
-        Time of its last message (s, monotonic), at first of its start.
+        Time of the last message from the console (s, monotonic); before the first, time of the start.
     greeted
-        Whether it has sent a message.
+        True if the console has sent a message.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Child:
         self.say("setup", **setup)
 
     def _start(self, ours: ExitStack) -> None:
-        """Start process and thread; on `ours` is what must go if one of them cannot be had."""
+        """Start process and thread; `ours` closes what was opened if one of them cannot be started."""
 
         def owned(stack: ExitStack, *descriptors: int) -> None:
             for descriptor in descriptors:
@@ -110,22 +110,22 @@ class Child:
 
     @property
     def dead(self) -> bool:
-        """Return True if it has ended."""
+        """Return True if the process has ended."""
         return self._process.poll() is not None
 
     @property
     def silent_s(self) -> float:
-        """Time since its last message (s)."""
+        """Return the time since the last message from the console (s)."""
         return time.monotonic() - self.heard_s
 
     def say(self, kind: str, **content: Any) -> None:
-        """Send a message; never waits for a console that does not read."""
+        """Send a message to the console; never wait for a console that does not read."""
         if not self._closed:
             self._pending += line_of(kind, **content)
             self.flush()
 
     def flush(self) -> None:
-        """Send what a full pipe left behind."""
+        """Send the bytes that did not fit into the pipe before."""
         with suppress(BlockingIOError, BrokenPipeError):
             while self._pending and not self._closed:
                 del self._pending[: os.write(self._to, self._pending)]
@@ -133,19 +133,22 @@ class Child:
             self.kill()
 
     def complaint(self) -> str:
-        """Return the last line of what it wrote to standard error; empty when it wrote none."""
+        """Return the last line that the console wrote to standard error; empty without one."""
         length = os.fstat(self._complaints).st_size
         text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         return lines[-1] if lines else ""
 
     def kill(self) -> None:
-        """End it at once, also when it is stopped."""
+        """Kill the process at once, also if it is stopped."""
         with suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGKILL)
 
     def close(self, *, last: bool = True) -> None:
-        """Ask it to go, make it go, and see to the terminal, unless another one takes it over. Cannot raise."""
+        """End the console, by force if necessary, and never raise.
+
+        Restore the terminal if this console is the `last` one; otherwise the next console takes it over.
+        """
         if self._closed:
             return
         if not self.dead:
@@ -176,6 +179,6 @@ class Child:
 
 
 def _nameless() -> int:
-    """Return a file that goes with its descriptor."""
+    """Return the descriptor of a temporary file without a name, which is deleted when it is closed."""
     with tempfile.TemporaryFile(buffering=0) as file:
         return os.dup(file.fileno())

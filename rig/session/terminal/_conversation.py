@@ -1,7 +1,7 @@
-"""Hold the console's conversation: what it shows and asks, and what a key does then.
+"""Keep the state of the operator's user interface: view, open question, and the effect of each key.
 
-Terminal and page share it. It touches no terminal, no pipe and no clock. Pause, note and abort may be requested at any
-time, and wait for the next question.
+Terminal and page share it. It uses no terminal, pipe or clock. The operator may request pause, note and abort at any
+time; the request takes effect at the next question.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST_TEXT = 500
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What goes back: an action, with a verdict, an answer or a text."""
+    """Reply to the session: an action with its value (a verdict, an answer or a text)."""
 
     action: Action
     value: str = ""
@@ -35,7 +35,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class StopPressed:
-    """Zero effort, now."""
+    """Request for zero effort at once."""
 
 
 Decision = Answer | StopPressed
@@ -43,41 +43,41 @@ Decision = Answer | StopPressed
 
 @dataclass(slots=True)
 class TextEntry:
-    """A line that is being typed: a note, or the answer to an item."""
+    """Line that is being typed: a note, or the answer to an item of the questionnaire."""
 
     purpose: Literal["note", "item"]
     text: str = ""
 
 
 class Conversation:
-    """State of the console.
+    """State of the operator's user interface.
 
     Attributes
     ----------
     view
-        What the console shows.
+        View that is displayed.
     question
-        The open question; None while the session does something.
+        Open question; None while the session is busy.
     asked
-        How many questions came so far: the same one asked again is another one.
+        Number of questions so far; a repeated question counts again.
     due_s
-        When a rest is over (s, the caller's clock).
+        Time at which a rest is over (s, on the caller's clock).
     entry
-        The line that is being typed, if any.
+        Line that is being typed, or None.
     twice
-        What the next key must confirm, if anything.
+        Action that the next key must confirm, or None.
     later
-        What waits for the next question.
+        Action that waits for the next question, or None.
     live
-        Whether a loop runs; the caller says so.
+        True while a control loop runs; the caller sets it.
     notice
-        What the last key came to, when that was not what it was pressed for.
+        Message about the last key if it did not have its usual effect.
     help
-        Whether the keys are shown.
+        True while the list of keys is displayed.
     hand
-        What moves the simulated hand here, if anything.
+        Kind of input that moves the simulated hand here, or None.
     held
-        Keys that were down before the question.
+        Keys that were already down before the question.
     """
 
     def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
@@ -95,11 +95,11 @@ class Conversation:
         self.help = False
 
     def see(self, view: Mapping[str, Any]) -> None:
-        """Replace the view that the console shows."""
+        """Replace the displayed view."""
         self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
-        """Take a new question; what waited for it is answered at once."""
+        """Open a new question; return the waiting request, if there is one, as its reply."""
         asked = Question(**{**question, "actions": tuple(question["actions"])})
         self.question, self.due_s = asked, now_s + asked.seconds
         self.held.ask(now_s)
@@ -114,7 +114,7 @@ class Conversation:
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
-        """End a rest that is over, unless the operator is typing."""
+        """Return the reply that ends a rest if its time is over, unless the operator is typing."""
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
         return self._answer(Answer("go"))
@@ -134,11 +134,14 @@ class Conversation:
 
     @property
     def allowed(self) -> tuple[Action, ...]:
-        """Return the actions that may be answered now."""
+        """Return the actions that are permitted now."""
         return () if self.question is None else self.question.actions
 
     def press(self, key: str, now_s: float | None = None) -> list[Decision]:
-        """Handle a key that arrives at `now_s` (s, the caller's clock; None: it cannot have been held before)."""
+        """Process a key and return the resulting decisions.
+
+        `now_s` is its time of arrival (s, on the caller's clock); None for input that cannot be a key held down.
+        """
         self.notice = ""
         # A key answers only the question that is open when it is pressed: what is typed during a hit is no verdict
         # about it.
@@ -165,7 +168,7 @@ class Conversation:
         return self._mean(self.keymap.meaning(key), key)
 
     def line(self, text: str) -> list[Decision]:
-        """Take a line that was typed as a whole, if one is wanted."""
+        """Process a complete typed line, if a note or an answer is expected; return the resulting decisions."""
         if self.entry is None:
             return []
         self.entry.text = "".join(one for one in text if one.isprintable())[:MOST_TEXT]
@@ -246,7 +249,7 @@ class Conversation:
         return self._answer(Answer("answer", value))
 
     def _answer_of(self, text: str) -> str | None:
-        """Return an answer to the item as the session takes it; None, with a notice, when it is not one."""
+        """Return the answer to the open item in its stored form; None, and set a notice, if it is not valid."""
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:

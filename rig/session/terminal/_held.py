@@ -1,7 +1,4 @@
-"""Find the keys that were down before the open question: they answer nothing until they have been released.
-
-`_conversation` calls it. Only a press that began after the question answers it.
-"""
+"""Detect keys that were already held down before the open question; they must not answer it until released."""
 
 from __future__ import annotations
 
@@ -13,22 +10,22 @@ RELEASED_S = 1.0
 
 
 class HeldKeys:
-    """The presses of the last second; times are those of one monotonic clock (s)."""
+    """Key presses of the last second; all times are on one monotonic clock (s)."""
 
     def __init__(self) -> None:
         self._presses: dict[str, tuple[float, float]] = {}  # by key: begin, and last arrival
         self._asked_s = -math.inf
 
     def ask(self, now_s: float) -> None:
-        """Take notice of a question: what is down now does not answer it."""
+        """Note that a question was opened at `now_s`: keys that are down now do not answer it."""
         self._asked_s = now_s
 
     def ask_again(self) -> None:
-        """Take notice of a question to which the newest press has led, and which it does not answer."""
+        """Note a follow-up question that the newest key press has opened; this press does not answer it."""
         self._asked_s = max((last_s for _, last_s in self._presses.values()), default=self._asked_s)
 
     def arrive(self, key: str, now_s: float) -> bool:
-        """Take an arrival of a key; returns True if its press began after the question."""
+        """Note that a key arrived; return True if its press began after the question."""
         # A terminal reports no release: a key that is down arrives again and again, at first after the delay of its
         # repetition. Arrivals closer than `RELEASED_S` are one press, also those of a pedal that taps by itself.
         known = self._presses = {

@@ -1,8 +1,8 @@
-"""Convert bytes of a terminal to names of keys. Any bytes give some, or none.
+"""Convert bytes from a terminal to names of keys, for any bytes.
 
-A key is named by its character, or by a name: ``enter space tab escape backspace up down left right home end pageup
-pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; else ``unknown``, which matches nothing. Sources: ECMA-48
-(CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
+A key is named by its character or by one of these names: ``enter space tab escape backspace up down left right home end
+pageup pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; else ``unknown``, which matches nothing. Sources:
+ECMA-48 (CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ _SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")  # with a modifier, from termin
 
 
 class Keyboard:
-    """Feed it what was read; call `flush` when nothing more has come for a while."""
+    """Converter of terminal bytes to keys: `feed` it the bytes; call `flush` if no more arrive for a while."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     @property
     def waiting(self) -> bool:
-        """Return True if bytes wait for more: a lone escape may be the key itself or the start of a sequence."""
+        """Return True if the last bytes may be incomplete: an escape may be a key or the start of a sequence."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[str]:
-        """Return the keys that the bytes so far complete."""
+        """Accept bytes and return the keys that they complete."""
         self._rest += data
         keys: list[str] = []
         while self._rest:
@@ -58,7 +58,7 @@ class Keyboard:
         return keys
 
     def flush(self) -> list[str]:
-        """Return the keys in the waiting bytes, which will not be completed any more."""
+        """Return the keys in the waiting bytes, without waiting for more bytes."""
         rest, self._rest = self._rest, b""
         if not rest:
             return []
@@ -66,7 +66,7 @@ class Keyboard:
 
 
 def _first(data: bytes) -> tuple[int, str]:
-    """Length and key of what comes first: length 0 when it is not complete, no name when it is not a character."""
+    """Return length and name of the first key: length 0 if it is incomplete, no name if it is no character."""
     if data[0] == 0x1B:
         return _escape(data)
     if data[0] in _CONTROL:
@@ -133,7 +133,7 @@ def _control_sequence(data: bytes) -> tuple[int, str]:
 
 
 def _meaning(text: str) -> str:
-    """Return the key of a control sequence, which is given without its ``ESC [``."""
+    """Return the name of the key for a control sequence, given without its ``ESC [``."""
     if _SPACE.fullmatch(text):
         return "space"
     if text[-1] == "~":

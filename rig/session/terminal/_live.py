@@ -1,7 +1,7 @@
-"""Read the newest rows of the loop that runs in another process, as numbers to show.
+"""Read the newest rows of a control loop in another process, to display them.
 
-A seat calls it. It must not read the loop's info (`rig.realtime.ring`), which holds stiffness and damping: the operator
-may have to be blind to them.
+It must not read the loop's info (`rig.realtime.ring`), which contains stiffness and damping, because the operator may
+be blinded.
 """
 
 from __future__ import annotations
@@ -21,23 +21,24 @@ ROWS = 512  # newest rows that are looked at: a small part of what the ring hold
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """How a run goes.
+    """Present values of a running trial.
 
     Attributes
     ----------
     phase
-        `rig.core.sample.phase_name`.
+        Name of the phase (`rig.core.sample.phase_name`).
     position, velocity, penetration, effort
-        Of the newest row (units of the rig's motion): measured, estimated, measured, applied.
+        Measured position, estimated velocity, measured penetration and applied effort of the newest row (units of the
+        rig's motion).
     peak_effort
-        Largest applied effort of the rows looked at.
+        Largest applied effort of the newest rows.
     saturated
-        Whether the guard clipped the effort in one of them.
+        True if the guard clipped the effort in one of these rows.
     round_trip_ns
-        From sending a command until the first sample that names it active was received, median of these rows; None
-        where no command answers a sample (law on the device), or none was answered yet.
+        Median time from sending a command to the reception of the first sample in which it is active (ns). None for a
+        law on the device, and before the first such sample.
     late, lost, skipped
-        Counts of the run so far.
+        Numbers of late, lost and skipped samples of the run so far.
     """
 
     phase: str
@@ -54,14 +55,14 @@ class Snapshot:
 
 
 class LiveLoop:
-    """The loop of a process: attached when it runs, released when it has ended."""
+    """Reader of a process's control loop: it opens the shared memory while a loop runs, and closes it afterwards."""
 
     def __init__(self, pid: int) -> None:
         self._pid = pid
         self._ring: Ring | None = None
 
     def look(self) -> Snapshot | None:
-        """Return the newest rows in numbers; None when no loop runs, or it has no sample yet."""
+        """Return the present values; None if no loop runs or it has no sample yet."""
         if self._ring is None:
             self._ring = running.memory_of(self._pid)
         if self._ring is None:
@@ -72,14 +73,14 @@ class LiveLoop:
         return snapshot_of(self._ring)
 
     def close(self) -> None:
-        """Release the shared memory, which exists as long as a process has it open."""
+        """Close the shared memory, which exists while a process has it open."""
         if self._ring is not None:
             self._ring.close()
             self._ring = None
 
 
 def snapshot_of(ring: Ring) -> Snapshot | None:
-    """Return how a run goes, by its newest rows; None before the first."""
+    """Return the present values of a run from its newest rows; None before the first row."""
     head = ring.peek(HEAD)
     count = min(head, ROWS, ring.capacity // 4)
     if count == 0:
@@ -103,7 +104,7 @@ def snapshot_of(ring: Ring) -> Snapshot | None:
 
 
 def _round_trip_ns(rows: NDArray[np.void]) -> int | None:
-    """From sending a command to the sample that first names it, median over the commands that were named."""
+    """Return the median time from sending a command to the first sample in which it is active (ns), or None."""
     named, first = np.unique(rows["command_active"], return_index=True)
     order = np.argsort(rows["command_sequence"], kind="stable")
     place = np.searchsorted(rows["command_sequence"], named, sorter=order)

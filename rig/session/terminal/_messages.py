@@ -1,4 +1,4 @@
-"""Lines between the session's program and its console: one JSON object each, with its kind.
+"""Messages between the session's program and its console: one JSON object in each line, with its kind.
 
 ==========  =========  ============================================================================================
 from        kind       content
@@ -24,18 +24,18 @@ MOST_BYTES = 1 << 20  # of an unfinished line: more is not ours
 
 
 def line_of(kind: str, **content: Any) -> bytes:
-    """Return one message as it goes through the pipe."""
+    """Return the line of a message."""
     return json.dumps({"kind": kind, **content}).encode() + b"\n"
 
 
 class MessageReader:
-    """Bytes in, messages out; what is no message is left out."""
+    """Parser of a byte stream into messages; it ignores lines that are not messages."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def feed(self, data: bytes) -> Iterator[dict[str, Any]]:
-        """Yield what the bytes so far complete."""
+        """Accept bytes and yield the messages that they complete."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > MOST_BYTES:
             self._rest = b""

@@ -1,6 +1,6 @@
-"""Texts of a participant's screen: for each state of a session, what to do now, for a person who knows no rigs.
+"""Texts for a participant's screen: in each state of a session, an instruction for a person without knowledge of rigs.
 
-The engine names states for the operator. The page shows these texts instead, which reveal neither wall nor fault.
+The engine's names of states are for the operator. These texts replace them; they reveal neither wall nor fault.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from rig.session.engine._desk import DeskView
 
 
 class Instruction(NamedTuple):
-    """What a participant's screen shows: `cue` in large letters, `text` below.
+    """Instruction on a participant's screen: `cue` in large letters, `text` below.
 
-    `text` replaces what the operator reads to the participant (`DeskView.say`), or follows it.
+    `text` replaces or follows the text that the operator reads to the participant (`DeskView.say`).
     """
 
     cue: str
@@ -50,7 +50,7 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
 
 
 def instruct(view: DeskView) -> tuple[str, str]:
-    """Return the cue and the text below it; an unknown state asks to wait."""
+    """Return cue and text for a view; for an unknown state, the request to wait."""
     instruction = INSTRUCTIONS.get(view.state, Instruction("Please wait"))
     read_out = "" if instruction.replaces else view.say
     return instruction.cue, " ".join(filter(None, (read_out, instruction.text)))

@@ -1,4 +1,4 @@
-"""The console as lines: one for each thing that changes."""
+"""Print the console as plain lines, one for each change."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from rig.session.terminal._live import Snapshot
 
 
 class PlainLines:
-    """Lines that are printed already, so that each is printed once."""
+    """Memory of the printed texts, so that each is printed only once."""
 
     def __init__(self) -> None:
         self._printed: dict[str, str] = {}
         self._log: tuple[str, ...] = ()
 
     def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
-        """Return the new texts, one line each."""
+        """Return the texts that have changed since the last call, one line each."""
         view = talk.view
         found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]
         found.append(self._new("state", f"state: {words.state(talk)}"))
@@ -65,7 +65,7 @@ class PlainLines:
 
 
 def _common(before: tuple[str, ...], now: tuple[str, ...]) -> int:
-    """Return how many of the lines now were there before: the longest end of before that now begins with."""
+    """Return the number of first lines of `now` that are also the last lines of `before`."""
     for length in range(min(len(before), len(now)), 0, -1):
         if before[-length:] == now[:length]:
             return length

@@ -1,6 +1,6 @@
-"""Convert mouse or arrow keys to the simulated hand's intention: how far it reaches, and how hard it presses.
+"""Convert input from mouse or arrow keys to an intention of the simulated hand: position and press.
 
-The screen's left end is a little behind the start, its right end inside the wall, whichever side the wall is on.
+The left edge of the screen is a little behind the start, the right edge inside the wall, for walls on either side.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ HandKind = Literal["mouse", "keyboard"]
 
 
 class PointerTarget(Protocol):
-    """Where an intention goes (`rig.realtime.hand.SharedHand`)."""
+    """Receiver of the intentions of a hand (`rig.realtime.hand.SharedHand`)."""
 
     def move(self, position: float, press: float) -> None:
-        """Reach for a position of the link (rad or m), and press with a force (N)."""
+        """Move the hand towards a position of the link (rad or m), and press with a force (N)."""
 
     def close(self) -> None:
         """Release the hand, which then rests."""
 
 
 class Pointer:
-    """How far the hand reaches, as a share of the screen's width from 0 to 1.
+    """Position of the hand as a share of the screen's width, from 0 to 1.
 
     Parameters
     ----------
@@ -44,16 +44,16 @@ class Pointer:
         self._scale: Mapping[str, Any] = {}
 
     def scale(self, scale: Mapping[str, Any]) -> None:
-        """Take start and wall from a view."""
+        """Set the positions of start and wall from the `scale` of a view."""
         if scale:
             self._scale = dict(scale)
 
     def point(self, share: float, *, held: bool) -> None:
-        """Move the hand to a share of the screen's width; `held`: press with full force."""
+        """Move the hand to a share of the screen's width; if `held`, press with full force."""
         self._share, self._held = min(1.0, max(0.0, share)), held
 
     def key(self, name: str) -> bool:
-        """Move the hand by an arrow key; return False for another key."""
+        """Move the hand by an arrow key; return False for any other key."""
         steps = KEYS.get(name)
         if steps is None:
             return False
@@ -67,7 +67,7 @@ class Pointer:
 
     @property
     def intention(self) -> tuple[float, float] | None:
-        """Return the position (rad or m) and press (N); None before a view gave start and wall."""
+        """Return position (rad or m) and press (N); None before the first view with start and wall."""
         if "start" not in self._scale or "wall" not in self._scale:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])

@@ -1,6 +1,6 @@
-"""Run the console: keys, messages, lines, one after another in one thread, so that a hang shows.
+"""Run the console on a terminal (standard input and output): keys, messages and output in one thread.
 
-``python -m rig.session.terminal`` calls it; standard input and output are the terminal.
+One thread, so that a hang of any part stops the messages to the session, which then detects it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LEFT = "the session's program has ended; continue with `rig session resume`\n"
 
 
 def main(arguments: list[str]) -> int:
-    """Run the console until the session ends, or its program does; return the exit code."""
+    """Run the console until the session or its program ends; return the exit code."""
     from_session, to_session = (int(text) for text in arguments)
     for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
         signal.signal(number, signal.SIG_IGN)  # ^C is for the session's program, which ends this one
@@ -52,7 +52,7 @@ def _end(number: int, frame: object) -> None:
 
 
 class _Console:
-    """The parts together."""
+    """Console with its parts: terminal, keyboard, messages, conversation and output."""
 
     def __init__(self, from_session: int, to_session: int) -> None:
         self._from, self._to = from_session, to_session
@@ -74,7 +74,7 @@ class _Console:
         self._printer = PlainLines()
 
     def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        """Return the first message, and what came with it."""
+        """Return the first message, and the messages that arrived with it."""
         while True:
             data = os.read(self._from, READ_BYTES)
             if not data:
@@ -84,7 +84,7 @@ class _Console:
                 return messages[0], messages[1:]
 
     def run(self) -> int:
-        """Show the console and pass on keys until the session ends; return the exit code."""
+        """Display the session and process keys until it ends; return the exit code."""
         before = terminal.from_plain(self._attributes)
         # What was typed while no console was here answers nothing, but STOP is STOP, and a key may still be down.
         typed = Keyboard().feed(terminal.take(IN, before))
@@ -110,7 +110,7 @@ class _Console:
             terminal.give_back(IN, before)
 
     def _round(self) -> bool:
-        """Run one round; return False when the terminal is gone."""
+        """Process keys, messages and output once; return False if the console must end."""
         # Whatever stops the rounds (a stopped process, a terminal that takes no more output) ends a hit within seconds.
         self._send("alive")
         wait = ROUND_S if self._talk.moving else QUIET_S
@@ -139,7 +139,7 @@ class _Console:
         self._over = self._over or message["kind"] == "end"
 
     def _read(self) -> bool:
-        """Take what was typed; False when the terminal hung up, or this is not its foreground any more."""
+        """Read typed keys; return False if the terminal hung up or this process is no longer in its foreground."""
         try:
             data = os.read(IN, READ_BYTES)
         except OSError:
@@ -158,7 +158,7 @@ class _Console:
             self._seat.key(key, time.monotonic())
 
     def _echo(self, key: str) -> None:
-        """Echo a line that is being typed: the terminal does not."""
+        """Print a typed key of a line, because the terminal's own echo is off."""
         entry = self._talk.entry
         if entry is None:
             return

@@ -1,7 +1,7 @@
-"""Seat an operator at a session's desk, whatever shows it: what is shown, what a key does, the hand that is moved.
+"""Connect an operator to a session: it processes messages and keys, and moves the simulated hand.
 
-A terminal (`rig.session.terminal._program`) and a page (`rig.extras.console.sessions`) give it messages and keys, and
-show what it has.
+A terminal (`rig.session.terminal._program`) and a page (`rig.extras.console.sessions`) pass messages and keys to it and
+display its state.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip 
 
 
 class SeatHand:
-    """The simulated hand that the operator moves at this seat.
+    """Simulated hand that the operator moves.
 
     Parameters
     ----------
     kind
-        By what.
+        Kind of input that moves it.
     press
         Force of a full press (N).
     hand
-        Where its intention goes.
+        Receiver of its intentions.
     """
 
     def __init__(self, kind: HandKind, press: float, hand: PointerTarget) -> None:
@@ -42,7 +42,7 @@ class SeatHand:
         self._hand = hand
 
     def key(self, name: str) -> bool:
-        """Return True if the key moved the hand."""
+        """Move the hand if `name` is one of its keys; return True if it did."""
         return self.kind == "keyboard" and self.pointer.key(name)
 
     def begin(self) -> None:
@@ -52,7 +52,7 @@ class SeatHand:
             self.pointer.point(START_SHARE, held=False)
 
     def hold(self) -> None:
-        """Send the intention again: a hand without new intentions rests."""
+        """Send the intention again, because a hand without new intentions rests."""
         intention = self.pointer.intention
         if intention is not None:
             self._hand.move(*intention)
@@ -63,25 +63,25 @@ class SeatHand:
 
 
 class Seat:
-    """What an operator sees and does at a session's desk.
+    """Operator's side of a session's desk.
 
     Parameters
     ----------
     setup
-        Content of the session's first message: its process, the keys.
+        Content of the session's first message: process ID and keys.
     say
-        Sends the session a message.
+        Sends a message to the session.
     hand
-        The simulated hand that is moved here, if any.
+        Simulated hand that the operator moves, or None.
 
     Attributes
     ----------
     talk
-        What is shown and asked.
+        State of the user interface.
     snapshot
-        Of the running loop, if one runs.
+        Present values of the running loop; None if no loop runs.
     number
-        Of the question that stands there, or of the last one.
+        Number of the open question, or of the last one.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Seat:
         self.number = 0
 
     def receive(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
-        """Take a message of the session; return True if the bell should ring for it."""
+        """Process a message from the session; return True if the bell should ring for it."""
         if kind == "view":
             before = self.talk.view.state
             self.talk.see(message["view"])
@@ -114,12 +114,12 @@ class Seat:
         return ready
 
     def key(self, name: str, now_s: float, shown_s: float | None = None) -> None:
-        """Press a key at `now_s`, `shown_s` after its question could be read, if known."""
+        """Process a key that arrived at `now_s` (s), `shown_s` after its question was displayed (s), if known."""
         if self.hand is None or self.talk.entry is not None or not self.hand.key(name):
             self.do(self.talk.press(name, now_s), shown_s)
 
     def look(self, now_s: float) -> None:
-        """Look at the loop, and let what takes time take it."""
+        """Read the running loop, and execute what is due at `now_s` (s), such as the end of a rest."""
         self.do(self.talk.pass_time(now_s))
         self.snapshot = self.live.look()
         self.talk.live = self.snapshot is not None
@@ -127,7 +127,7 @@ class Seat:
             self.hand.hold()
 
     def do(self, outcomes: list[Decision], shown_s: float | None = None) -> None:
-        """Do what a key, a question or the time came to."""
+        """Execute decisions: stop the rig, or send a reply to the session."""
         for outcome in outcomes:
             if isinstance(outcome, StopPressed):
                 running.ask_to_stop(self._pid)  # before anything that may take time
@@ -139,12 +139,12 @@ class Seat:
 
 
 def full_press(experiment: Mapping[str, Any]) -> float:
-    """Return how hard the hand of an experiment can press (N)."""
+    """Return the force of a full press of an experiment's hand (N)."""
     return float(experiment.get("operator", {}).get("press", PRESS_N))
 
 
 def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
-    """Return the keys of a protocol; raises `ConfigError` for one that cannot be meant, or that moves the hand."""
+    """Return the key map of a protocol; raise `ConfigError` for an invalid key or one that moves the simulated hand."""
     keymap = KeyMap.of(keys)
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:
@@ -156,7 +156,7 @@ def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
 
 
 def refuse_a_hand(hand: HandKind | None, runner: TrialRunner) -> None:
-    """Raise `ConfigError` for a hand that is to be moved at a rig that is real."""
+    """Raise `ConfigError` if a simulated hand is requested on a real rig."""
     if hand is not None and not runner.simulated:
         raise ConfigError(
             f"`hand` {hand} needs a simulated rig, but `url` names a real one",

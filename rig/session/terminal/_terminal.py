@@ -1,6 +1,6 @@
-"""Take a terminal, and give it back as it was whatever happens: also by another process than took it.
+"""Set a terminal to single keys without echo, and restore its settings, also from another process.
 
-The console takes it, the session's program gives it back if the console died.
+The console changes the settings; the session's program restores them if the console died.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def from_plain(value: list[Any]) -> list[Any]:
 
 
 def take(descriptor: int, before: list[Any]) -> bytes:
-    """Switch to keys one by one, without echo; return what was typed earlier."""
+    """Switch the terminal to single keys without echo; return the bytes that were typed earlier."""
     changed = [*before]
     # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)
@@ -54,7 +54,7 @@ def take(descriptor: int, before: list[Any]) -> bytes:
 
 
 def give_back(descriptor: int, before: list[Any]) -> None:
-    """Set it as it was; discard what was typed and not read. Cannot raise, nor wait for output that hangs."""
+    """Restore the settings of a terminal and discard unread input; never raise, never wait for blocked output."""
     with suppress(OSError, termios.error):
         termios.tcflush(descriptor, termios.TCIFLUSH)
         termios.tcsetattr(descriptor, termios.TCSANOW, before)

@@ -1,6 +1,6 @@
-"""Phrase the texts of the console: a terminal prints them, a page arranges them.
+"""Compose the texts of the operator's console, for the terminal and the page.
 
-The operator reads them; a participant's are in `_participant`.
+Texts for a participant are in `_participant`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """One line of the live panel: a name, a share of full for a bar (None: no bar), and its text."""
+    """Line of the live panel: name, length of its bar as a share (None for no bar), and text."""
 
     name: str
     share: float | None
@@ -48,7 +48,7 @@ class Gauge:
 
 
 def place(view: DeskView) -> str:
-    """Return code, block, run and trial, as far as known."""
+    """Return code, block, run and trial as text, without unknown parts."""
     parts = [view.code] if view.code else []
     if view.practice:
         parts.append("practice")
@@ -62,13 +62,13 @@ def place(view: DeskView) -> str:
 
 
 def state(talk: Conversation) -> str:
-    """Return the state in a word or two."""
+    """Return the state of the session in a few words."""
     waits = "" if talk.later is None else f" ({talk.later} next)"
     return talk.view.state + waits
 
 
 def facts(view: DeskView) -> list[tuple[str, str]]:
-    """Return the facts shown beside the live numbers."""
+    """Return names and values of the facts to display next to the live values."""
     wall = "hidden"
     if view.stiffness is not None:
         wall = f"K = {view.stiffness:g}" + ("" if view.damping is None else f", B = {view.damping:g}")
@@ -84,7 +84,7 @@ def facts(view: DeskView) -> list[tuple[str, str]]:
 
 
 def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
-    """Return the live lines; dashes while no loop runs."""
+    """Return the lines of the live panel, with dashes while no loop runs."""
     names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
     if live is None:
         return [Gauge(name, None, "-") for name in names]
@@ -108,7 +108,7 @@ def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
 
 
 def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
-    """Return the effort: its share of the limit as a word for the blind, as a number for the others."""
+    """Return the line of the effort: in words if the operator is blinded, otherwise as a number."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
     # Where the operator must be blind to the wall, an effort is a word: as a number, next to the penetration, it would
@@ -126,7 +126,7 @@ def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
 
 
 def question(talk: Conversation, now_s: float) -> str:
-    """Return the open question, or what to wait for."""
+    """Return the text of the open question, or of what the operator must wait for."""
     if talk.twice is not None:
         return f"{TWICE[talk.twice]}?"
     asked = talk.question
@@ -146,7 +146,7 @@ def question(talk: Conversation, now_s: float) -> str:
 
 
 def list_offered(talk: Conversation) -> list[tuple[str, str]]:
-    """Return the keys that answer now, each with its meaning."""
+    """Return the keys that are permitted now, each with its meaning."""
     keymap, allowed = talk.keymap, talk.allowed
     if talk.twice is not None:
         return [("y", "yes"), ("escape", "no")]
@@ -157,7 +157,7 @@ def list_offered(talk: Conversation) -> list[tuple[str, str]]:
 
 
 def choices(talk: Conversation) -> str:
-    """Return keys that answer what is asked."""
+    """Return a line with the keys that answer the open question."""
     if talk.twice is not None:
         return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
     return "  ".join(f"[{key}] {text}" for key, text in list_offered(talk))
@@ -169,7 +169,7 @@ def always(talk: Conversation) -> str:
 
 
 def hand(talk: Conversation) -> str:
-    """Return how the simulated hand is moved here; empty if it is not."""
+    """Return a text about how to move the simulated hand; empty if it cannot be moved here."""
     if talk.hand is None:
         return ""
     if talk.hand == "mouse":
@@ -178,7 +178,7 @@ def hand(talk: Conversation) -> str:
 
 
 def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str, str]]:
-    """Return all keys and what they do; `interrupts`: also the kernel's of a terminal."""
+    """Return all keys with their effects; with `interrupts`, also those by which a terminal sends signals."""
     keymap = talk.keymap
     return [
         ("SPACE", "STOP: zero effort now"),

@@ -1,7 +1,7 @@
-"""A person at a terminal: the session's side of the console.
+"""Desk of an operator at a terminal: the session's side of the console.
 
-`rig session run` calls it. It must not decide what a trial is or write to the session's directory: that is the runner's
-(`rig.session.engine`).
+`rig session run` uses it. It must not decide about trials or write to the session's directory; `rig.session.engine`
+does that.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ REMEDY = "continue with `rig session resume`"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedHand:
-    """The simulated hand that arrow keys move at the console: through which file, and how hard it can press (N).
+    """Simulated hand that arrow keys move at the console: file for its intentions, and force of a full press (N).
 
-    The file has a directory of its own, which `close` removes.
+    The file is in a temporary directory, which `close` removes.
     """
 
     path: Path
@@ -56,25 +56,25 @@ class MovedHand:
 
 
 class ConsoleDesk(AskingDesk):
-    """A console in the terminal, with what happens when it hangs, dies, or loses its terminal.
+    """Desk with a console in the terminal, which it restarts if it hangs or dies.
 
     Parameters
     ----------
     keys
-        Of the protocol.
+        Keys of the protocol.
     hand
-        The simulated hand that the console moves; None where a participant or a script does.
+        Simulated hand that the console moves; None if a participant or a script moves the handle.
     place
-        The terminal.
+        Path of the terminal.
     silence_s
-        How long the console may be silent while a hit runs (s).
+        Longest time without a message from the console during a hit (s); then the hit ends.
     hung_s
-        And while nothing moves.
+        Longest time without a message while nothing moves (s); then the console is restarted.
 
     Raises
     ------
     ConfigError
-        Invalid keys, no terminal, or one that belongs to another job.
+        Keys are not valid, or the terminal is missing or belongs to another job.
     RigError
         The console does not start.
     """
@@ -116,7 +116,7 @@ class ConsoleDesk(AskingDesk):
         return self._child.pid
 
     def close(self) -> None:
-        """Give the terminal back as it was."""
+        """End the console and restore the terminal."""
         if not self._closed:
             self._closed = True
             self._child.close()
@@ -128,7 +128,7 @@ class ConsoleDesk(AskingDesk):
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message of the current console; None for one of an earlier console, or without a message."""
+        """Return the next message of the present console; None without one, or for a message of an earlier console."""
         try:
             child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
         except Empty:
@@ -154,7 +154,7 @@ class ConsoleDesk(AskingDesk):
             )
 
     def _is_renewed(self) -> bool:
-        """Start a console anew that died, or hangs."""
+        """Restart the console if it died or hangs; return True if it was restarted."""
         self._child.flush()
         renewed = self._child.dead or self._child.silent_s > (
             self._hung_s if self._child.greeted else START_S
@@ -167,7 +167,10 @@ class ConsoleDesk(AskingDesk):
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
-        """Start a new console in the place of one that died or hangs, and send it the current view."""
+        """Replace a dead or hanging console by a new one and send it the present view.
+
+        Raise `StoppedError` after `RESTARTS` restarts.
+        """
         if not self._child.dead:
             self._child.kill()
         why = self._child.complaint()
@@ -186,19 +189,19 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """Return a console for `rig.session.engine._run.run_session`.
+    """Return the `desk` argument of `rig.session.engine._run.run_session` for a console in the terminal.
 
     Parameters
     ----------
     hand
-        By what the handle of a simulated rig is moved here; None: its simulated hand plays its script.
+        Kind of input that moves the hand of a simulated rig; None if the hand plays its script.
     place
-        As of `ConsoleDesk`.
+        Path of the terminal.
 
     Raises
     ------
     ConfigError
-        A hand for a rig that is not simulated.
+        `hand` is given for a real rig.
     """
 
     def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
@@ -219,9 +222,9 @@ def at_console(
 
 
 def _open_terminal(place: Path) -> tuple[int, list[Any]]:
-    """Open the terminal, and read how it is set.
+    """Open the terminal; return its descriptor and settings.
 
-    Raises `ConfigError` if it is missing, or belongs to another job now: the kernel would stop a process that reads it.
+    Raise `ConfigError` if it is missing or belongs to another job now: the kernel would stop a process that reads it.
     """
     with ExitStack() as opened:
         try:

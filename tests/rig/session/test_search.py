@@ -160,12 +160,12 @@ def test_a_limit_lies_in_its_interval_and_between_a_stable_and_an_unstable_wall_
     estimate = rule.estimate(answers)
     if math.isnan(estimate.value):
         return
-    assert estimate.low <= estimate.value + 1e-6 or estimate.mark
-    assert estimate.value - 1e-6 <= estimate.high or estimate.mark
+    assert estimate.low <= estimate.value + 1e-6 or estimate.distrust_reason
+    assert estimate.value - 1e-6 <= estimate.high or estimate.distrust_reason
     stable = [level for level, held in verdicts_of(answers) if held]
     others = [level for level, held in verdicts_of(answers) if not held]
     between = bool(stable and others) and min(stable) - 1e-6 <= estimate.value <= max(others) + 1e-6
-    assert between or estimate.mark or estimate.censored
+    assert between or estimate.distrust_reason or estimate.censored
 
 
 @pytest.mark.parametrize(
@@ -182,9 +182,9 @@ def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str
     answers = run(SHORT[name](seed=1), SHARP, seed=1)
     assert SHORT[name](seed=1).next(answers) is None
     estimate = SHORT[name](seed=1).estimate(answers)
-    assert (estimate.ended_by_most, estimate.mark) == (True, mark)
+    assert (estimate.ended_by_most, estimate.distrust_reason) == (True, mark)
     whole = MAKE["1u1d"](seed=1).estimate(run(MAKE["1u1d"](seed=1), SHARP, seed=1))
-    assert (whole.ended_by_most, whole.mark) == (False, "")
+    assert (whole.ended_by_most, whole.distrust_reason) == (False, "")
 
 
 # ---------------------------------------------------------------------- each in its own way
