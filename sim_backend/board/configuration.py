@@ -111,9 +111,8 @@ class Configuration:
             grave = [name for name in values if name not in LIVE]
             if armed and grave:
                 detail = BY_NAME[grave[0]].id
-                raise ParameterError(
-                    Status.NOT_LIVE, f"{grave[0]} of an armed device", detail=detail, name=grave[0]
-                )
+                message = f"{grave[0]} cannot change while the device is armed"
+                raise ParameterError(Status.NOT_LIVE, message, detail=detail, name=grave[0])
             # Any other parameter may change which way the motor pushes, so the device asks for verification again.
             cleared = {"verified": 0} if grave else {}
             self._activate({**self.values, **cleared, **values})

@@ -145,7 +145,7 @@ class SimulatedDevice:
         if not 1 <= position_rate_default <= position_rate_maximum:
             raise ConfigError(
                 f"the default rate of {position_rate_default} Hz is outside 1 … {position_rate_maximum} Hz",
-                remedy="choose a rate that the device can run",
+                remedy="give a position_rate_default in this range, or raise position_rate_maximum",
             )
         self._dictionary = describe(model, name or model.name, position_rate_default, position_rate_maximum)
         self.connection = Connection(Role.DEVICE)

@@ -163,7 +163,7 @@ class FirmwareDevice:
         if not 1 <= position_rate_default <= position_rate_maximum:
             raise ConfigError(
                 f"the default rate of {position_rate_default} Hz is outside 1 … {position_rate_maximum} Hz",
-                remedy="choose a rate that the device can run",
+                remedy="give a position_rate_default in this range, or raise position_rate_maximum",
             )
         library = library or firmware_library.library()
         self.core = Core(library, model, position_rate_default, position_rate_maximum, law_maximum, name=name)

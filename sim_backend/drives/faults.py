@@ -76,7 +76,7 @@ def _read(text: str) -> FrameFault | DriveEvent:
     to = given.pop("to", "host")
     if ("frame" in given) == ("tick" in given) or to not in _DIRECTIONS:
         raise ConfigError(
-            f"fault {text!r} needs either frame or tick, and to=host or to=drive",
+            f"fault {text!r} needs exactly one of frame and tick, and to must be host or device",
             remedy=f"write it {_EXAMPLE}",
         )
     try:

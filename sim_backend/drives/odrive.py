@@ -397,7 +397,7 @@ class SimulatedOdrive:
         known = _PARAMETERS.get(path)
         try:
             if known is None:
-                raise ValueError("not simulated")
+                raise ValueError("unknown name")
             kinds: dict[str, Callable[[str], Value]] = {"float": float, "bool": lambda word: bool(int(word))}
             self.values[path] = kinds.get(known[0], int)(text)
         except ValueError as error:

@@ -135,7 +135,8 @@ def _listener(place: str) -> socket.socket:
     except OSError as error:
         listener.close()
         raise ConfigError(
-            f"the socket {place} cannot be created: {error}", remedy="choose another path"
+            f"the socket {place} cannot be created: {error}",
+            remedy="give a path that does not exist yet, in a directory with write permission",
         ) from error
     listener.listen(HOSTS)
     return listener
@@ -149,6 +150,7 @@ def _interface(name: str) -> socket.socket:
     except OSError as error:
         raise DeviceNotFoundError(
             f"{name} is not a CAN interface of this computer: {error}",
-            remedy=f"ip link add {name} type vcan && ip link set {name} up; if the kernel has no vcan, give a path",
+            remedy=f"create one: ip link add {name} type vcan && ip link set {name} up; if the kernel has no vcan, "
+            "give a path with a slash instead, where a socket is created",
         ) from error
     return end

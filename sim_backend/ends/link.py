@@ -460,7 +460,7 @@ class MemoryLink:
         if self._closed or (self.line is not None and self.line.unplugged):
             raise LinkLostError(
                 f"the link to {self.url.text} was {'closed' if self._closed else 'unplugged'}",
-                remedy="open it again; the device sets the effort to zero by itself",
+                remedy="open the device again; it has set its effort to zero",
             )
 
     # ------------------------------------------------------------------ the compiled loop

@@ -141,13 +141,16 @@ def _link(link_path: str | Path | None, target: str) -> Iterator[None]:
         return
     link = Path(link_path)
     if link.exists() and not link.is_symlink():
-        raise ConfigError(f"{link} exists and is not a symbolic link", remedy="choose another path")
+        raise ConfigError(
+            f"{link} exists and is not a symbolic link", remedy="remove it, or give another path for the link"
+        )
     try:
         link.unlink(missing_ok=True)
         link.symlink_to(target)
     except OSError as error:
         raise ConfigError(
-            f"the link {link} cannot be created: {error}", remedy="choose another path"
+            f"the link {link} cannot be created: {error}",
+            remedy="give a path in an existing directory with write permission",
         ) from error
     try:
         yield

@@ -87,7 +87,8 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
             "linear theory",
             Outcome.WARNING,
             f"gives no limit for {'; '.join(map(_cell, silent))}: {note}",
-            "trial numbers and times there are estimates from the levels; begin with soft walls",
+            "numbers of trials and times are then estimated from the levels; set search.lowest to a wall that is "
+            "certainly stable",
         )
     coarse = [cell for cell in cells if _step_at(cell.levels, cell.expected.limit.likely) > COARSE]
     if coarse:
@@ -109,7 +110,7 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
         yield Check(
             "search.settings.most",
             Outcome.WARNING,
-            "ends simulated searches before they have enough turns; their limits are marked and excluded: "
+            "ends simulated searches before they have enough reversals, and the analysis excludes their limits: "
             + each,
             "raise search.settings.most, or lower search.settings.turns",
         )
@@ -187,7 +188,7 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
     unit = unit_of("stiffness", experiments[0].rig.motion)
-    remedy = "check the unit and the power of ten"
+    remedy = "check the value for a wrong unit or power of ten, or omit the cap"
     if caps.stiffness is not None and caps.stiffness > FAR * stiffest:
         text = f"{caps.stiffness:g} {unit} has no effect: the stiffest wall is {stiffest:g} {unit}"
         yield Check("caps.stiffness", Outcome.WARNING, text, remedy)

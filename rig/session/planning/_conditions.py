@@ -212,7 +212,9 @@ def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
         for key, value in changes.items():
             name = f"{place}.{key}"
             if key in OWNED:
-                yield Problem(name, shown(value), f"is set by {OWNED[key]}", "set it there")
+                yield Problem(
+                    name, shown(value), f"is set by {OWNED[key]}", f"omit it here, and set {OWNED[key]}"
+                )
             elif key not in parameters() and not key.startswith(f"{FREE}."):
                 section, _, leaf = key.rpartition(".")
                 instead = EXPERIMENT.known_instead(section, leaf)

@@ -122,7 +122,9 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
     for number, one in enumerate(protocol.condition, 1):
         key = f"condition {number}.damping"
         if min(one.damping) < 0:
-            yield Problem(key, shown(one.damping), "must not contain a damping below 0", "remove it")
+            yield Problem(
+                key, shown(one.damping), "must not contain a damping below 0", "remove the negative values"
+            )
         for damping in _twice(one.damping):
             yield Problem(key, shown(one.damping), f"contains {damping:g} more than once", "write it once")
         if one.scheme is not None:
@@ -161,7 +163,7 @@ def searches(protocol: Protocol) -> Iterator[Problem]:
 def _levels(key: str, wanted: Search) -> list[Problem]:
     if wanted.lowest >= wanted.highest:
         must = f"must be below {key}.highest, {wanted.highest:g}"
-        return [Problem(f"{key}.lowest", f"{wanted.lowest:g}", must, "swap the two")]
+        return [Problem(f"{key}.lowest", f"{wanted.lowest:g}", must, "swap lowest and highest")]
     if (wanted.step is None) == (wanted.ratio is None):
         given = "" if wanted.step is None else f"{wanted.step:g}, and ratio = {wanted.ratio:g}"
         return [
@@ -290,7 +292,9 @@ def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
     for key, wanted in [("search", protocol.search), *own]:
         if wanted is not None and cap is not None and wanted.highest > cap:
             must = f"must be at most caps.stiffness, {cap:g}"
-            yield Problem(f"{key}.highest", f"{wanted.highest:g}", must, "lower it, or raise the cap")
+            yield Problem(
+                f"{key}.highest", f"{wanted.highest:g}", must, f"lower {key}.highest, or raise caps.stiffness"
+            )
     walls = protocol.practice.stiffness
     if walls and min(walls) <= 0:
         yield Problem(
@@ -339,7 +343,7 @@ def items(protocol: Protocol) -> Iterator[Problem]:
             yield Problem(f"{key}.name", shown(item.name), must, 'write one like "felt_tired"')
         if item.kind == "scale" and not 1 <= item.highest - item.lowest <= MOST_STEPS_OF_A_SCALE:
             must = f"must be 1 to {MOST_STEPS_OF_A_SCALE} above lowest, {item.lowest}"
-            yield Problem(f"{key}.highest", f"{item.highest}", must, "choose another end of the scale")
+            yield Problem(f"{key}.highest", f"{item.highest}", must, "change highest or lowest of the scale")
         if item.kind == "choice" and len(set(item.choices)) < max(2, len(item.choices)):
             must = "must be two or more different answers"
             yield Problem(f"{key}.choices", shown(item.choices), must, 'write them like ["yes", "no"]')

@@ -50,7 +50,7 @@ def write_template(name: str, path: Path) -> Path | None:
     if path.exists():
         raise RecordingError(
             f"cannot write {path}: the file exists, and a protocol is never overwritten",
-            remedy="choose another name",
+            remedy="give another file name",
         )
     text = f"#:schema ./{SCHEMA}\n{template_text(name)}"
     with plain_errors("write", path), path.open("x", encoding="utf-8") as file:

@@ -87,5 +87,5 @@ def make(name: str, **settings: Any) -> Rule:
     except TypeError as error:
         raise ConfigError(
             f"search rule {name}: {error}",
-            remedy="check its settings against the documentation of the search rules",
+            remedy="remove or correct this setting; rig/session/search/README.md lists the settings of each rule",
         ) from error

@@ -57,7 +57,8 @@ class Psi:
         check_whole("least", self.least, 1, 10_000)
         if not 0.0 <= self.enough < 1.0:
             raise ConfigError(
-                f"enough = {self.enough:g} is outside 0 … 1", remedy="choose a share of K50, like 0.05"
+                f"enough = {self.enough:g} must be at least 0 and below 1",
+                remedy="give a share of K50, like 0.05; 0 always uses all hits",
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
