@@ -408,10 +408,7 @@ class Connection:
         return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
 
     def _as_ack(self, reply: Message) -> tuple[int, int, int]:
-        """Return request, status and detail of a reply, as if it were an ACK.
-
-        A reply of another type has status OK if it belongs to the present request, else UNSUPPORTED.
-        """
+        """Return request, status and detail of an ACK; of another reply, OK or (if it does not fit) UNSUPPORTED."""
         if isinstance(reply, m.Ack):
             return reply.request, reply.status, reply.detail
         step = self.transaction.step

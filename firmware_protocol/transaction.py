@@ -54,10 +54,7 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """Return the transaction updated to `time_ns`. If its `tries` increased, send the request now.
-
-    After `most_tries` tries without a reply its step is UNANSWERED.
-    """
+    """Return the transaction updated to `time_ns`. If its `tries` increased, send the request now."""
     if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
         return t
     if t.tries >= most_tries:

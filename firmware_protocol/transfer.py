@@ -99,8 +99,7 @@ class PageReader:
     def add(self, *, total: int, fingerprint: int, offset: int, data: bytes) -> None:
         """Add one page; ignore a page that was added before.
 
-        Raise `RemoteProtocolError` if the reply is too long, a page is missing, or total length or fingerprint (a hash
-        or CRC) differ from those of the first page, because the content has changed since.
+        Raise `RemoteProtocolError` for a too long reply, a missing page, or another total or fingerprint (hash or CRC).
         """
         if self._head is None:
             if total > self._limit:

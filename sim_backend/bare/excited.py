@@ -127,10 +127,7 @@ class ExcitedPlant:
         return self._ratio / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:
-        """Return the number of inner steps between two recorded positions.
-
-        It is the largest divisor of a tick at which positions come at least at `acquisition_hz`.
-        """
+        """Return inner steps between two positions: the largest divisor of a tick that gives `acquisition_hz`."""
         most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
         return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
 
@@ -139,10 +136,7 @@ class ExcitedPlant:
     ) -> ExcitedMotion:
         """Run the law for `ticks` ticks, from rest at `position` (rad or m), and return the recorded motion.
 
-        Raises
-        ------
-        LawError
-            The estimator or the law gave a value that is not finite.
+        Raise `LawError` if the estimator or the law gave a value that is not finite.
         """
         plant = self._plant
         state = plant.at_rest(position)

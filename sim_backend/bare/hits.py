@@ -109,13 +109,7 @@ class RigOfHits:
         self._signals = np.zeros((SIGNALS, most_ticks))
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one trial from rest at `start` (rad or m) and measure it.
-
-        Raises
-        ------
-        LawError
-            The estimator or the law gave a value that is not finite.
-        """
+        """Run one trial from rest at `start` (rad or m) and measure it; raise `LawError` if a value is not finite."""
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
         state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)

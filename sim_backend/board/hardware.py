@@ -120,10 +120,7 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from now on; the motion continues.
-
-        Raise `ConfigError`, and change nothing, if the plant cannot be simulated at this rate.
-        """
+        """Tick at another rate (Hz) from now on, or raise `ConfigError` if the plant cannot be simulated at it."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
         # The delay is another number of ticks at another rate. No current is on its way: rates change only at rest.
         self._state = np.concatenate(

@@ -121,10 +121,7 @@ def idle(rules: Ints, now: int) -> None:
 
 
 def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
-    """Store the current of a valid command (quanta) and restart the watchdog.
-
-    After `lifetime` the current falls to zero within `ramp` (both in 1/16 µs).
-    """
+    """Store a command's current (quanta); after `lifetime` it falls to zero within `ramp` (both in 1/16 µs)."""
     rules[AT.wanted] = current
     rules[AT.expires] = now + lifetime
     rules[AT.ramp] = ramp
@@ -176,10 +173,7 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
 
 
 def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
-    """Return the current (quanta) after a fade to zero while no encoder motion confirms it.
-
-    The fade begins when the count has stayed on two neighbouring values for longer than the parameter `confirm_ms`.
-    """
+    """Return the current (quanta), faded to zero if the count stays on two neighbours for longer than `confirm_ms`."""
     # A dead encoder and a hand that holds still look alike on two channels; with one channel dead the other one toggles
     # the count between two neighbours, whatever the handle does. The effort returns after a wanted effort of zero.
     if wanted == 0 or rules[AT.confirm] == 0:
@@ -220,10 +214,7 @@ def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
 
 
 def remove_zero(rules: Ints, measured: int, off: bool) -> int:
-    """Return the measured current minus the sensor's zero (quanta).
-
-    While the amplifier is off (`off`), the zero slowly follows the measured current.
-    """
+    """Return measured current minus the sensor's zero (quanta); while the amplifier is `off`, adapt that zero."""
     if off:
         step = measured * _ZERO_UNIT - rules[AT.zero]
         step = step // ZERO_TICKS if step > 0 else -(-step // ZERO_TICKS)
@@ -404,10 +395,7 @@ class FaultMemory:
         return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:
-        """Record faults, given as bits ``1 << code``, found at device time `time`.
-
-        If no fault is latched, latch the gravest of them and keep the ticks before it.
-        """
+        """Record faults (bits ``1 << code``); if none was latched, latch the gravest and keep the ticks before it."""
         if not self.latched:
             self._first = _gravest(faults)
             self._rules[AT.fault] = self._first

@@ -353,10 +353,7 @@ class SimulatedMoteus:
     # ------------------------------------------------------------------ commands
 
     def _run_console_command(self, words: list[str]) -> bool:
-        """Run a command of the console (docs/protocol/diagnostic.md, `d`); return False if it is not valid.
-
-        It has no watchdog timeout unless the command sets one.
-        """
+        """Run a console command (docs/protocol/diagnostic.md, `d`), without timeout by default; False if invalid."""
         kind, *rest = words
         if kind == "stop":
             self._apply_command(registers.fresh_command(), STOPPED)

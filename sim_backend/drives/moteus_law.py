@@ -209,10 +209,9 @@ def _check_faults(w: Words) -> None:
 
 @kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
-    """Return the acceleration towards a target that moves at velocity `goal`, for the fastest approach within limits.
+    """Return the acceleration for the fastest approach without overshoot to a target that moves at velocity `goal`.
 
-    `dx` is the distance to the target, `accel` and `top` are the limits of acceleration and speed (revolutions, s). The
-    motion can still reach the target without overshoot.
+    `dx` is the distance to the target; `accel` and `top` limit acceleration and speed (revolutions, s).
     """
     # Trajectory of fw/bldc_servo_position.h; `ahead` is the speed one cycle later, which must still be stoppable.
     if abs(velocity) > top:
@@ -300,10 +299,7 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
 
 @kernel(_F(_V, _F, _F), no_refcount=True)
 def _limit_torque(w: Words, torque: float, most: float) -> float:
-    """Return the torque (N·m) after the limits of command (`most`), position bounds, velocity and current.
-
-    A limit that acts sets its code in the fault word.
-    """
+    """Return the torque (N·m) after all limits (`most`: that of the command); set the fault word to one that acts."""
     if abs(torque) > most:  # NaN: no limit
         torque = math.copysign(most, torque)
         _limit(w, MAX_TORQUE)
@@ -351,10 +347,7 @@ def _time_out(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Return the torque (N·m) of the stay-within mode.
-
-    Inside the bounds it is the feed-forward torque; outside, the controller regulates to the violated bound.
-    """
+    """Return feed-forward torque inside the bounds; outside, that of the controller to the violated bound (N·m)."""
     # docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
     # trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
     # the page claims a limit for kd's (0x024).
@@ -399,10 +392,7 @@ def _work(w: Words) -> float:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle; return the wanted torque at the shaft (N·m).
-
-    `count` is the encoder count, `measured` the present torque at the shaft (N·m).
-    """
+    """Run one control cycle with encoder count and measured shaft torque (N·m); return the wanted torque (N·m)."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
     # Torque at the output as the drive estimates it, from the true torque at the shaft.

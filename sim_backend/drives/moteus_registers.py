@@ -128,10 +128,7 @@ def fresh_command() -> dict[int, float]:
 
 
 def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int:
-    """Return register and value of a write, or the error number of the reply if it is not allowed.
-
-    A shadow register is replaced by the register that it stands for.
-    """
+    """Return register (for a shadow: its original) and value of a write, or the error number if it is not allowed."""
     register = SHADOWS.get(register, register)
     if register == MODE:
         return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER

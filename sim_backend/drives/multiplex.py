@@ -148,20 +148,14 @@ def error(head: int, register: int, number: int) -> bytes:
 
 
 def scale(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Return the value of a number in a frame; `steps` are the sizes of one step as int8, int16 and int32.
-
-    The most negative integer means NaN.
-    """
+    """Return the value of a number in a frame; `steps` are the steps as int8, int16, int32, whose minimum is NaN."""
     if kind == FLOAT:
         return raw
     return math.nan if raw == _NO_NUMBER[kind] else raw * steps[kind]
 
 
 def unscale(value: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Return a value as a number of type `kind` for a frame: the inverse of `scale`.
-
-    Integers are limited to ± the largest one; values that are not finite become the most negative one.
-    """
+    """Return a value as a number for a frame (inverse of `scale`), limited to the range; not finite: the minimum."""
     if kind == FLOAT:
         return value
     if not math.isfinite(value):

@@ -230,10 +230,7 @@ def _change_state(w: Words) -> None:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle; return the wanted torque at the shaft (N·m).
-
-    `count` is the encoder count, `measured` the present torque at the shaft (N·m).
-    """
+    """Run one control cycle with encoder count and measured shaft torque (N·m); return the wanted torque (N·m)."""
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
     share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor

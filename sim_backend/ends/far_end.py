@@ -166,10 +166,7 @@ def _catch_up(handle: int) -> int:
 
 @kernel(WAIT_SIGNATURE, no_refcount=True)
 def wait(handle: int, deadline_ns: int) -> int:
-    """Let virtual time pass until bytes have arrived or the deadline is reached.
-
-    Return 1 if bytes wait for the host, 0 if not, or a negative errno.
-    """
+    """Let virtual time pass until bytes have arrived (return 1) or to the deadline (0), or return a negative errno."""
     failed = _ready(handle)
     if failed == 0:
         failed = _catch_up(handle)

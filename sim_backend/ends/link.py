@@ -79,10 +79,7 @@ class LinkedDevice(Protocol):
         ...
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
-        """Simulate ticks until the device sends a frame; return its bytes (or b"") and the number of ticks.
-
-        Stop at `until_ns` (on the scale of `elapsed_ns`) or after `most` ticks.
-        """
+        """Simulate ticks until the device sends bytes, at most `most`; return the bytes and the number of ticks."""
         ...
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:

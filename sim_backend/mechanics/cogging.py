@@ -67,10 +67,7 @@ def expand_states(rig: StateSpace) -> StateSpace:
 
 
 def mean_weight(step_s: float, lag_s: float) -> float:
-    """Return the weight (0 to 1) of a step's final effort in the mean effort over the step.
-
-    The effort follows its command with a first-order lag of `lag_s`; without a lag the weight is 1.
-    """
+    """Return the weight (0 to 1) of a step's final effort in its mean effort, for a first-order lag; 1 without lag."""
     return 1.0 if lag_s == 0.0 else -1.0 / math.expm1(-step_s / lag_s) - lag_s / step_s
 
 

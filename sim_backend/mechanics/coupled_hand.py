@@ -35,10 +35,9 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Copy row `row` of a script into the intentions in `state`; return the number of the next row.
+    """Copy a row of a script to the intentions in `state` (before index `edge_age`); return the next row's number.
 
-    The intentions lie just before index `edge_age`. After the last row follows row `again`. An empty script changes
-    nothing and gives 0.
+    After the last row follows row `again`. An empty script changes nothing.
     """
     if script.shape[0] == 0:
         return 0

@@ -84,10 +84,7 @@ class DrivenHand:
         self._leads = False
 
     def next(self, hand: float) -> OperatorScript:
-        """Return the intentions for the next block of ticks; call it when the last block has been played.
-
-        `hand` is the present position of the hand (rad or m).
-        """
+        """Return the intentions for the next block of ticks; `hand` is the present position of the hand (rad or m)."""
         if not self._leads:
             self._leads = True
             # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
@@ -129,10 +126,7 @@ class DrivenHand:
         return rows
 
     def _read_wish(self, hand: float) -> tuple[float, float]:
-        """Return the position to which the hand shall move (rad or m) and the press (N), both within their limits.
-
-        Without a new wish for `SILENT_S` seconds the hand stays where it is and does not press.
-        """
+        """Return limited target position (rad or m) and press (N); no wish for `SILENT_S`: stay and do not press."""
         wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s
         if wish is not None and wish.sequence != self._newest_wish.sequence:
@@ -164,10 +158,7 @@ class DrivenHand:
 
 
 def follow(distance: float, rate: float, times: Rows) -> tuple[Rows, Rows]:
-    """Return distance to a fixed goal and its rate at `times` (s from now) for a critically damped approach.
-
-    `distance` and `rate` are the present values (rad or m, and that in 1/s); the solution is exact.
-    """
+    """Return distance (rad or m) to a fixed goal and its rate at `times` (s from now), exact, critically damped."""
     omega = 2.0 * math.pi * FOLLOW_HZ
     pull = rate + omega * distance
     fade = np.exp(-omega * times)

@@ -97,8 +97,7 @@ def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
 def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
     """Return a hand tremor at the times `t` (s): displacement with root mean square `rms`, and its rate.
 
-    It is a sum of equal sine waves at the frequencies `TREMOR_HZ` with random phases. The displacement has the unit of
-    `rms`.
+    It is a sum of equal sine waves at the frequencies `TREMOR_HZ` with random phases.
     """
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))

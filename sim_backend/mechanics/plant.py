@@ -196,10 +196,7 @@ def _discretise(model: RigModel, tick_s: float) -> DiscretePlant:
 
 
 def energy(state: Vector, model: RigModel) -> float:
-    """Return the kinetic and elastic energy in a state (J), with that of hand and cogging.
-
-    Gravity and electrical energy are not included.
-    """
+    """Return kinetic and elastic energy (J) with hand and cogging, without gravity and electrical energy."""
     mechanics, operator = model.mechanics, model.operator
     rigid = mechanics.structure == "rigid"
     link = mechanics.loaded_link_inertia
