@@ -259,7 +259,7 @@ class Hits:
             if script is not None:
                 raise ConfigError(
                     "a script of faults is given, but the device is already open",
-                    remedy="drop `device`, so that rig_hit opens a simulated device with these faults",
+                    remedy="omit device=, so that rig_hit opens a simulated device with these faults",
                 )
             return _describe_end(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:

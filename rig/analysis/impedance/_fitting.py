@@ -136,7 +136,7 @@ def _at(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None
     values = np.asarray(subtract, dtype=np.complex128)
     if values.shape != whole.z.shape:
         raise ConfigError(
-            f"`subtract` has {values.size} values, but the impedance has {len(whole.z)} lines",
+            f"the array to subtract has {values.size} values, but the impedance has {len(whole.z)} lines",
             remedy="give one complex value for each line, or a RigidRig",
         )
     return values[np.searchsorted(whole.lines_hz, part.lines_hz)]

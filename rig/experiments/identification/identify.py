@@ -268,8 +268,8 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     url = request.url or "sim://"
     if request.mass_kg is not None and ask is None and not url.startswith("sim:"):
         raise ConfigError(
-            "a mass must be hung on the rig, but no function `ask` is given that instructs the operator",
-            remedy="pass `ask`, a function that shows a text to the operator and returns when this is done",
+            "a mass must be hung on the rig, but no function is given that instructs the operator",
+            remedy="give ask=, a function that shows a text to the operator and returns when this is done",
         )
     with ExitStack() as stack:
         device = stack.enter_context(devices.open_device(url, config.rig_model(still(free))))

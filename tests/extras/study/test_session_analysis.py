@@ -528,7 +528,7 @@ def test_sessions_of_different_studies_are_refused(tmp_path: Path) -> None:
     begin("P03", protocol(study={"participants": 20, "title": "Another name"}, rest={"every": 9}), row=2)
     begin("P04", protocol(), row=2, versions={**VERSIONS, "haptic-rig": "0.2.0"})
     messages = " ".join(read_study([tmp_path / code for code in ("P01", "P03", "P04")]).messages)
-    assert "P03 and P04 have the same row" in messages
+    assert "P03 and P04 both have row 2 of the plan" in messages
     assert "the version of haptic-rig (0.1.0: P01, P03; 0.2.0: P04)" in messages
     begin("P05", protocol(), row=4, rehearsal={"spread": 15.0})
     with pytest.raises(

@@ -169,7 +169,7 @@ def test_handle_that_does_not_move_has_no_sign() -> None:
     found = signs_of((time_s, effort, np.zeros(1000)))
     assert found.sign == 0
     assert math.isnan(found.inertia)
-    assert "the handle did not move, up to 0.299" in found.warnings[0]
+    assert "the handle did not move with efforts of up to 0.299" in found.warnings[0]
     silent = signs_of((time_s, np.zeros(1000), np.zeros(1000)))
     assert silent.pushes == ()
     assert not silent.ok
@@ -371,7 +371,7 @@ def changed(run: Any, **changes: Any) -> Any:
 
 
 def test_one_realisation_is_refused(rubbing: Any) -> None:
-    with pytest.raises(IdentificationError, match="one realisation"):
+    with pytest.raises(IdentificationError, match="number of realisations: 1"):
         fit_dynamics(rubbing[:1], resolution=QUANTUM, inertia=MASS)
 
 

@@ -80,5 +80,5 @@ def test_without_a_load_ripple_looks_like_varying_friction() -> None:
 
 
 def test_a_load_that_is_lost_in_the_friction_is_refused() -> None:
-    with pytest.raises(IdentificationError, match="masked by the friction"):
+    with pytest.raises(IdentificationError, match="friction masks"):
         found(RIPPLES, load=1e-7)

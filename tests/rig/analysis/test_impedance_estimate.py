@@ -267,7 +267,7 @@ def test_runs_that_do_not_belong_together_are_refused() -> None:
     other = excited(Multisine.schroeder((1.0, 21.0), rms=1.0))
     with pytest.raises(ConfigError, match="no runs"):
         periodic([])
-    with pytest.raises(ConfigError, match="different"):
+    with pytest.raises(ConfigError, match="the runs differ in"):
         periodic([run, other])
     with pytest.raises(ConfigError, match="shape"):
         replace(run, periods=2)

@@ -43,8 +43,8 @@ VARIANTS = [
 REFUSED = {
     "period": "time of each encoder edge",
     "period-frequency": "time of each encoder edge",
-    "optimal": "exists on the host only",
-    "foaw-levant": "exists on the host only",
+    "optimal": "runs on the host only",
+    "foaw-levant": "runs on the host only",
     "kalman": "only the steady gain",
 }
 

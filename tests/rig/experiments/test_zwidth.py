@@ -167,7 +167,7 @@ def test_invalid_hits_are_counted_by_their_reason() -> None:
         ({"dampings": (math.nan,)}, r"nan is out of range"),
         ({"dampings": (0.5, 0.5)}, r"0.5 is given twice"),
         ({"offsets": (1.0,)}, r"offsets \(`offsets`\): 1 is out of range.*less than 1"),
-        ({"repeats": 0}, r"0 repeats"),
+        ({"repeats": 0}, "`repeats` = 0"),
     ],
 )
 def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: Any, text: str) -> None:

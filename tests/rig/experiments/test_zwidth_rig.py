@@ -272,7 +272,7 @@ def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_
 @pytest.mark.parametrize(
     ("plan", "text"),
     [
-        ({"judged": "true"}, "`judge` recorded"),
+        ({"judged": "true"}, "set `judge` to recorded"),
         ({"offsets": (0.1, 0.6)}, "2 encoder offsets"),
         (
             {"schemes": (Scheme.parse("dual:5k/1k"), Scheme.parse("uniform:20k"))},
