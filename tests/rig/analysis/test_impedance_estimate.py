@@ -275,7 +275,7 @@ def test_runs_that_do_not_belong_together_are_refused() -> None:
         replace(run, lines_hz=np.array([1.5]))
     with pytest.raises(ConfigError, match="lines"):
         replace(run, lines_hz=np.array([2000.0]))
-    with pytest.raises(ConfigError, match="not a number"):
+    with pytest.raises(ConfigError, match="contains NaN or infinity"):
         replace(run, position=np.full(4000, np.nan))
     with pytest.raises(ConfigError, match="no line"):
         periodic([run]).within((30.0, 40.0))
