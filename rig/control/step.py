@@ -425,13 +425,14 @@ def _watch_effort(control: Any, memory: Any, position: float, penetration: float
     m["energy"] = watch.add_energy(
         m["energy"], m["effort_sent"], position - m["position"], penetration <= 0.0
     )
-    # The push of an automated trial is a source of its own, and no fault of the wall.
-    m["wall_energy"] = watch.add_energy(
-        m["wall_energy"],
-        m["effort_sent"] - c["constant_effort"],
-        position - m["position"],
-        penetration <= 0.0,
-    )
+    if c["passive_damping"] > 0.0:
+        # The push of an automated trial is a source of its own, and no fault of the wall.
+        m["wall_energy"] = watch.add_energy(
+            m["wall_energy"],
+            m["effort_sent"] - c["constant_effort"],
+            position - m["position"],
+            penetration <= 0.0,
+        )
     if c["energy_limit"] > 0.0 and m["energy"] > c["energy_limit"]:
         m["flags"] |= ENERGY
     if c["oscillation_limit"] == 0:

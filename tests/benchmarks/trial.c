@@ -264,12 +264,14 @@ static inline int64_t step(const struct control *c, struct memory *m, struct dif
 int64_t trial(const struct control *control, const double *estimator, const double *wall,
     const double (*phi)[ORDER], const double (*gamma)[INPUTS], const double *plant, double *state,
     int64_t n,
-    double (*states)[ORDER + 1], int64_t *counts, int64_t *phases, int64_t *currents, int64_t *flags)
+    double (*states)[ORDER + 1], int64_t *counts, int64_t *phases, int64_t *active,
+    int64_t *currents, int64_t *flags)
 {
     struct memory m = {.index = -1, .velocity_period = -1};
     struct difference d = {0};
     int64_t count = advance(state, phi, gamma, plant, 0.0);
     for (int64_t k = 0; k < n; k++) {
+        active[k] = k > 0 ? currents[k - 1] : 0;
         int64_t current = step(control, &m, &d, estimator, wall, count);
         for (int i = 0; i <= ORDER; i++)
             states[k][i] = state[i];
