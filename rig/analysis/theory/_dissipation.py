@@ -95,7 +95,7 @@ class Waves:
 
     @classmethod
     def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
-        """Return the waves at the phases `theta` (rad); `late`=False leaves lag and delay of the effort out."""
+        """Return the waves at the phases `theta` (rad); without `late`, lag and delay of the effort are left out."""
         n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
         lag = lag_s / loop.tick_s
@@ -149,7 +149,7 @@ class Waves:
 def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
     """Return the share of the rig's damping that each unit of B needs at K = 0, at the worst phase.
 
-    `late`=False leaves lag and delay out; `negative`=True is for a wall of negative damping.
+    Without `late`, lag and delay are left out; with `negative`, the wall has a negative damping.
     """
     sign = -1.0 if negative else 1.0
     # Slow motion needs this much of any estimator: it reads the velocity exactly.

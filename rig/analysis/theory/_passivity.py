@@ -148,7 +148,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
     general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
     must make up for the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
 
-    Lag and delay are not included; `negative`=True is for a wall of negative damping.
+    Lag and delay are not included; with `negative` the wall has a negative damping.
     """
     return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
 
