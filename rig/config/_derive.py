@@ -196,9 +196,8 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return inertia, viscosity and friction of the rig without a hand (SI), as settings of estimators."""
-    mechanics = moved_mechanics(rig_model(experiment.rig))
-    return {"inertia": mechanics.inertia, "viscosity": mechanics.damping, "friction": mechanics.friction}
+    """Return the inertia of the rig without a hand (kg·m² or kg), by the name of the estimators' setting."""
+    return {"inertia": moved_mechanics(rig_model(experiment.rig)).inertia}
 
 
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:

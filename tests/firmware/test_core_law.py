@@ -507,6 +507,23 @@ def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
     assert board.core.status.sync == 0
 
 
+@pytest.mark.parametrize("after", ["kalman", "tracking"])
+def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(
+    library: ctypes.CDLL, after: str
+) -> None:
+    """A device keeps each parameter that a block does not contain."""
+    blocks = [
+        run_values(values_of(controller_of(experiment_of(name, OWN.get(name, {}), DUAL))))
+        for name in ("disturbance", after)
+    ]
+    board = Board(library).begin(**blocks[0])
+    assert law_of(board).kalman.input != 0.0
+    board.command(Mode.STOP)
+    assert board.disarm().status == Status.OK
+    assert board.configure(**blocks[1]).status == Status.OK
+    assert law_of(board).kalman.input == 0.0
+
+
 # ---------------------------------------------------------------------- another wall while it runs
 
 

@@ -29,7 +29,7 @@ from rig.analysis.theory._limits import (
     stiffnesses,
 )
 from rig.analysis.theory._linear import NotLinearError, Realisation, realise
-from rig.analysis.theory._loop import LinearLoop, Subject, linear_loop, resolve
+from rig.analysis.theory._loop import LinearLoop, Subject, linear_loop, resolve, with_linear_wall
 from rig.analysis.theory._passivity import (
     Bound,
     Diolaiti,
@@ -87,4 +87,5 @@ __all__ = [
     "stability_map",
     "stiffnesses",
     "theory_of",
+    "with_linear_wall",
 ]

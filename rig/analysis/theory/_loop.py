@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rig import config
 from rig.analysis.theory._linear import NotLinearError, Realisation, realise
-from rig.config import Controller, Experiment, presets
+from rig.config import Controller, Experiment, Wall, presets
 from rig.config.schemes import Scheme, usual_settings
 from rig.core.errors import ConfigError
 from rig.core.exponential import expm
@@ -148,11 +148,13 @@ def linear_loop(
     ConfigError
         See `resolve`; or the scheme is missing or not valid.
     NotLinearError
-        The estimator is not linear, or the velocity rate depends on speed.
+        The estimator is not linear, the velocity rate depends on speed, or the wall has options that theory lacks.
     """
     subject = rig if isinstance(rig, Subject) else resolve(rig, operator)
     controller = _controller(subject, Scheme.parse(scheme) if isinstance(scheme, str) else scheme)
     _check_fixed_rates(controller)
+    if subject.experiment is not None:
+        _check_wall(subject.experiment.wall)
     model = subject.model
     tick_s = 1.0 / controller.position_rate
     resolution = model.encoder.sign * model.encoder.resolution
@@ -246,6 +248,27 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
         slow_velocity_rate=scheme.slow_velocity_rate,
         slow_below=scheme.slow_below or 0.0,
     )
+
+
+def with_linear_wall(experiment: Experiment) -> Experiment:
+    """Return the experiment with a wall that theory covers, for a range or an amplitude that need not be exact."""
+    wall = replace(experiment.wall, passive_damping=0.0, position_from="encoder")
+    return replace(experiment, wall=wall)
+
+
+def _check_wall(wall: Wall) -> None:
+    if wall.passive_damping > 0.0:
+        raise NotLinearError(
+            f"a passivity controller (wall.passive_damping = {wall.passive_damping:g}) is not linear",
+            reason="its wall has a passivity controller",
+            remedy="set wall.passive_damping = 0, or simulate",
+        )
+    if wall.position_from == "estimator":
+        raise NotLinearError(
+            'theory covers walls that see the encoder\'s position, not wall.position_from = "estimator"',
+            reason="its wall sees the estimated position",
+            remedy='set wall.position_from = "encoder", or simulate',
+        )
 
 
 def _check_fixed_rates(controller: Controller) -> None:

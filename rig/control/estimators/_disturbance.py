@@ -20,31 +20,32 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from rig.control.estimators import _observer as observer
+from rig.control.estimators import _kalman as kalman
+from rig.control.estimators import _poles as poles
 from rig.control.estimators.estimator import Estimator, Setting
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the three gains of the observer, and the acceleration by a unit of effort (counts per period²)."""
-    observer.check_frequency("disturbance", settings["frequency_hz"], period_s)
-    turn = observer.turn(settings["frequency_hz"], period_s)
+    """Return the parameters of the steady recursion, whose known acceleration is effort/J."""
+    poles.check_frequency("disturbance", settings["frequency_hz"], period_s)
+    turn = poles.turn(settings["frequency_hz"], period_s)
     swing = turn * cmath.exp(2j * math.pi / 3.0)
-    poles = [complex(-turn), swing, swing.conjugate()]
-    return [*observer.gains(poles), period_s**2 / (settings["inertia"] * resolution)]
+    gains = poles.gains([complex(-turn), swing, swing.conjugate()])
+    return kalman.steady_parameters(gains, period_s**2 / (settings["inertia"] * resolution))
 
 
 ESTIMATOR = Estimator(
     name="disturbance",
     summary="disturbance observer: inertia and effort known, the hand an unknown force",
     source="Ohishi et al. (1987); poles of a third-order Butterworth filter",
-    update=observer.update,
-    floats=observer.FLOATS,
-    ints=observer.INTS,
+    update=kalman.update,
+    floats=kalman.SQUARES,
+    ints=kalman.INTS,
     settings=(
         Setting("frequency_hz", 150.0, 0.1, 1e6, "Hz", "natural frequency ω0/2π of the observer"),
         Setting("inertia", None, 1e-12, 1e6, "kg·m² or kg", "inertia without the hand", of_rig=True),
     ),
     design=design,
-    position=observer.OFFSET,
+    position=kalman.OFFSET,
     uses_effort=True,
 )

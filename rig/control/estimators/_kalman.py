@@ -26,7 +26,7 @@ fading. Neither of the last two was available: the recursion is the standard for
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -51,12 +51,14 @@ from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
 
-# parameters: measurement variance, process noise, prior variance of the acceleration, and the options
+# parameters: measurement variance, process noise, prior variance of the acceleration, the options, and INPUT, the
+# acceleration by a unit of effort (counts per period²)
 R, Q11, Q12, Q13, Q22, Q23, Q33, PRIOR33 = range(COMMON, COMMON + 8)
-FADING, MEMORY, FORGETTING, STEADY, GAIN1, GAIN2, GAIN3 = range(COMMON + 8, COMMON + 15)
+FADING, MEMORY, FORGETTING, STEADY, GAIN1, GAIN2, GAIN3, INPUT = range(COMMON + 8, COMMON + 16)
 # state_f: position less the last count, velocity, acceleration; covariance; Ĉ0; squares of innovations
 OFFSET, VELOCITY, ACCELERATION, P11, P12, P13, P22, P23, P33, POWER, SQUARES = range(11)
 STARTED, PREVIOUS, INNOVATIONS = range(OWN_INTS, OWN_INTS + 3)  # state_i
+INTS = OWN_INTS + 3
 
 LONGEST_MEMORY = 64
 LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
@@ -187,9 +189,10 @@ def update(
         return float(state_f[VELOCITY] * scale)
 
     offset, velocity, acceleration = state_f[OFFSET], state_f[VELOCITY], state_f[ACCELERATION]
+    known = acceleration + parameters[INPUT] * effort
     for _ in range(elapsed_ticks):
-        offset += velocity + 0.5 * acceleration
-        velocity += acceleration
+        offset += velocity + 0.5 * known
+        velocity += known
     innovation = moved - offset
     k1, k2, k3 = parameters[GAIN1], parameters[GAIN2], parameters[GAIN3]
     if parameters[STEADY] == 0.0:
@@ -223,8 +226,16 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     return [
         r, q[0, 0], q[0, 1], q[0, 2], q[1, 1], q[1, 2], q[2, 2], PRIOR if order == 3 else 0.0,
         float(FADINGS.index(settings["fading"])), settings["fading_window"], settings["forgetting"],
-        float(steady), *gain.tolist(),
+        float(steady), *gain.tolist(), 0.0,
     ]  # fmt: skip
+
+
+def steady_parameters(gains: Sequence[float], acceleration: float = 0.0) -> list[float]:
+    """Return the parameters of the recursion with three constant gains and a known acceleration.
+
+    `acceleration` is that by a unit of the motor's effort (counts per period²); 0 if the effort is not used.
+    """
+    return [VARIANCES["rounding"], *[0.0] * (STEADY - R - 1), 1.0, *gains, acceleration]
 
 
 @lru_cache(maxsize=512)
@@ -277,7 +288,7 @@ ESTIMATOR = Estimator(
     source="Chawda et al., section II.B; Bélanger et al. (1998)",
     update=update,
     floats=SQUARES + LONGEST_MEMORY,
-    ints=OWN_INTS + 3,
+    ints=INTS,
     settings=(
         Choice("model", "triple", tuple(ORDERS), "integrators between white noise and position"),
         Setting(

@@ -15,29 +15,30 @@ import cmath
 from collections.abc import Mapping
 from typing import Any
 
-from rig.control.estimators import _observer as observer
+from rig.control.estimators import _kalman as kalman
+from rig.control.estimators import _poles as poles
 from rig.control.estimators.estimator import Estimator, Setting
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the three gains of the loop (the third is 0), and 0 because the loop has no input."""
-    observer.check_frequency("tracking", settings["frequency_hz"], period_s)
-    ratio, turn = settings["damping"], observer.turn(settings["frequency_hz"], period_s)
+    """Return the parameters of the steady recursion; the third gain is 0."""
+    poles.check_frequency("tracking", settings["frequency_hz"], period_s)
+    ratio, turn = settings["damping"], poles.turn(settings["frequency_hz"], period_s)
     swing = turn * cmath.sqrt(complex(ratio * ratio - 1.0))
-    return [*observer.gains([-ratio * turn + swing, -ratio * turn - swing]), 0.0]
+    return kalman.steady_parameters(poles.gains([-ratio * turn + swing, -ratio * turn - swing]))
 
 
 ESTIMATOR = Estimator(
     name="tracking",
     summary="tracking loop of two integrators, as motor drives use it",
     source="Ellis, Control System Design Guide; Kalata (1984) for the equal Kalman filter",
-    update=observer.update,
-    floats=observer.FLOATS,
-    ints=observer.INTS,
+    update=kalman.update,
+    floats=kalman.SQUARES,
+    ints=kalman.INTS,
     settings=(
         Setting("frequency_hz", 200.0, 0.1, 1e6, "Hz", "natural frequency ω0/2π of the loop"),
         Setting("damping", 0.5**0.5, 0.1, 10.0, "1", "damping ratio ζ of the loop"),
     ),
     design=design,
-    position=observer.OFFSET,
+    position=kalman.OFFSET,
 )

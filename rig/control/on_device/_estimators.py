@@ -19,7 +19,6 @@ from rig.control.estimators import _foaw as foaw
 from rig.control.estimators import _foaw_best as foaw_best
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _levant as levant
-from rig.control.estimators import _observer as observer
 from rig.control.estimators.estimator import Floats, Prepared
 from rig.control.on_device._errors import refusal
 
@@ -65,11 +64,12 @@ def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Val
             f"a device does not have this estimator{_ABSENT.get(name, '')}",
             f"choose one of: {', '.join((*ESTIMATORS, *_SAME_RECURSION))}",
         )
-    if name in _SAME_RECURSION:
-        own = _observer(prepared.parameters, effort_quantum)
-    else:
-        numbers = _NUMBERS.get(name)
-        own = numbers(prepared.parameters) if numbers is not None else {}
+    numbers = _NUMBERS.get(runs_as)
+    own = numbers(prepared.parameters) if numbers is not None else {}
+    if runs_as == "kalman":
+        # Sent although it is 0 for `kalman` and `tracking`: a device keeps what a block does not contain, and the input
+        # of a `disturbance` that ran before would remain.
+        own["kalman_input"] = float(prepared.parameters[kalman.INPUT]) * effort_quantum
     return {"estimator": ESTIMATORS.index(runs_as), **own}
 
 
@@ -153,16 +153,8 @@ def _kalman(own: Floats) -> Values:
             "a device has only the steady gain, to which the recursive gain converges within a few periods",
             'choose gain = "steady" (and no fading)',
         )
-    return _gains(own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist())
-
-
-def _observer(own: Floats, effort_quantum: float) -> Values:
-    gains = _gains(own[observer.GAIN1 : observer.GAIN3 + 1].tolist())
-    return {**gains, "kalman_input": float(own[observer.INPUT]) * effort_quantum}
-
-
-def _gains(gains: list[float]) -> Values:
-    return dict(zip(("kalman_position", "kalman_velocity", "kalman_acceleration"), gains, strict=True))
+    position, velocity, acceleration = own[kalman.GAIN1 : kalman.GAIN3 + 1].tolist()
+    return {"kalman_position": position, "kalman_velocity": velocity, "kalman_acceleration": acceleration}
 
 
 _NUMBERS: dict[str, Callable[[Floats], Values]] = {

@@ -18,7 +18,8 @@ import numpy as np
 from rig import config
 from rig.config import Experiment
 from rig.config.schemes import Scheme
-from rig.core.errors import NoStableWallError
+from rig.control import estimators
+from rig.core.errors import ConfigError, NoStableWallError
 from rig.core.present import plain
 from rig.experiments import sweep
 from rig.experiments.design import _linear as linear
@@ -153,6 +154,12 @@ class _Search:
         if self.request.paper:
             # Refused before the search, not after hours of it.
             PaperSchemes.of(x.rig.name)
+        if estimators.get(x.controller.estimator).uses_effort:
+            raise ConfigError(
+                f"the experiment's estimator {x.controller.estimator} uses the effort; a design compares estimators of "
+                "counts alone",
+                remedy="set controller.estimator to another one for the design, then compare both by `rig zwidth`",
+            )
         places = self.request.places or places_for(x)
         own = Candidate.own(x, places)
         others = listed(x, places, self.request.schemes)

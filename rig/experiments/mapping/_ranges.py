@@ -146,6 +146,7 @@ def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) ->
     """Return the lowest linear limit of K at B = 0 among the schemes; inf if a drive renders the wall."""
     if experiment.controller.wall_is_elsewhere:
         return math.inf
+    experiment = theory.with_linear_wall(experiment)
     one_of_each_rate = {
         scheme.position_rate: scheme for scheme in schemes or theory.default_schemes(experiment)
     }
@@ -202,6 +203,7 @@ def dampings_for(
 
 
 def _range(experiment: Experiment, scheme: Scheme) -> float:
+    experiment = theory.with_linear_wall(experiment)
     try:
         return theory.b_max(experiment, scheme).damping
     except ConfigError:
@@ -286,10 +288,10 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Return the rates (Hz) and the linear limits of K at B = 0 (N·m/rad or N/m)."""
-    schemes = found.map.plan.schemes
-    limits = [theory.k_max(found.map.plan.experiment, scheme, 0.0) for scheme in schemes]
-    return [float(rate) for rate in found.rates], [limit.stiffness for limit in limits]
+    """Return the rates (Hz) and the linear limits of K at B = 0 (N·m/rad or N/m); empty if theory covers none."""
+    plan = found.map.plan
+    limits = _linear_only(plan.schemes, lambda scheme: theory.k_max(plan.experiment, scheme, 0.0).stiffness)
+    return [float(found.rates[number]) for number in limits], list(limits.values())
 
 
 # Impedances -----------------------------------------------------------------------------------------
@@ -361,7 +363,7 @@ def default_grid(
     The limits are the largest stable stiffness over all dampings, and the largest stable damping, with an unfiltered
     difference and the best of the rates. The ends are rounded to two digits. Stiffnesses do not include zero.
     """
-    excited = config.excited(experiment)
+    excited = theory.with_linear_wall(config.excited(experiment))
     stiffness = damping = 0.0
     for scheme in {(s.position_rate, s.velocity_rate): s for s in schemes}.values():
         reference = _with_estimator(scheme, _REFERENCE)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from rig import config
 from rig.analysis.impedance import bare, rendered_impedance
-from rig.analysis.theory import Lifted, LinearLoop, linear_loop
+from rig.analysis.theory import Lifted, LinearLoop, linear_loop, with_linear_wall
 from rig.config import Experiment
 from rig.control.excitation import Peak
 from rig.core.check import Check, Outcome
@@ -92,8 +92,8 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
 
 
 def _linear_loop(x: Experiment) -> LinearLoop:
-    """Return the loop for linear theory; a finite difference replaces an estimator that is not linear."""
-    fixed = replace(x.controller, slow_velocity_rate=None)
+    """Return the loop for linear theory; an estimator or a wall that is not linear is replaced."""
+    x, fixed = with_linear_wall(x), replace(x.controller, slow_velocity_rate=None)
     try:
         return linear_loop(replace(x, controller=fixed))
     except ConfigError:

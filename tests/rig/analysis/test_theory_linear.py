@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz_zpk, lfilter, sosfilt
 
+from rig import config
+from rig.analysis import theory
 from rig.analysis.theory import _linear as linear
+from rig.config import presets
 from rig.control import estimators
 from rig.control.estimators import _family as family
 from rig.control.estimators._kalman_model import steady_gain
@@ -192,3 +195,26 @@ def test_the_sign_of_the_encoder_and_its_resolution_change_nothing() -> None:
     there = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, RESOLUTION)
     back = linear.realise("fdm-butterworth", {"cutoff_hz": 200.0}, 5e-4, -1e-6)
     assert there.impulse(100) == pytest.approx(back.impulse(100), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"wall.passive_damping": 1.0}, "passivity controller"),
+        (
+            {
+                "wall.position_from": "estimator",
+                "controller.estimator": "tracking",
+                "controller.velocity_rate": 20_000,
+            },
+            "estimated position",
+        ),
+        ({"controller.estimator": "disturbance"}, "depends on the motor's effort"),
+    ],
+)
+def test_a_wall_or_an_estimator_that_theory_lacks_is_refused_and_not_predicted(
+    changes: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(linear.NotLinearError) as refused:
+        theory.linear_loop(config.override(presets.load("koul-rigid"), changes))
+    assert reason in refused.value.reason

@@ -12,7 +12,7 @@ import rig
 from rig.config import prepare_estimator
 from rig.control import estimators
 from rig.control.estimators import _kalman as kalman
-from rig.control.estimators import _observer as observer
+from rig.control.estimators import _poles as poles
 from rig.core.errors import ConfigError
 
 RESOLUTION, RATE = 1e-6, 20_000
@@ -33,12 +33,12 @@ def error_dynamics(gains: list[float], order: int) -> NDArray[np.float64]:
 def test_gains_place_the_poles_of_the_estimation_error(turn: float, angles: tuple[float, ...]) -> None:
     """Compare characteristic polynomials in z − 1, because triple roots near 1 have no well-conditioned values."""
     pairs = [turn * np.exp(1j * math.pi * angle) for angle in angles]
-    poles = [
+    wanted_poles = [
         complex(p) for pole in pairs for p in ((pole,) if pole.imag < 1e-12 else (pole, pole.conjugate()))
     ]
-    order = len(poles)
-    found = error_dynamics(observer.gains(poles), order) - np.eye(order)
-    wanted = np.poly([np.expm1(pole) for pole in poles]).real
+    order = len(wanted_poles)
+    found = error_dynamics(poles.gains(wanted_poles), order) - np.eye(order)
+    wanted = np.poly([np.expm1(pole) for pole in wanted_poles]).real
     # Coefficient k has the size turn^k: each is compared with its own, up to rounding of the eigenvalues' sums.
     assert np.poly(found) == pytest.approx(wanted, rel=1e-6, abs=1e-14)
 
@@ -136,4 +136,4 @@ def test_an_experiment_gives_the_inertia_of_its_rig() -> None:
     experiment = rig.load("koul-rigid", changes={"controller.estimator": "disturbance"})
     parameters = prepare_estimator(experiment, RESOLUTION, PERIOD).parameters
     inertia = experiment.rig.mechanics.motor_inertia + experiment.rig.mechanics.loaded_link_inertia
-    assert parameters[observer.INPUT] == pytest.approx(PERIOD**2 / (inertia * RESOLUTION), rel=1e-12)
+    assert parameters[kalman.INPUT] == pytest.approx(PERIOD**2 / (inertia * RESOLUTION), rel=1e-12)
