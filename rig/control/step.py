@@ -149,7 +149,7 @@ MEMORY = np.dtype(
         ("velocity_sampled", "<f8"),  # the estimate itself
         ("velocity_slope", "<f8"),  # its change per tick between the last two samples
         ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
-        ("effort_sum", "<f8"),  # effort active in each of these ticks, added up
+        ("active_sum", "<i8"),  # current active in each of these ticks, added up (quanta)
         ("window", "<i8"),  # velocity periods that the estimate spans
         ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
         ("energy", "<f8"),  # that the motor has given in the trial (J)
@@ -563,7 +563,7 @@ def step(
         m["flags"] |= INSIDE
 
     m["velocity_ticks"] += elapsed_ticks
-    m["effort_sum"] += current_active * c["effort_quantum"] * elapsed_ticks
+    m["active_sum"] += current_active * elapsed_ticks
     slow = abs(m["velocity_sampled"]) < c["slow_speed"] and m["velocity_period"] >= 0
     # The estimator runs outside the wall too: resetting it there changes the first peak by a fifth.
     due_period = m["velocity_period"] + (c["slow_multiple"] if slow else 1)
@@ -575,7 +575,7 @@ def step(
             count,
             edge_age_s,
             elapsed_periods,
-            m["effort_sum"] / m["velocity_ticks"],
+            c["effort_quantum"] * (m["active_sum"] / m["velocity_ticks"]),
             controller.estimator_f,
             controller.estimator_i,
             controller.estimator_parameters,
@@ -583,7 +583,7 @@ def step(
         m["velocity_slope"] = (sampled - m["velocity_sampled"]) / m["velocity_ticks"]
         m["velocity_sampled"] = sampled
         m["velocity_ticks"] = 0
-        m["effort_sum"] = 0.0
+        m["active_sum"] = 0
         m["window"] = controller.estimator_i[WINDOW]
         m["flags"] |= VELOCITY_UPDATED
     m["velocity"] = m["velocity_sampled"]

@@ -36,12 +36,12 @@ CALLS: Mapping[str, Mapping[str, int]] = {
 }  # fmt: skip
 TICKS: Mapping[str, Mapping[str, int]] = {
     "M0+": {
-        "fdm": 5401, "fdm-butterworth": 6920, INTEGERS: 2693, "foaw-end": 14_186, "foaw-best": 50_623, "levant": 8146,
-        "kalman": 6970, "tracking": 6865, "disturbance": 8625,
+        "fdm": 5604, "fdm-butterworth": 7121, INTEGERS: 2702, "foaw-end": 14_436, "foaw-best": 51_450, "levant": 8352,
+        "kalman": 7237, "tracking": 6999, "disturbance": 8760,
     },
     "M4F": {
-        "fdm": 1625, "fdm-butterworth": 1677, INTEGERS: 1716, "foaw-end": 4389, "foaw-best": 12_252, "levant": 1726,
-        "kalman": 1671, "tracking": 1737, "disturbance": 1794,
+        "fdm": 1685, "fdm-butterworth": 1737, INTEGERS: 1718, "foaw-end": 4449, "foaw-best": 12_106, "levant": 1786,
+        "kalman": 1745, "tracking": 1745, "disturbance": 1806,
     },
 }  # fmt: skip
 
