@@ -429,8 +429,8 @@ class Connection:
             return session
         if layout.type_id == _COMMAND and not self.session:
             raise LocalProtocolError(
-                "COMMAND is not allowed: another host has armed the device, in a session of unknown number; "
-                "disarm the device and arm it again"
+                "COMMAND is not allowed: another host armed the device, so this host does not know its session; "
+                "disarm the device, then arm it from this host"
             )
         return self.session
 
@@ -520,7 +520,7 @@ class Connection:
 
     @property
     def answered(self) -> int:
-        """Host: return the sequence of the newest STATE of the session, which a COMMAND answers; 0 before the first."""
+        """On the host: return the number of the session's newest STATE, which the next COMMAND carries; 0 before."""
         self._only(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 

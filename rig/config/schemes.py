@@ -69,9 +69,7 @@ class Scheme:
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
-            raise ConfigError(
-                f"scheme {text!r}: unknown kind of sampling, not uniform: or dual:", remedy=_FORM
-            )
+            raise ConfigError(f"scheme {text!r} must begin with 'uniform:' or 'dual:'", remedy=_FORM)
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(

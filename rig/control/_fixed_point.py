@@ -165,7 +165,7 @@ def design_biquad(
     if not (at_rest > 0 and abs(a1) < one + a2 and abs(a2) < one) or abs(at_rest / wanted - 1.0) > TOLERANCE:
         raise ConfigError(
             f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
-            f"which changes the filter by more than {100 * TOLERANCE:.0f} %",
+            f"which changes the filter's gain at rest by more than {100 * TOLERANCE:.0f} %",
             remedy=more_bits,
         )
     if unit_gain:

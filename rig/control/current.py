@@ -116,7 +116,7 @@ def _share_of(lag_s: float, rate: int) -> int:
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """Return the share (1/65536) by which a step must be reduced to act on a first-order lag like a ramp in a tick."""
+    """Return the share (1/65536) to take off a step, so that a lag of first order ends the tick as after a ramp."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate

@@ -144,7 +144,7 @@ def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out
 
 
 def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
-    """Return a `Meter` that measures trials for `decide`, `kinds` and `Measured`; use one for each thread.
+    """Return a `Meter`, which computes the numbers of a trial that `decide`, `kinds` and `Measured` need; one a thread.
 
     Its methods `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
     `rig.control._measure.NUMBERS`. `resolution` is the travel for one count in recorded signals (rad or m).

@@ -133,6 +133,6 @@ def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, ExtraRow]
         more = dict(row)
         target = more.pop("target")
         if not isinstance(target, str) or ":" not in target:
-            raise ValueError(f"the target of {name!r} is {target!r}, not module:attribute")
+            raise ValueError(f"entry {name!r}: target {target!r} does not have the form module:attribute")
         found[name] = ExtraRow(name, target, owner, more)
     return found

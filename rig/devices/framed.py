@@ -595,7 +595,7 @@ class _Translated:
         if isinstance(error, IncompatibleMajorError):
             raise IncompatibleDeviceError(
                 f"the device at {self._url} uses protocol {error.theirs}, this package uses {error.ours}",
-                remedy="flash the firmware that belongs to this version, or install the version of that firmware",
+                remedy="flash the firmware of this package, or install the package version that matches the device",
             ) from error
         if isinstance(error, LocalProtocolError):  # nothing was sent: the device's state forbids it
             raise DeviceRefusedError(

@@ -43,7 +43,7 @@ def make(size: int) -> int:
 
 
 def close(descriptor: int) -> None:
-    """Close a descriptor of `make`, and remove its file; Windows keeps the file while a process has it mapped."""
+    """Close a descriptor of `make` and remove its file, which Windows keeps while a process has it mapped."""
     os.close(descriptor)
     path = _made.pop(descriptor, None)
     if path is not None:

@@ -98,7 +98,7 @@ class _Common(compiler.Flags):  # type: ignore[misc]
 
 
 class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of a kernel; the functions that it calls get the common flags."""
+    """Compiler flags of one kernel; functions that the kernel calls are compiled with the flags of `_common`."""
 
     def copy(self) -> _Common:
         """Return the flags for the functions that the kernel calls."""

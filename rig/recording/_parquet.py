@@ -144,10 +144,12 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
 
 
 def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a chunk of a column as an array over the same memory; raise `ValueError` for nulls."""
+    """Return a chunk of a column as an array over the same memory; raise `ValueError` for empty values."""
     # pyarrow's own conversion imports pandas.
-    if chunk.null_count or chunk.type != pyarrow.from_numpy_dtype(dtype):
-        raise ValueError(f"a column has nulls, or is {chunk.type} and not {dtype}")
+    if chunk.null_count:
+        raise ValueError(f"a column of {dtype} has {chunk.null_count} empty values")
+    if chunk.type != pyarrow.from_numpy_dtype(dtype):
+        raise ValueError(f"a column has the type {chunk.type} instead of {dtype}")
     return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
 
 

@@ -19,7 +19,7 @@ CUT, COUNTS_FACTS = "cut", "counts"
 
 
 def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return the source and interval of a cut, from its header; None for a whole recording."""
+    """Return the header's facts about source and interval if the recording was cut out of another, otherwise None."""
     found = recording.header["extra"].get(CUT)
     return found if isinstance(found, dict) else None
 

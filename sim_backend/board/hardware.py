@@ -239,7 +239,7 @@ class Hardware:
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
-        """Update this object after compiled ticks have changed the arguments that `world` returned."""
+        """Copy back the state that compiled ticks changed in `world`, the tuple that `self.world` returned."""
         places, words = world[-1].places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)

@@ -147,7 +147,7 @@ def designed_wall(
 
 
 def fixed_wall(wall: FixedWall) -> Values:
-    """Return the wall's parameters in integers; a 64-bit number is sent as two halves."""
+    """Return the device parameters of a wall in integers, by name; a 64-bit number becomes ``…_high`` and ``…_low``."""
     return {
         "fixed_surface": wall.surface,
         "fixed_stiffness": wall.stiffness,
@@ -189,7 +189,10 @@ def fixed_guard(c: Control, velocity: Format) -> Values:
         name, gain = max(gains.items(), key=lambda item: item[1])
         key = f"homing.{name}"
         raise refusal(
-            key, c[f"home_{name}"], f"it is {gain:.3g} quanta per LSB; allowed are up to 2^30", f"lower {key}"
+            key,
+            c[f"home_{name}"],
+            f"it gives a gain of {gain:.3g} quanta of effort per LSB; the largest is 2^30",
+            f"lower {key}",
         )
     shift = shifts[-1]
     return {

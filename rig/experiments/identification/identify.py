@@ -156,8 +156,8 @@ class IdentifyRequest(FreeRigRequest):
     def __post_init__(self) -> None:
         if self.mass_kg is not None and self.cogging is None:
             raise ConfigError(
-                "a mass is given to measure ripple, but this needs the sweeps for cogging, which are not requested",
-                remedy="also give the highest harmonic of cogging (`cogging`)",
+                "a mass is given to measure ripple, but ripple needs the cogging sweeps, which are not requested",
+                remedy="also give the highest harmonic of cogging (`cogging`), or omit the mass",
             )
         for name, value in (("mass", self.mass_kg), ("arm", self.arm_m)):
             if value is not None and not (0.0 < value < math.inf):

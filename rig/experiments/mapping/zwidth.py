@@ -95,7 +95,7 @@ class MapPlan:
     unit: ClassVar[str] = "ticks"
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` if schemes, dampings or offsets are empty, repeated or out of range, or without repeats."""
+        """Raise `PlanError` for empty, duplicate or invalid schemes, dampings or offsets, and for no repeats."""
         check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
         check_values("dampings", self.dampings, "damping")
         check_values("offsets", self.offsets, "offsets", below=1.0)

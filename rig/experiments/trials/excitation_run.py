@@ -87,9 +87,10 @@ def ramp_s(experiment: Experiment) -> float:
 def device_table(
     experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
 ) -> ExcitationTable:
-    """Return the table by which a device generates one realisation: lines and size by ``[excitation]``, phases its own.
+    """Return the table by which a device generates one realisation of the excitation.
 
-    `current_quantum_a` is that of the device (A); None: that of the experiment. Raise `ConfigError` for an excitation
+    Lines and amplitude come from ``[excitation]``; each realisation has its own phases. `current_quantum_a` is the
+    current quantum of the device (A); None takes the experiment's. Raise `ConfigError` for an excitation
     that a device cannot generate.
     """
     given, amplifier = experiment.excitation, experiment.rig.amplifier

@@ -78,7 +78,7 @@ class Knocking(ServerConnection):
         self._head: bytearray | None = bytearray()  # None: it has been let in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """See `asyncio.Protocol`."""
+        """See `asyncio.Protocol.connection_made`."""
         super().connection_made(transport)
         self._due = self.loop.call_later(DOOR_S, self.transport.abort)
         self._door.hear(self)
@@ -107,7 +107,7 @@ class Knocking(ServerConnection):
         self._door.leave(self)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """See `asyncio.Protocol`."""
+        """See `asyncio.Protocol.connection_lost`."""
         self.leave_door()
         super().connection_lost(error)
 

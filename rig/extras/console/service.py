@@ -112,7 +112,7 @@ class Service(ABC):
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return class and handler of each request, by its `do`. A handler raises `RigError` to refuse a request."""
+        """Return request class and handler for each value of ``do``. A handler raises `RigError` to refuse."""
 
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
         """Send a newly connected page its initial messages."""

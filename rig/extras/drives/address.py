@@ -86,11 +86,11 @@ class MoteusAddress:
         )
 
     def look(self, bus: Bus) -> moteus.MoteusFacts:
-        """See `Address`."""
+        """See `Address.look`."""
         return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """See `Address`."""
+        """See `Address.find`."""
         return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
 
 
@@ -114,11 +114,11 @@ class OdriveAddress:
         return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))
 
     def look(self, bus: Bus) -> odrive.OdriveFacts:
-        """See `Address`."""
+        """See `Address.look`."""
         return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """See `Address`."""
+        """See `Address.find`."""
         return odrive.fit(self.look(bus), model)
 
 

@@ -155,13 +155,13 @@ class AdapterBus:
         return int(self._adapter.refused)
 
     def send(self, frame: CanFrame) -> None:
-        """See `Bus`."""
+        """Send one CAN frame; see `Bus.send`."""
         line = ctypes.create_string_buffer(256)
         count = self._library.fdcanusb_make(ctypes.byref(self._adapter), frame.as_struct(), line)
         self._link.write(line.raw[:count])
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """See `Bus`."""
+        """See `Bus.receive`."""
         deadline = time.monotonic() + timeout_s
         frame = CanFrameBytes()
         while not self._waiting and (left := deadline - time.monotonic()) > 0:
@@ -171,7 +171,7 @@ class AdapterBus:
         return self._waiting.popleft() if self._waiting else None
 
     def close(self) -> None:
-        """See `Bus`."""
+        """See `Bus.close`."""
         self._link.close()
 
 
@@ -212,7 +212,7 @@ class CanBus:
         return end
 
     def send(self, frame: CanFrame) -> None:
-        """See `Bus`."""
+        """See `Bus.send`."""
         packed = ctypes.create_string_buffer(72)
         count = self._library.socketcan_make(frame.as_struct(), packed)
         try:
@@ -221,7 +221,7 @@ class CanBus:
             raise self._lost(error) from None
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """See `Bus`."""
+        """See `Bus.receive`."""
         deadline = time.monotonic() + timeout_s
         frame = CanFrameBytes()
         while (left := deadline - time.monotonic()) > 0:
@@ -236,7 +236,7 @@ class CanBus:
         return None
 
     def close(self) -> None:
-        """See `Bus`."""
+        """See `Bus.close`."""
         self._socket.close()
 
     def _lost(self, error: OSError) -> LinkLostError:

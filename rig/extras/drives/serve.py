@@ -93,7 +93,7 @@ def serve(
 
 @contextlib.contextmanager
 def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
-    """Yield the bridge's descriptor to the host, and the path of the port that the host opens ("" for a socket)."""
+    """Yield the descriptor of the bridge's end of the link, and the path of the host's end ("" for a socket)."""
     if host is not None:
         host.setblocking(False)
         yield host.fileno(), ""

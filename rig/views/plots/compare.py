@@ -47,7 +47,7 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
 
 
 def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:
-    """Draw the penetration in counts of each outcome at one encoder offset, with the wall's surface."""
+    """Draw the penetration (encoder counts) of each outcome at one encoder offset, with the wall's surface."""
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
         # Equal curves remain visible under each other: widths differ.
