@@ -66,7 +66,9 @@ def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
             click.echo(f"{click.style(fact['name'], bold=True)}: broken: {fact['broken']}")
             continue
         click.echo(f"{click.style(fact['name'], bold=True)}: {fact['summary']}")
-        late = fact["refused"] or f"{1e3 * fact['delay_s']:.3f} ms at {fact['delay_at']}"
+        late = f"{1e3 * fact['delay_s']:.3f} ms at {fact['delay_at']}"
+        if fact["refused"]:
+            late = f"unknown: {fact['refused']}"
         pairs = [("delay", late), ("source", str(fact["source"]))]
         output.print_pairs([*pairs, *((p["name"], _describe(p)) for p in fact["parameters"])])
 
@@ -262,15 +264,17 @@ def _print_tuning(tuning: Tuning, case: Case) -> None:
 
 
 def _setting(setting: Any) -> dict[str, Any]:
-    names = ("name", "default", "minimum", "maximum", "unit", "choices", "meaning")
+    names = ("name", "default", "of_rig", "minimum", "maximum", "unit", "choices", "meaning")
     return {name: getattr(setting, name) for name in names if hasattr(setting, name)}
 
 
 def _describe(p: dict[str, Any]) -> str:
     if "choices" in p:
         return f"{p['default']}   ({' | '.join(p['choices'])}) {p['meaning']}"
-    default = "must be given" if p["default"] is None else f"{p['default']:g}"
     unit = "" if p["unit"] == "1" else f" {p['unit']}"
+    default = "that of the rig, in" if p["of_rig"] else "must be given, in"
+    if p["default"] is not None:
+        default = f"{p['default']:g}"
     return f"{default}{unit}   ({p['minimum']:g} to {p['maximum']:g}) {p['meaning']}"
 
 

@@ -1,12 +1,12 @@
 """Time-domain passivity controller: damping that removes the excess energy of a wall.
 
 The passivity observer is the sum E of effort times travel (`rig.control._watch.add_energy`), for the effort that was
-sent minus the constant push of an automated trial. If E is above zero inside the wall, damping is added that would
-remove E within one tick T at the present speed v, B = E/(v²·T), but at most `limit`. A sampled damper is itself
-passive only up to a bound (for a mass J and no delay B < 2·J/T, less with a filter and with delay), so a limit far
-above the damping that the rig renders stably makes the controller the source of an oscillation. At an estimated speed
-of zero no energy can be removed, so a limit cycle of one count is not damped. The controller never reverses the wall's
-reaction: a wall that may not pull does not begin to pull.
+active on the device minus the constant push of an automated trial. If E is above zero inside the wall, damping is
+added that would remove E within one tick T at the present speed v, B = E/(v²·T), but at most `limit`. A sampled damper
+is itself passive only up to a bound (for a mass J and no delay B < 2·J/T, less with a filter and with delay), so a
+limit far above the damping that the rig renders stably makes the controller the source of an oscillation. At an
+estimated speed of zero no energy can be removed, so a limit cycle of one count is not damped. The controller never
+reverses the wall's reaction: a wall that may not pull does not begin to pull.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", the impedance causality; the limit
 and the rule about reversal are defined by this project.
@@ -18,7 +18,7 @@ from rig.realtime.kernel import kernel
 
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
-def damped(reaction: float, energy: float, inwards: float, limit: float, tick_s: float) -> float:
+def add_damping(reaction: float, energy: float, inwards: float, limit: float, tick_s: float) -> float:
     """Return the wall's reaction (N·m or N), with damping added if the wall has given energy.
 
     Parameters

@@ -186,7 +186,7 @@ def _arguments(form: Form, what: str, function: Callable[..., float], memory: Se
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
             raise ConfigError(
                 f"{where} must be positional, without a default",
-                remedy="write only its name; declare numbers of your own in `parameters` of the decorator",
+                remedy="write only its name; declare numbers of your own as parameters of the decorator",
             )
         if argument.name not in known:
             close = get_close_matches(argument.name, known, n=1)

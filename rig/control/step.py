@@ -98,10 +98,8 @@ CONTROL = np.dtype(
         ("slow_speed", "<f8"),  # what slow means
         ("wall_position", "<f8"),
         ("wall_side", "<f8"),  # +1: the wall is entered with rising position
-        (
-            "position_state",
-            "<i8",
-        ),  # place of the estimated position in the estimator's floats + 1; 0: encoder
+        # place of the estimated position in the estimator's floats + 1; 0: position of the encoder
+        ("position_state", "<i8"),
         ("passive_damping", "<f8"),  # largest damping of the passivity controller; 0: none
         ("effort_limit", "<f8"),
         ("effort_quantum", "<f8"),  # effort of one current quantum
@@ -413,8 +411,17 @@ def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
     return 0.0
 
 
-@kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64), inline=True)
-def _watch_effort(control: Any, memory: Any, position: float, penetration: float, elapsed_ticks: int) -> None:
+@kernel(
+    types.void(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.float64, types.int64, types.int64), inline=True
+)
+def _watch_effort(
+    control: Any,
+    memory: Any,
+    position: float,
+    penetration: float,
+    elapsed_ticks: int,
+    current_active: int,
+) -> None:
     """Set ENERGY and VIOLENT if the effort of the previous tick gave too much energy or a violent oscillation.
 
     `memory` must still contain the position of the previous tick.
@@ -429,7 +436,7 @@ def _watch_effort(control: Any, memory: Any, position: float, penetration: float
         # The push of an automated trial is a source of its own, and no fault of the wall.
         m["wall_energy"] = watch.add_energy(
             m["wall_energy"],
-            m["effort_sent"] - c["constant_effort"],
+            c["effort_quantum"] * current_active - c["constant_effort"],
             position - m["position"],
             penetration <= 0.0,
         )
@@ -556,7 +563,7 @@ def step(
     m["index"] += elapsed_ticks
     position = c["resolution"] * count_difference(count, c["reference_count"])
     m["penetration"] = c["wall_side"] * (position - c["wall_position"])
-    _watch_effort(control, memory, position, m["penetration"], elapsed_ticks)
+    _watch_effort(control, memory, position, m["penetration"], elapsed_ticks, current_active)
     _watch_standstill(control, memory, count, slewed)
     m["position"] = position
     if m["penetration"] > 0.0:
@@ -606,7 +613,7 @@ def step(
         if controller.law_state[LAW_CLAMPED] != 0.0:
             m["flags"] |= CLAMPED
         if c["passive_damping"] > 0.0 and m["phase"] == TRIAL and depth > 0.0:
-            m["effort_wall"] = passivity.damped(
+            m["effort_wall"] = passivity.add_damping(
                 m["effort_wall"], m["wall_energy"], inwards, c["passive_damping"], c["tick_s"]
             )
     m["effort_wanted"] = _sources(control, memory, elapsed_ticks)

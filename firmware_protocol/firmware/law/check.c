@@ -97,9 +97,9 @@ static int64_t most_excitation(const law_excitation *e)
 static int good_float_wall(const law_float_wall *w)
 {
     return (w->side == 1.0f || w->side == -1.0f) && w->surface_fraction >= 0.0f && w->surface_fraction <= 1.0f
-           && w->trial_slew >= 0.0f && w->homing_slew >= 0.0f && w->speed_limit >= 0.0f && w->home_effort >= 0.0f && w->passive_damping >= 0.0f
-           && isfinite(w->stiffness) && isfinite(w->damping) && isfinite(w->constant) && isfinite(w->home_stiffness)
-           && isfinite(w->home_damping) && isfinite(w->velocity_lsb);
+           && w->trial_slew >= 0.0f && w->homing_slew >= 0.0f && w->speed_limit >= 0.0f && w->home_effort >= 0.0f
+           && w->passive_damping >= 0.0f && isfinite(w->stiffness) && isfinite(w->damping) && isfinite(w->constant)
+           && isfinite(w->home_stiffness) && isfinite(w->home_damping) && isfinite(w->velocity_lsb);
 }
 
 /* Depth and velocity at the ends of their words, and the excitation, may come together. */

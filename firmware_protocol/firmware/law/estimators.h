@@ -17,7 +17,7 @@ float law_low_pass_run(law_low_pass_state *s, const law_low_pass *p, float slope
 float law_foaw_end(law_foaw_state *s, const law_foaw *p, int32_t count, uint32_t elapsed, uint32_t *window);
 float law_foaw_best(law_foaw_state *s, const law_foaw *p, int32_t count, uint32_t elapsed, uint32_t *window);
 float law_levant_run(law_levant_state *s, const law_levant *p, float slope, uint32_t elapsed);
-float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope, float pushed,
-                     uint32_t elapsed);
+float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope,
+                     float effort_acceleration, uint32_t elapsed);
 
 #endif

@@ -15,8 +15,8 @@ float law_float_depth(const law_parameters *p, int32_t travel)
 
 /* Step 3. */
 
-/* Acceleration of the mean current that was active since the last estimate, for an estimator that knows the effort. */
-static float pushed(const law_state *s, const law_parameters *p)
+/* Acceleration by the mean current that was active since the last estimate, for an estimator that uses the effort. */
+static float effort_acceleration(const law_state *s, const law_parameters *p)
 {
     if (p->kalman.input == 0.0f || s->active_sum == 0)
         return 0.0f;
@@ -37,7 +37,8 @@ static float estimate_of(law_state *s, const law_parameters *p, int32_t count, i
     case LAW_LEVANT:
         return s->sampled ? law_levant_run(&s->of.levant, &p->levant, slope, periods) : 0.0f;
     case LAW_KALMAN:
-        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, pushed(s, p), periods) : 0.0f;
+        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, effort_acceleration(s, p), periods)
+                          : 0.0f;
     case LAW_FDM:
     case LAW_FDM_BUTTERWORTH_FIXED:
         break;
@@ -98,8 +99,8 @@ static float reaction(law_state *s, const law_parameters *p, float depth)
     return total;
 }
 
-/* The passivity controller, rig.control._passivity: damping that takes the wall's excess of energy within a tick. */
-static float damped(const law_state *s, const law_parameters *p, float reacted)
+/* The passivity controller, rig.control._passivity: add damping that removes the wall's excess energy within a tick. */
+static float add_damping(const law_state *s, const law_parameters *p, float reacted)
 {
     const float inwards = p->wall.side * (float)p->sense * s->velocity, speed = fabsf(inwards);
     float added, reduced;
@@ -115,8 +116,9 @@ static float damped(const law_state *s, const law_parameters *p, float reacted)
     return reduced < reacted ? reduced : reacted;
 }
 
-/* Its observer: effort times travel of the last tick, in integers, because a float32 sum of thousands of ticks drifts. */
-static void observe(law_state *s, const law_parameters *p, int32_t travel, int32_t active, float depth)
+/* Add the energy of the last tick, active effort times travel, to the passivity observer. In integers, because a float32
+ * sum of thousands of ticks drifts. */
+static void observe_energy(law_state *s, const law_parameters *p, int32_t travel, int32_t active, float depth)
 {
     /* Factors of at most 2^39 and 2^20, and a sum of at most 2^60: nothing overflows, whatever counts arrive. */
     enum { MOST_MOVED = 1 << 20 };
@@ -150,7 +152,7 @@ static float wanted(law_state *s, const law_parameters *p, float depth, int32_t 
         depth += w->side * (float)p->sense * s->of.kalman.offset;
     total = reaction(s, p, depth);
     if (w->passive_damping > 0.0f && s->phase == LAW_TRIAL && depth > 0.0f)
-        total = damped(s, p, total);
+        total = add_damping(s, p, total);
     total = w->constant - w->side * total;
     if (p->excitation.lines > 0)
         total += (float)law_excitation_run(&s->excitation, &p->excitation, elapsed) * (1.0f / (1 << LAW_LINE_BITS));
@@ -200,7 +202,7 @@ void law_float_tick(law_state *s, const law_parameters *p, const law_input *in, 
 
     s->flags = depth > 0.0f ? LAW_INSIDE : 0;
     if (w->passive_damping > 0.0f)
-        observe(s, p, travel, in->active, depth);
+        observe_energy(s, p, travel, in->active, depth);
     estimate(s, p, in->count, in->active, elapsed);
     s->flags |= law_advance(s, p, travel, depth > 0.0f, elapsed);
     effort = wanted(s, p, depth, travel, elapsed);

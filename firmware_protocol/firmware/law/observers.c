@@ -53,10 +53,10 @@ float law_levant_run(law_levant_state *s, const law_levant *p, float slope, uint
     return p->integrator ? s->integrator : u;
 }
 
-float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope, float pushed,
-                     uint32_t elapsed)
+float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope,
+                     float effort_acceleration, uint32_t elapsed)
 {
-    const float acceleration = pushed == 0.0f ? s->acceleration : s->acceleration + pushed;
+    const float acceleration = effort_acceleration == 0.0f ? s->acceleration : s->acceleration + effort_acceleration;
     float innovation;
 
     if (elapsed > LAW_LONGEST_GAP) {

@@ -22,15 +22,15 @@ from typing import Any
 
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _poles as poles
-from rig.control.estimators.estimator import Estimator, Setting
+from rig.control.estimators.estimator import Estimator, Setting, check_below_nyquist
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
     """Return the parameters of the steady recursion, whose known acceleration is effort/J."""
-    poles.check_frequency("disturbance", settings["frequency_hz"], period_s)
-    turn = poles.turn(settings["frequency_hz"], period_s)
-    swing = turn * cmath.exp(2j * math.pi / 3.0)
-    gains = poles.gains([complex(-turn), swing, swing.conjugate()])
+    check_below_nyquist("disturbance", "frequency_hz", settings["frequency_hz"], period_s)
+    angle = 2.0 * math.pi * settings["frequency_hz"] * period_s  # ω0·T
+    upper = angle * cmath.exp(2j * math.pi / 3.0)
+    gains = poles.gains([complex(-angle), upper, upper.conjugate()])
     return kalman.steady_parameters(gains, period_s**2 / (settings["inertia"] * resolution))
 
 

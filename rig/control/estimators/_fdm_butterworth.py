@@ -14,7 +14,7 @@ from typing import Any
 
 from rig.control import _butterworth as butterworth
 from rig.control.estimators import _fdm as fdm
-from rig.control.estimators.estimator import COMMON, Estimator, Floats, Ints, Setting
+from rig.control.estimators.estimator import COMMON, Estimator, Floats, Ints, Setting, check_below_nyquist
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE
@@ -64,12 +64,7 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
     Raises `ConfigError` (its message names the estimator `name`) if the cut-off is at or above Nyquist, or so far below
     the rate that rounding of the coefficients changes the gain at rest.
     """
-    nyquist_hz = 0.5 / period_s
-    if cutoff_hz >= nyquist_hz:
-        raise ConfigError(
-            f"estimator {name}: cutoff_hz = {cutoff_hz:g} Hz is not below Nyquist {nyquist_hz:g} Hz",
-            remedy=f"choose a lower cutoff_hz, usually {0.2 * nyquist_hz:g} Hz, or raise velocity_rate",
-        )
+    check_below_nyquist(name, "cutoff_hz", cutoff_hz, period_s, f"usually {0.1 / period_s:g} Hz, ")
     sections = butterworth.low_pass(order, cutoff_hz, 1.0 / period_s)
     dc_gain = 1.0
     for section in sections:

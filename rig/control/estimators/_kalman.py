@@ -46,6 +46,7 @@ from rig.control.estimators.estimator import (
     Floats,
     Ints,
     Setting,
+    check_below_nyquist,
 )
 from rig.core.errors import ConfigError
 from rig.realtime.kernel import kernel
@@ -274,11 +275,7 @@ def _intensity(
                 remedy="give one of the two",
             )
         return float(q * period_s ** (2 * order - 1) / resolution**2)
-    if bandwidth_hz >= 0.5 / period_s:
-        raise ConfigError(
-            f"estimator kalman: bandwidth_hz = {bandwidth_hz:g} Hz is not below Nyquist {0.5 / period_s:g} Hz",
-            remedy="choose a lower bandwidth_hz, or raise velocity_rate",
-        )
+    check_below_nyquist("kalman", "bandwidth_hz", bandwidth_hz, period_s)
     return float((2.0 * math.pi * bandwidth_hz * period_s) ** (2 * order) * r)
 
 

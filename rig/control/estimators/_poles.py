@@ -7,21 +7,9 @@
 from __future__ import annotations
 
 import cmath
-import math
 from collections.abc import Sequence
 
 import numpy as np
-
-from rig.core.errors import ConfigError
-
-
-def check_frequency(name: str, frequency_hz: float, period_s: float) -> None:
-    """Raise `ConfigError` for a natural frequency at or above Nyquist."""
-    if frequency_hz >= 0.5 / period_s:
-        raise ConfigError(
-            f"estimator {name}: frequency_hz = {frequency_hz:g} Hz is not below Nyquist {0.5 / period_s:g} Hz",
-            remedy="choose a lower frequency_hz, or raise velocity_rate",
-        )
 
 
 def gains(poles: Sequence[complex]) -> list[float]:
@@ -57,8 +45,3 @@ def gains(poles: Sequence[complex]) -> list[float]:
 def _one_minus_exp(pole: complex) -> complex:
     """Return 1 − exp(pole) without cancellation, as −2·exp(pole/2)·sinh(pole/2)."""
     return -2.0 * cmath.exp(0.5 * pole) * cmath.sinh(0.5 * pole)
-
-
-def turn(frequency_hz: float, period_s: float) -> float:
-    """Return ω0·T (rad), the angle of a natural frequency in one velocity period."""
-    return 2.0 * math.pi * frequency_hz * period_s

@@ -12,20 +12,21 @@ Source: phase-locked loop of a drive, as in Ellis, *Control System Design Guide*
 from __future__ import annotations
 
 import cmath
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _poles as poles
-from rig.control.estimators.estimator import Estimator, Setting
+from rig.control.estimators.estimator import Estimator, Setting, check_below_nyquist
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
     """Return the parameters of the steady recursion; the third gain is 0."""
-    poles.check_frequency("tracking", settings["frequency_hz"], period_s)
-    ratio, turn = settings["damping"], poles.turn(settings["frequency_hz"], period_s)
-    swing = turn * cmath.sqrt(complex(ratio * ratio - 1.0))
-    return kalman.steady_parameters(poles.gains([-ratio * turn + swing, -ratio * turn - swing]))
+    check_below_nyquist("tracking", "frequency_hz", settings["frequency_hz"], period_s)
+    angle, ratio = 2.0 * math.pi * settings["frequency_hz"] * period_s, settings["damping"]  # ω0·T, ζ
+    root = cmath.sqrt(complex(ratio * ratio - 1.0))
+    return kalman.steady_parameters(poles.gains([angle * (-ratio + root), angle * (-ratio - root)]))
 
 
 ESTIMATOR = Estimator(

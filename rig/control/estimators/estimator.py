@@ -84,7 +84,9 @@ class Estimator(Shown):
     def brief(self) -> list[Item]:
         """Return name, summary and settings, for display."""
         rows = [
-            Row(one.name, one.default, one.unit if isinstance(one, Setting) else "", one.meaning)
+            Row(one.name, "from the rig", "", one.meaning)
+            if isinstance(one, Setting) and one.of_rig
+            else Row(one.name, one.default, one.unit if isinstance(one, Setting) else "", one.meaning)
             for one in self.settings
         ]
         return [f"estimator {self.name}: {self.summary}", *rows]
@@ -151,6 +153,17 @@ class Estimator(Shown):
                 remedy=f"choose {setting.minimum:g} to {setting.maximum:g}{unit}",
             )
         return float(value)
+
+
+def check_below_nyquist(
+    estimator: str, setting: str, frequency_hz: float, period_s: float, advice: str = ""
+) -> None:
+    """Raise `ConfigError` for a frequency at or above Nyquist; `advice` may add a usual value to the remedy."""
+    if frequency_hz >= 0.5 / period_s:
+        raise ConfigError(
+            f"estimator {estimator}: {setting} = {frequency_hz:g} Hz is not below Nyquist {0.5 / period_s:g} Hz",
+            remedy=f"choose a lower {setting}, {advice}or raise velocity_rate",
+        )
 
 
 @dataclass(frozen=True, slots=True)

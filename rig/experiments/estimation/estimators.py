@@ -169,18 +169,9 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
     except ConfigError as error:
         return Score(*named, refused=str(error))
     rms, delay_s, rms_without_delay = errors(case, velocity)
-    return Score(
-        *named,
-        rms,
-        delay_s,
-        rms_without_delay,
-        *rest_noise(
-            replace(variant, settings=_settings(case, estimators.get(variant.estimator), variant)),
-            case.dt,
-            case.resolution,
-        ),
-        cost_ns(case, variant) if timed else math.nan,
-    )
+    at_rest = rest_noise(replace(variant, settings=_settings(case, variant)), case.dt, case.resolution)
+    cost = cost_ns(case, variant) if timed else math.nan
+    return Score(*named, rms, delay_s, rms_without_delay, *at_rest, cost)
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
@@ -191,12 +182,12 @@ def estimates(case: Case, variant: Variant) -> Floats:
 
 def _prepared(case: Case, variant: Variant) -> Prepared:
     estimator = estimators.get(variant.estimator)
-    return estimator.prepare(_settings(case, estimator, variant), case.resolution, case.dt)
+    return estimator.prepare(_settings(case, variant), case.resolution, case.dt)
 
 
-def _settings(case: Case, estimator: Estimator, variant: Variant) -> dict[str, float | str]:
-    """Return the settings of a variant, and those that an estimator takes from the rig of the case."""
-    return {**estimator.settings_of(case.rig), **variant.settings}
+def _settings(case: Case, variant: Variant) -> dict[str, float | str]:
+    """Return the settings of a variant, and those that its estimator takes from the rig of the case."""
+    return {**estimators.get(variant.estimator).settings_of(case.rig), **variant.settings}
 
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:

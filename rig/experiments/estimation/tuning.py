@@ -134,8 +134,8 @@ def tune_estimator(
     settings
         Start of the search; other settings start at their default. Settings that are not numbers are not changed.
     free
-        Names of the numbers to tune. None: all numbers that can be changed and influence the estimate, except those
-        that start at zero, which means "not given".
+        Names of the numbers to tune. None: all numbers that can be changed and influence the estimate, except
+        properties of the rig and those that start at zero, which means "not given".
 
     Returns
     -------
@@ -249,7 +249,7 @@ class _TuningWalk:
                     else "choose another estimator: this one has no numbers",
                 )
         for name in free or numbers:
-            if free is None and not self.begin(numbers[name]):
+            if free is None and (numbers[name].of_rig or not self.begin(numbers[name])):
                 continue
             axis = self._axis(numbers[name])
             if axis is not None:
@@ -261,8 +261,9 @@ class _TuningWalk:
             )
 
     def begin(self, setting: Setting) -> float:
-        """Return the start value of a setting: the given one, or the default."""
-        return float(self.start.get(setting.name, setting.default or setting.minimum))
+        """Return the start value of a setting: the given one, that of the rig, or the default."""
+        known = {**self.estimator.settings_of(self.case.rig), **self.start}
+        return float(known.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
         """Return the axis of a setting; None if no other value is allowed, or none changes the estimate."""

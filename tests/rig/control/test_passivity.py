@@ -22,7 +22,7 @@ ROUNDING = 1e-12
 def test_added_effort_takes_energy_within_its_limit_and_never_reverses_the_wall(
     reaction: float, energy: float, inwards: float, limit: float
 ) -> None:
-    damped = passivity.damped(reaction, energy, inwards, limit, TICK_S)
+    damped = passivity.add_damping(reaction, energy, inwards, limit, TICK_S)
     added = damped - reaction
     assert added * inwards >= 0.0
     assert abs(added) <= limit * abs(inwards) * (1.0 + ROUNDING) + ROUNDING
@@ -32,17 +32,17 @@ def test_added_effort_takes_energy_within_its_limit_and_never_reverses_the_wall(
 
 @given(reaction=REACTION, inwards=SPEED)
 def test_a_passive_wall_is_left_alone(reaction: float, inwards: float) -> None:
-    assert passivity.damped(reaction, 0.0, inwards, 10.0, TICK_S) == reaction
-    assert passivity.damped(reaction, -0.5, inwards, 10.0, TICK_S) == reaction
+    assert passivity.add_damping(reaction, 0.0, inwards, 10.0, TICK_S) == reaction
+    assert passivity.add_damping(reaction, -0.5, inwards, 10.0, TICK_S) == reaction
 
 
 def test_at_a_speed_of_zero_nothing_can_be_taken_back() -> None:
-    assert passivity.damped(3.0, 0.1, 0.0, 10.0, TICK_S) == 3.0
+    assert passivity.add_damping(3.0, 0.1, 0.0, 10.0, TICK_S) == 3.0
 
 
 def test_a_wall_that_pulls_already_is_not_made_to_push() -> None:
     """On the way out added damping lowers the reaction: one below zero stays what it is."""
-    assert passivity.damped(-2.0, 0.1, -1.0, 10.0, TICK_S) == -2.0
+    assert passivity.add_damping(-2.0, 0.1, -1.0, 10.0, TICK_S) == -2.0
 
 
 @pytest.mark.parametrize(("limit", "passive"), [(0.0, False), (1.0, True)])

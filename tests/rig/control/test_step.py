@@ -702,3 +702,15 @@ def test_a_slow_handle_is_sampled_more_rarely_and_a_fast_one_at_the_velocity_rat
     assert np.diff(np.flatnonzero(updated)[3:]).tolist() == [10] * (len(np.flatnonzero(updated)) - 4)
     assert tick.velocity == pytest.approx(DELTA / TICK_S), "the slope is over the whole slow period"
     assert tick.window == 5
+
+
+def test_the_passivity_observer_adds_up_the_effort_that_was_active() -> None:
+    """A command is active later than it was computed: the energy of that delay is given by the wall, too."""
+    tick = Tick(wall={"stiffness": 1e4}, passive_damping=1.0, constant_effort=0.5)
+    tick(1_000)
+    energy = tick.wall_energy
+    for active, travel in ((-7, 30), (5, -10), (40, -20)):
+        tick.active = active
+        tick(round(tick.position / DELTA) + travel)
+        energy += (active * PLAIN["effort_quantum"] - 0.5) * travel * DELTA
+        assert tick.wall_energy == pytest.approx(energy, abs=1e-15)

@@ -30,7 +30,14 @@ from rig.experiments.estimation.estimators import (
     rest_noise,
     score,
 )
-from rig.experiments.estimation.tuning import OBJECTIVES, WITHIN, SettingRange, shown_range, tune_estimator
+from rig.experiments.estimation.tuning import (
+    DECADES,
+    OBJECTIVES,
+    WITHIN,
+    SettingRange,
+    shown_range,
+    tune_estimator,
+)
 from rig.recording.data import Recording
 from tests.conformance.tiers import first_by_default
 
@@ -307,6 +314,15 @@ def test_given_settings_are_kept_and_only_free_ones_move() -> None:
     found = tune_estimator("fdm-butterworth", hit(), settings={"order": 1.0}, free=["cutoff_hz"])
     assert found.settings["order"] == 1.0
     assert [r.setting for r in found.ranges] == ["cutoff_hz"]
+
+
+def test_a_property_of_the_rig_is_tuned_only_if_it_is_named_and_around_its_value() -> None:
+    case = recording_case(recorded(SWING), 2000)
+    usual = tune_estimator("disturbance", case)
+    assert [one.setting for one in usual.ranges] == ["frequency_hz"]
+    (within,) = tune_estimator("disturbance", case, free=["inertia"]).ranges
+    reach = 10.0**DECADES
+    assert case.rig["inertia"] / reach <= within.value <= case.rig["inertia"] * reach
 
 
 def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: Path) -> None:

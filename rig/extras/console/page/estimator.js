@@ -48,7 +48,7 @@ export class Estimator {
   }
 
   #field(setting, value) {
-    const { name, meaning, unit, choices } = setting;
+    const { name, meaning, unit, choices, of_rig: ofRig } = setting;
     const label = make("span", { textContent: name.replace(/_(hz|s)$/, "").replaceAll("_", " ") + (unit && unit !== "1" ? ` (${unit})` : "") });
     if (choices) {
       const select = make("select", { onchange: () => this.#set(name, select.value) }, ...choices.map((one) => make("option", { value: one, textContent: one })));
@@ -57,7 +57,7 @@ export class Estimator {
     }
     const { minimum, maximum } = setting;
     const say = () => range?.setAttribute("aria-valuetext", `${number.value} ${unit === "1" ? "" : unit}`.trim());
-    const number = make("input", { type: "number", step: "any", min: minimum, max: maximum, value: value ?? "", placeholder: "required", ariaLabel: name, onchange: () => {
+    const number = make("input", { type: "number", step: "any", min: minimum, max: maximum, value: value ?? "", placeholder: ofRig ? "of the rig" : "required", ariaLabel: name, onchange: () => {
       if (range) range.value = placeOf(setting, number.value);
       say();
       this.#set(name, Number(number.value));
