@@ -33,7 +33,7 @@ _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table with the given column titles and rows of cells."""
+    """Return a Markdown table; `head` contains the column titles, each of `rows` the cells of a row."""
     lines = [
         "| " + " | ".join(str(cell) for cell in row) + " |" for row in (head, ["---"] * len(head), *rows)
     ]
@@ -54,7 +54,7 @@ def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
 
 
 def overview() -> str:
-    """Return the table of messages: type ids, senders, delivery classes and sizes."""
+    """Return the Markdown table of all messages: type id, sender, delivery class and frame size (bytes)."""
     rows = []
     for type_id, cls in m.MESSAGES.items():
         layout = LAYOUTS[type_id]
@@ -67,7 +67,7 @@ def overview() -> str:
 
 
 def messages() -> str:
-    """Return a section for each message with the table of its payload."""
+    """Return the Markdown section of every message, with the table of its payload's fields."""
     parts = []
     for type_id, cls in m.MESSAGES.items():
         reply = REPLIES.get(cls)
@@ -78,7 +78,7 @@ def messages() -> str:
 
 
 def batch_layouts() -> str:
-    """Return the table of the layouts of a BATCH."""
+    """Return the Markdown table of the sample layouts of a BATCH: C type of each value, bytes of a sample."""
     columns = ("count difference", "commanded current", "measured current")
     rows = []
     for key, ctypes in m.BATCH_LAYOUTS.items():
@@ -88,12 +88,12 @@ def batch_layouts() -> str:
 
 
 def fault_entry() -> str:
-    """Return the table of the fields of a FAULT_ENTRY, and its size."""
+    """Return the Markdown table of the fields of a FAULT_ENTRY (a tick in the fault log), and its size (bytes)."""
     return f"{_bytes_of(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
 
 
 def parameters() -> str:
-    """Return the table of parameters of the protocol."""
+    """Return the Markdown table of the device's parameters: id, C type, unit, range, default and meaning."""
     rows = [
         (p.id, f"`{p.name}`", p.ctype, p.unit, p.minimum, p.maximum, p.default, p.meaning) for p in PARAMETERS
     ]
@@ -107,7 +107,7 @@ def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
 
 
 def picture() -> str:
-    """Return the state diagram as a Mermaid block, with every transition that changes the state."""
+    """Return the diagram of the device's states as a Mermaid block, with every transition that changes the state."""
     lines = ["```mermaid", "stateDiagram-v2", "    [*] --> BOOT: reset"]
     for state, row in TRANSITIONS.items():
         for cls, after in row.items():
@@ -120,7 +120,7 @@ def picture() -> str:
 
 
 def states() -> str:
-    """Return the table of the next state for each message and state, and of the device's unrequested messages."""
+    """Return the Markdown table of the next state by message and state, and of messages sent without a request."""
     requests = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
     rows: list[Sequence[object]] = [
         (f"`{title(cls)}`", *(row[cls].name if cls in row else "–" for row in TRANSITIONS.values()))
@@ -132,12 +132,12 @@ def states() -> str:
 
 
 def header() -> str:
-    """Return the table of the fields of the header, which begins every frame."""
+    """Return the Markdown table of the header's fields; every frame begins with the header."""
     return _bytes_of(wire_fields(Header))
 
 
 def faults_of_a_rig() -> str:
-    """Return the table of a rig's single faults: how each is detected, the reaction, and the remaining hazard."""
+    """Return the Markdown table of a rig's single faults, each with detection, reaction, remaining hazard and test."""
     rows = [
         (
             one.part,
@@ -153,7 +153,7 @@ def faults_of_a_rig() -> str:
 
 
 def duties_of_a_port() -> str:
-    """Return the table of a port's duties towards the core, and how the check tests each."""
+    """Return the Markdown table of a firmware port's duties, and of how `rig firmware check-port` tests each duty."""
     rows = (
         (f"`{one.call}`" if one.call.isidentifier() else one.call, one.duty, one.seen) for one in duties()
     )
@@ -161,7 +161,7 @@ def duties_of_a_port() -> str:
 
 
 def parts_list() -> str:
-    """Return the table of the parts of the reference rig, with the source of their data."""
+    """Return the Markdown table of the parts of the reference rig, with the source of each part's data."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
     return table(("", "part", "source"), ((one["name"], _part(one), one["source"]) for one in parts))
 
@@ -172,7 +172,7 @@ def _part(row: dict[str, Any]) -> str:
 
 
 def version() -> str:
-    """Return the sentence with protocol version and sizes on the wire."""
+    """Return the sentence with the protocol's version and the sizes of COMMAND and STATE (bytes)."""
     command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
     sizes = f"a `COMMAND` takes {command} bytes and a `STATE` {state}"
     return f"Version {m.MAJOR}.{m.MINOR}. On the wire, stuffing and delimiter included, {sizes}."
@@ -199,20 +199,20 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 
 def render(text: str) -> str:
-    """Return the text with every marked section generated again; raise KeyError for an unknown section."""
+    """Return a page's text with all sections between its markers generated again; raise KeyError for an unknown one."""
     return _SECTION.sub(
         lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
     )
 
 
 def fresh() -> dict[Path, str]:
-    """Return the up-to-date text of every generated file."""
+    """Return the up-to-date text of every generated file by path."""
     made = {page: render(page.read_text(encoding="utf-8")) for page in PAGES}
     return made | {path: text() for path, text in FILES.items()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Rewrite the generated files that are out of date; with ``--check`` only report them and return 1."""
+    """Rewrite the generated files that are out of date; with ``--check``, only report them, and return 1 if any are."""
     check = "--check" in (sys.argv[1:] if arguments is None else arguments)
     stale = {path: text for path, text in fresh().items() if _text_of(path) != text}
     for path, text in stale.items():

@@ -1,7 +1,7 @@
-"""Turn bytes into events and messages into frames, and track the state of the device on both ends.
+"""Convert received bytes to events and messages to frames, and track the state of the device on both ends of the link.
 
 The caller passes bytes to `receive_data`, takes events until `next_event` returns None, and writes the result of `send`
-to the link. One class serves host and device, so a test can connect two of them directly. It has no port, clock or
+to the link. Host and device use the same class, so a test can connect two of them directly. It has no port, clock or
 thread. For any bytes it returns events or raises `RemoteProtocolError`, and its memory stays bounded.
 """
 
@@ -31,7 +31,7 @@ from firmware_protocol.transaction import (
 
 
 class State(IntEnum):
-    """State of the device."""
+    """State of the device, which determines the messages that it accepts."""
 
     BOOT = 0  # started, not yet identified
     IDENTIFIED = 1  # known, with the parameters it started with
@@ -124,7 +124,7 @@ _STATES: dict[int, State] = {int(state): state for state in State}
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A received message that the protocol allows in the present state, with the fields of its header."""
+    """Event: a message arrived that the state allows; `session` and `sequence` are fields of its header."""
 
     message: Message
     session: int
@@ -132,24 +132,24 @@ class Received:
 
     @property
     def request(self) -> int:
-        """Return the type id of the message."""
+        """Return the type id of the received message."""
         return LAYOUT_OF[type(self.message)].type_id
 
     @property
     def nonce(self) -> int:
-        """Return the nonce of a transaction; a stream message has none (AttributeError)."""
+        """Return the nonce of a received transaction; raise AttributeError for a stream message, which has no nonce."""
         return self.message.nonce  # type: ignore[attr-defined, no-any-return]
 
     def ack(
         self, status: Status = Status.OK, *, detail: int = 0, sample_index: int = 0, crc: int = 0
     ) -> m.Ack:
-        """Return the ACK that answers this request."""
+        """Return the ACK that answers this request, with the given fields."""
         return m.Ack(self.nonce, self.request, int(status), detail, sample_index, crc)
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A request that the device must reject by sending `ack()`, unless it is a repeated one (see replies.py)."""
+    """Event: a request that the device must reject by sending `ack()`, unless it is a repeat (`Replies.remembers`)."""
 
     request: int  # type id, possibly one that we do not know
     nonce: int
@@ -158,7 +158,7 @@ class Refused:
     detail: int
 
     def ack(self) -> m.Ack:
-        """Return the ACK that rejects this request, with the reason."""
+        """Return the ACK that rejects this request, with status and detail of the reason."""
         return m.Ack(self.nonce, self.request, int(self.status), self.detail, 0, 0)
 
 
@@ -166,23 +166,23 @@ Event = Received | Refused
 
 
 class Connection:
-    """One end of the link: host or device.
+    """One end of the link between host and device.
 
     Parameters
     ----------
     role
-        Role of this end.
+        The end of the link that this connection serves.
 
     Attributes
     ----------
     state
-        State of the device; on the host, the last reported one.
+        State of the device; on the host, the last reported state.
     session
         Number of the session while the device is armed, otherwise 0.
     transaction
-        Host: progress of the last transaction.
+        Progress of the last transaction; only on the host.
     statistics
-        Counters of what was received (`LinkStatistics`).
+        Counters of received and dropped frames.
     """
 
     def __init__(self, role: Role) -> None:
@@ -192,26 +192,26 @@ class Connection:
         self.statistics = LinkStatistics()
         self.transaction = Transaction(0, 0, DONE)
         self._requests: tuple[Message, ...] = ()  # of the transaction
-        self._session_to_open: int | None = None  # by it
+        self._session_to_open: int | None = None  # by the transaction, if it is an ARM
         self._last_session = 0
         self._splitter = FrameSplitter(self.statistics)
         self._frames: deque[bytes] = deque()
         self._to_send: dict[int, int] = {}  # type id → sequence of the next frame
         self._received: dict[int, int] = {}  # stream type id → sequence of the newest frame delivered
-        # (request, nonce) → session in its header, until it is answered
+        # (type id, nonce) of each request without a reply yet → session in its header
         self._open: dict[tuple[int, int], int] = {}
 
     # ------------------------------------------------------------------ receiving
 
     def receive_data(self, data: bytes) -> None:
-        """Accept bytes from the link, in pieces of any size. Then call `next_event` until it returns None."""
+        """Accept bytes from the link, in pieces of any size. Call `next_event` next, until it returns None."""
         self._frames.extend(self._splitter.feed(data))
         while len(self._frames) > QUEUE_LIMIT:
             self._frames.popleft()
             self.statistics.overrun += 1
 
     def next_event(self) -> Event | None:
-        """Return the next event, or None when no complete event has been received.
+        """Return the next event, or None if the received bytes contain no further event.
 
         Raises
         ------
@@ -272,7 +272,7 @@ class Connection:
         return Received(message, session, sequence)
 
     def _is_news(self, layout: Layout, sequence: int) -> bool:
-        """Count lost, repeated and late frames by their sequence; return True if this frame must be delivered."""
+        """Return True if a stream frame must be delivered; count lost, repeated and late frames by their sequence."""
         newest = self._received.get(layout.type_id)
         step = 1 if newest is None else (sequence - newest) & 0xFFFF
         if step == 0:
@@ -303,7 +303,7 @@ class Connection:
         return event
 
     def _objection(self, event: Received) -> tuple[Status, int] | None:
-        """Return status and detail of the refusal if the state or another rule forbids a request, else None."""
+        """Return status and detail of the rejection if the state or another rule forbids a request, else None."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
         message = event.message
@@ -327,7 +327,7 @@ class Connection:
             return None
 
     def _refuse(self, raw: bytes, status: Status, detail: int = 0) -> Refused | None:
-        """Return the device's refusal of a request of any type; None on the host, or if the frame contains no nonce."""
+        """Return the device's rejection of a request of any type; None on the host, or if the frame has no nonce."""
         if (
             self.role is Role.HOST
             or m.delivery_of(raw[1]) is not Delivery.TRANSACTION
@@ -347,19 +347,22 @@ class Connection:
         message
             Message to send.
         session
-            ARM only, and required there: number of the new session, 1 … 255, not the one used last.
+            Required for ARM and forbidden for all other messages: number of the new session, 1 … 255, not the last one
+            used.
 
         Raises
         ------
         LocalProtocolError
             Only the other role sends this message, the state forbids it, or a value does not fit its field.
-            The connection is unchanged then.
+            The connection is unchanged in this case.
         """
         layout = LAYOUT_OF[type(message)]
         type_id = layout.type_id
         if layout.sender is not self.role:
             ours, theirs = self.role.name.lower(), layout.sender.name.lower()
-            raise LocalProtocolError(f"a {ours} must not send {layout.name}: only the {theirs} sends it")
+            raise LocalProtocolError(
+                f"a {ours} must not send the message {layout.name}: only the {theirs} sends it"
+            )
         if self.role is Role.HOST:
             number = self._session_of_request(layout, session)
         else:
@@ -378,9 +381,11 @@ class Connection:
         return frame
 
     def begin(self, *requests: Message, session: int | None = None) -> None:
-        """Host: begin a transaction of one request, or of the requests of `transfer.set_parameters`.
+        """Host: begin a transaction of one request, or of all messages of `transfer.set_parameters`.
 
-        Call `say` next to send them. `session` is the same as in `send`. An unfinished transaction is abandoned.
+        Call `say` next to get the frames to send. `session` is the number of the new session for ARM, else None. An
+        unfinished
+        transaction is abandoned.
         """
         self._only(Role.HOST, "begin")
         self._requests, self._session_to_open = requests, session
@@ -389,7 +394,7 @@ class Connection:
         self.transaction = Transaction(nonce, length, step)
 
     def say(self, time_ns: int) -> bytes:
-        """Host: return the frame of the transaction that is due at `time_ns`, or b"" if nothing must be sent now.
+        """Host: return the transaction's frame that must be sent at `time_ns`, or b"" if nothing must be sent now.
 
         `time_ns` is the time of any monotonic clock (ns). Raise `LocalProtocolError` for the same reasons as `send`.
         """
@@ -401,14 +406,14 @@ class Connection:
 
     @property
     def request(self) -> Message:
-        """Host: return the request that waits for its reply."""
+        """Host: return the request of the transaction that waits for its reply."""
         t = self.transaction
         if t.step == CHUNK:
             return self._requests[1 + t.offset // CHUNK_BYTES]
         return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
 
     def _as_ack(self, reply: Message) -> tuple[int, int, int]:
-        """Return request, status and detail of an ACK; of another reply, OK or (if it does not fit) UNSUPPORTED."""
+        """Return request, status and detail of an ACK; for other replies OK, or UNSUPPORTED for a wrong request."""
         if isinstance(reply, m.Ack):
             return reply.request, reply.status, reply.detail
         step = self.transaction.step
@@ -419,12 +424,12 @@ class Connection:
             raise self._not_allowed(layout)
         if (session is not None) != (layout.type_id == _ARM):
             raise LocalProtocolError(
-                f"session = {session} for {layout.name}: give a session number with ARM, and only with ARM"
+                f"session = {session} for the message {layout.name}: give a session number with ARM, and only with ARM"
             )
         if session is not None:
             if not 1 <= session <= 0xFF or session == self._last_session:
                 raise LocalProtocolError(
-                    f"session {session} must be 1 … 255 and differ from the last session ({self._last_session})"
+                    f"session number {session} must be 1 … 255 and differ from the last one ({self._last_session})"
                 )
             return session
         if layout.type_id == _COMMAND and not self.session:
@@ -437,7 +442,7 @@ class Connection:
     def _not_allowed(self, layout: Layout) -> LocalProtocolError:
         allowed = [s.name for s in State if layout.type_id in _NEXT[s] or layout.cls in UNASKED[s]]
         return LocalProtocolError(
-            f"{layout.name} is not allowed in state {self.state.name}; it is allowed in {', '.join(allowed)}"
+            f"the message {layout.name} is not allowed in state {self.state.name}, only in {', '.join(allowed)}"
         )
 
     def _check_unasked(self, layout: Layout) -> None:
@@ -468,7 +473,7 @@ class Connection:
         self._move(after)
 
     def _adopt_state(self, reply: Message) -> None:
-        """Host: adopt the state in an IDENTITY or BAD_STATE reply, so that both ends agree again after a restart."""
+        """Host: adopt the device's state from an IDENTITY or BAD_STATE reply: after a restart the ends disagree."""
         if isinstance(reply, m.Identity):
             self._move(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
@@ -492,20 +497,18 @@ class Connection:
     # ------------------------------------------------------------------ events of our own
 
     def fault(self) -> None:
-        """Device: enter FAULT. The session stays open, so the host still accepts STATE frames."""
+        """Device: enter the state FAULT. The session stays open, so the host still accepts STATE frames."""
         self._only(Role.DEVICE, "fault")
         self.state = State.FAULT
 
     def resend(self, event: Event) -> None:
-        """Device: mark a request as answered before, so that sending its reply again does not change the state.
-
-        Otherwise a late repeat of a DISARM would clear a fault that occurred in between.
-        """
+        """Device: mark a request as answered before, so that sending its reply again does not change the state."""
         self._only(Role.DEVICE, "resend")
+        # Otherwise a late repeat of a DISARM would clear a fault that occurred in between.
         self._open.pop((event.request, event.nonce), None)
 
     def reset(self) -> None:
-        """Return to the initial state, after a reset of the device or a reopened port; the counters stay."""
+        """Return to the state BOOT, after a reset of the device or a reopened port; the counters keep their values."""
         self.state = State.BOOT
         self._open_session(0)
         self._last_session = 0
@@ -515,24 +518,24 @@ class Connection:
         self._splitter.reset()
 
     def sequence_to_send(self, cls: type[Message]) -> int:
-        """Return the sequence number of the next frame of this class, with which a compiled loop continues."""
+        """Return the sequence number of the next frame of class `cls`; a compiled loop continues with this number."""
         return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
 
     @property
     def answered(self) -> int:
-        """On the host: return the number of the session's newest STATE, which the next COMMAND carries; 0 before."""
+        """Host: return the sequence of the newest STATE in the session (0 before), which the next COMMAND contains."""
         self._only(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 
     def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
-        """Host: continue the stream after a compiled loop has read from and written to the link.
+        """Host: continue with sequence numbers and state after a compiled loop has used the link.
 
         Parameters
         ----------
         next_command
-            Sequence of the first COMMAND that the loop did not send.
+            Sequence number of the first COMMAND that the loop did not send.
         newest_state
-            Sequence of the newest STATE that the loop received.
+            Sequence number of the newest STATE that the loop received.
         state
             State of the device in that STATE.
         """
@@ -546,5 +549,5 @@ class Connection:
     def _only(self, role: Role, what: str) -> None:
         if self.role is not role:
             raise LocalProtocolError(
-                f"a connection of the {self.role.name.lower()} has no `{what}`: only the {role.name.lower()} calls it"
+                f"only the {role.name.lower()} may call `{what}`; this connection is the {self.role.name.lower()}'s"
             )

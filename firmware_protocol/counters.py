@@ -1,4 +1,4 @@
-"""Counters of received and dropped frames on a link. Every dropped frame increments one of them."""
+"""Counters of the frames that one end of a link received or dropped. Every dropped frame increments one counter."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class LinkStatistics:
-    """Counters since the connection was created; they never decrease."""
+    """Counters of the frames that a connection received or dropped since it was created; they never decrease."""
 
     frames: int = 0  # frames with a good CRC
     cobs_errors: int = 0  # byte stuffing that does not add up
@@ -27,5 +27,5 @@ class LinkStatistics:
 
     @property
     def framing_errors(self) -> int:
-        """Return the number of frames with a wrong format or length; frames with a wrong CRC are not included."""
+        """Return the number of frames with wrong byte stuffing or wrong length; a wrong CRC does not count."""
         return self.cobs_errors + self.too_long + self.too_short

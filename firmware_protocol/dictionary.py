@@ -1,8 +1,9 @@
-"""The device's dictionary: its description of itself, which a host must read before it arms the device.
+"""The device's dictionary: a description of the device by itself, which a host must read before it arms the device.
 
-It is canonical JSON (sorted keys, no spaces, UTF-8), compressed with zlib and read page by page with IDENTIFY. Every
-IDENTITY contains its hash, so a host reads a dictionary only once for each firmware; ARM repeats the hash. A device
-that is newer than the host supplies texts for its fault codes and ranges for its parameters. Unknown keys are ignored.
+The dictionary is canonical JSON (sorted keys, no spaces, UTF-8), compressed with zlib and read in pages with IDENTIFY.
+Every IDENTITY contains its hash, so a host reads a dictionary only once for each firmware; ARM repeats the hash. A
+device that is newer than the host supplies texts for its fault codes and ranges for its parameters. Unknown keys are
+ignored.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack
 
 @dataclass(frozen=True, slots=True)
 class ParameterInfo:
-    """Parameter of a device; its range may be narrower than the one in `parameters.PARAMETERS`."""
+    """A parameter in a device's dictionary; its range may be narrower than in `firmware_protocol.parameters`."""
 
     id: int
     name: str
@@ -42,7 +43,7 @@ class ParameterInfo:
 
 @dataclass(frozen=True, slots=True)
 class ConstantInfo:
-    """Read-only constant of the firmware: a property of the rig that the device's safety monitors use."""
+    """A read-only constant of the firmware: a property of the rig that the device's safety monitors use."""
 
     name: str
     unit: str
@@ -51,7 +52,7 @@ class ConstantInfo:
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """Build setting of the firmware (a pin, a scale or an option), by its name in the board's port."""
+    """A build setting of the firmware (a pin, a scale or an option), by its name in the board's configuration."""
 
     name: str
     value: SettingValue
@@ -59,7 +60,7 @@ class SettingInfo:
 
 @dataclass(frozen=True, slots=True)
 class CodeInfo:
-    """Name, text and remedy of a fault or status code, as sent by the device."""
+    """A fault or status code with the name, text and remedy that the device sends for it."""
 
     code: int
     name: str
@@ -69,7 +70,7 @@ class CodeInfo:
 
 @dataclass(frozen=True, kw_only=True)
 class Dictionary:
-    """A device's description of itself."""
+    """A device's description of itself: versions, name, units, tick rates, parameters, fault and status codes."""
 
     major: int = MAJOR
     minor: int = MINOR
@@ -89,24 +90,24 @@ class Dictionary:
 
     @cached_property
     def packed(self) -> bytes:
-        """Return the compressed bytes of the dictionary (`encode`)."""
+        """Return the dictionary as compressed bytes, as the device sends it."""
         return encode(self)
 
     @cached_property
     def hash(self) -> int:
-        """Return the hash that identifies the dictionary (`dictionary_hash`)."""
+        """Return the 64-bit hash of the dictionary's compressed bytes, which identifies the dictionary in messages."""
         return dictionary_hash(self.packed)
 
     def parameter(self, name: str) -> ParameterInfo | None:
-        """Return the device's entry for a parameter, or None if it has no parameter of this name."""
+        """Return the device's definition of the parameter `name`, or None if the device has no such parameter."""
         return next((info for info in self.parameters if info.name == name), None)
 
     def explain_fault(self, code: int) -> CodeInfo:
-        """Return text and remedy of a fault code: the device's, else this package's, else a text that it is unknown."""
+        """Return name, text and remedy of a fault code: from the device, else from this package, else "unknown"."""
         return _explain(self.faults, Fault, code)
 
     def explain_status(self, code: int) -> CodeInfo:
-        """Return text and remedy of a status code: the device's, else this package's, else that it is unknown."""
+        """Return name, text and remedy of a status code: from the device, else from this package, else "unknown"."""
         return explain_status(code, self.statuses)
 
 
@@ -123,7 +124,7 @@ def build(
     constants: tuple[ConstantInfo, ...] = (),
     settings: Mapping[str, SettingValue] | None = None,
 ) -> Dictionary:
-    """Return the dictionary of a device that has all parameters and codes of this package.
+    """Return the dictionary of a device that supports all parameters and codes of this package.
 
     Parameters
     ----------
@@ -132,17 +133,17 @@ def build(
     simulated
         True if the device drives no real motor.
     current_quantum_a
-        Size of one quantum of every current on the wire (A).
+        Size of one quantum of every current in the messages (A).
     current_measured
         True if the current is measured; otherwise the measured current repeats the set current.
     position_rate_default, position_rate_maximum
         Tick rate until the host configures one, and highest tick rate (Hz).
     ranges
-        Minimum and maximum of each parameter whose range is narrower than in `PARAMETERS`, by name.
+        Minimum and maximum of each parameter whose range is narrower than in `PARAMETERS`, by parameter name.
     constants
-        Constants of the rig that the device's monitors use.
+        Constants of the rig that the device's safety monitors use.
     settings
-        Build settings of the firmware, by their names in the board's port.
+        Build settings of the firmware, by their names in the board's configuration.
     """
     narrower = {"position_rate": (PARAMETERS[1].minimum, position_rate_maximum), **(ranges or {})}
     defaults = {"position_rate": position_rate_default}
@@ -170,37 +171,39 @@ def encode(dictionary: Dictionary) -> bytes:
     packed = zlib.compress(plain.encode(), 9)
     if len(packed) > COMPRESSED_LIMIT:
         raise ValueError(
-            f"a compressed dictionary of {len(packed)} bytes does not fit IDENTITY (at most {COMPRESSED_LIMIT} bytes)"
+            f"the compressed dictionary has {len(packed)} bytes; the message IDENTITY allows at most {COMPRESSED_LIMIT}"
         )
     return packed
 
 
 def dictionary_hash(packed: bytes) -> int:
-    """Return the first 8 bytes of the SHA-256 of the compressed dictionary, as a little-endian number."""
+    """Return the hash of a compressed dictionary: the first 8 bytes of its SHA-256 as a little-endian number."""
     return int.from_bytes(hashlib.sha256(packed).digest()[:8], "little")
 
 
 def decode(packed: bytes) -> Dictionary:
-    """Return the dictionary in the bytes from a device; raise `RemoteProtocolError` if they are not a valid one."""
+    """Return the dictionary in the compressed bytes from a device; raise `RemoteProtocolError` for invalid bytes."""
     try:
         content = json.loads(_inflate(packed), parse_constant=_no_constant)
         if not isinstance(content, dict):
-            raise TypeError("not an object")
+            raise TypeError(f"expected a JSON object, got {content!r}")
         return _dictionary(content)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError, zlib.error) as error:
-        raise RemoteProtocolError(f"the device's dictionary cannot be read: {error!r}") from error
+        raise RemoteProtocolError(
+            f"the device's dictionary (its description of itself) cannot be read: {error!r}"
+        ) from error
 
 
 def _inflate(packed: bytes) -> bytes:
     inflater = zlib.decompressobj()
     plain = inflater.decompress(packed, PLAIN_LIMIT)
     if not inflater.eof or inflater.unused_data:
-        raise ValueError("truncated, too long, or followed by other bytes")
+        raise ValueError(f"truncated, longer than {PLAIN_LIMIT} bytes, or followed by other bytes")
     return plain
 
 
 def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a number")
+    raise ValueError(f"{name} is not allowed as a number; numbers must be finite")
 
 
 def _dictionary(content: dict[str, Any]) -> Dictionary:
@@ -226,7 +229,9 @@ def _dictionary(content: dict[str, Any]) -> Dictionary:
 def _parameter(item: Any) -> ParameterInfo:
     minimum, maximum, default = (_number(item, key) for key in ("minimum", "maximum", "default"))
     if not minimum <= default <= maximum:
-        raise ValueError(f"default of {item['name']!r} outside its range")
+        raise ValueError(
+            f"default {default} of parameter {item['name']!r} is outside its range {minimum} … {maximum}"
+        )
     return ParameterInfo(
         _whole(item, "id", 0, 0xFFFF),
         _text(item, "name"),
@@ -256,7 +261,7 @@ def _code(item: Any) -> CodeInfo:
 def _typed(item: Any, key: str, kind: type) -> Any:
     value = item[key]
     if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-        raise TypeError(f"{key} is {value!r}")
+        raise TypeError(f"the key {key} must be of type {kind.__name__}, not {value!r}")
     return value
 
 
@@ -267,21 +272,21 @@ def _text(item: Any, key: str) -> str:
 def _number(item: Any, key: str) -> Value:
     value: Value = item[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TypeError(f"{key} is {value!r}")
+        raise TypeError(f"the key {key} must be a finite number, not {value!r}")
     return value
 
 
 def _positive(item: Any, key: str) -> float:
     value = float(_number(item, key))
     if value <= 0.0:
-        raise ValueError(f"{key} is {value}")
+        raise ValueError(f"the key {key} must be above 0, not {value}")
     return value
 
 
 def _whole(item: Any, key: str, minimum: int, maximum: int) -> int:
     value = int(_typed(item, key, int))
     if not minimum <= value <= maximum:
-        raise ValueError(f"{key} is {value}")
+        raise ValueError(f"the key {key} must be {minimum} … {maximum}, not {value}")
     return value
 
 
@@ -306,7 +311,7 @@ def _code_info(code: Described) -> CodeInfo:
 
 
 def explain_status(code: int, known: tuple[CodeInfo, ...]) -> CodeInfo:
-    """Return text and remedy of a status code: from `known` (the device's), else from this package."""
+    """Return name, text and remedy of a status code: from `known` (the device's codes), else from this package."""
     return _explain(known, Status, code)
 
 

@@ -1,4 +1,7 @@
-"""Read the duties of a firmware port (`firmware/duties.toml`): called function, its duty, and how that is tested."""
+"""Read what a board's firmware must guarantee to the portable core (`firmware/duties.toml`), and how that is tested.
+
+`firmware_protocol.codegen` and `rig firmware check-port` use this list.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ PORTING = Path(__file__).with_name("firmware") / "PORTING.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Duty:
-    """One duty; `duties.toml` explains the fields."""
+    """A duty of a board's firmware towards the portable core; the head of `duties.toml` explains the fields."""
 
     name: str
     call: str
@@ -22,6 +25,6 @@ class Duty:
 
 
 def duties() -> tuple[Duty, ...]:
-    """Return all duties, in the order of the file."""
+    """Return the duties of a firmware port, in the order of `firmware/duties.toml`."""
     content = tomllib.loads(PORTING.with_name("duties.toml").read_text(encoding="utf-8"))
     return tuple(Duty(**row) for row in content["duty"])

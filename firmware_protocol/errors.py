@@ -1,14 +1,14 @@
-"""Errors of the protocol, by the side that caused them.
+"""Exceptions of the protocol, divided by the end of the link that caused the error.
 
-A wrong call of this package is a `LocalProtocolError`; wrong bytes from the other side are a `RemoteProtocolError`.
-Host and device run the same checks.
+A call that the protocol forbids raises `LocalProtocolError`; wrong bytes from the other end raise
+`RemoteProtocolError`. Host and device run the same checks.
 """
 
 from __future__ import annotations
 
 
 class ProtocolError(Exception):
-    """Base class of the errors of this package; only `LocalProtocolError` and `RemoteProtocolError` are raised."""
+    """Base class of this package's exceptions; only `LocalProtocolError` and `RemoteProtocolError` can be raised."""
 
     def __init__(self, message: str) -> None:
         if type(self) is ProtocolError:
@@ -17,17 +17,19 @@ class ProtocolError(Exception):
 
 
 class LocalProtocolError(ProtocolError):
-    """The caller requested something that the protocol forbids; nothing was sent and no state changed."""
+    """The caller requested something that the protocol forbids; no byte was sent and no state changed."""
 
 
 class RemoteProtocolError(ProtocolError):
-    """The other side sent bytes that the protocol does not allow."""
+    """The other end of the link sent bytes that the protocol does not allow."""
 
 
 class IncompatibleMajorError(RemoteProtocolError):
-    """The other side uses another major version of the protocol: `theirs` instead of `ours`."""
+    """The device uses another major version of the protocol (`theirs`) than this package (`ours`)."""
 
     def __init__(self, ours: int, theirs: int) -> None:
-        super().__init__(f"the device uses major protocol version {theirs}, this package uses {ours}")
+        super().__init__(
+            f"the device uses major protocol version {theirs}, this package {ours}; flash firmware of the same version"
+        )
         self.ours = ours
         self.theirs = theirs

@@ -1,8 +1,8 @@
-"""Build one C text from the firmware's sources with only the declarations that some functions need.
+"""Build one C text from the firmware's sources that contains only the declarations that some functions need.
 
-The sources consist of declarations at the outermost level, each below its comment. `excerpt` follows the names that
-each declaration uses and joins the needed ones in the order of the sources. Every name gets a prefix and every function
-is static, so two excerpts may be included in one file and the linker sees neither.
+`rig.firmware` exports estimators with it. The sources consist of declarations at the outermost level, each below its
+comment. `excerpt` follows the names that each declaration uses and joins the needed declarations in the order of the
+sources. Every name gets a prefix and every function is static, so a program can include two excerpts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _BESIDE = re.compile(r"[ \t]*/\*[^\n]*?\*/")  # a comment on the line where a de
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """One declaration with its comment, the names that it defines, and the names that it uses."""
+    """A C declaration with its comment, the names that the declaration defines, and the names that it uses."""
 
     comment: str
     code: str
@@ -36,21 +36,21 @@ class _Piece:
 
 
 def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
-    """Return the C declarations of the wanted names and of all names that they use.
+    """Return the C text of the declarations of the names in `wanted` and of all names that these declarations use.
 
     Parameters
     ----------
     sources
-        Files in the order in which they include each other, headers first.
+        C files, each after the files that it includes.
     wanted
-        Names of functions or types.
+        Names of the C functions or types to export.
     prefix
         Prefix of every name in the result: ``kalman`` turns ``law_biquad_run`` into ``kalman_biquad_run``.
 
     Raises
     ------
     KeyError
-        No source defines one of the wanted names.
+        No source defines one of the names in `wanted`.
     """
     pieces = [piece for path in sources for piece in _pieces(path.read_text(encoding="utf-8"))]
     where = {name: piece for piece in pieces for name in piece.names}
@@ -67,7 +67,7 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
 
 
 def renamed(name: str, prefix: str) -> str:
-    """Return the name that `excerpt` gives to a name of the firmware."""
+    """Return the name in an `excerpt` of a C name: ``law_biquad`` becomes ``kalman_biquad`` with prefix ``kalman``."""
     capital = name.isupper()
     bare = name[4:] if name.startswith(("law_", "LAW_")) else name
     before = prefix.upper() if capital else prefix
@@ -79,7 +79,7 @@ def _private(piece: _Piece) -> str:
 
 
 def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
-    """Return the text with renamed functions and types. A function name is replaced only before a parenthesis."""
+    """Return the C text with renamed functions and types; a function is renamed only before a parenthesis."""
     functions = {name for piece in pieces if piece.function for name in piece.names}
     others = {name for piece in pieces if not piece.function for name in piece.names}
     patterns = [rf"\b(?:{'|'.join(sorted(functions))})\b(?=\s*\()"] if functions else []
@@ -88,7 +88,7 @@ def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
 
 
 def _pieces(text: str) -> Iterator[_Piece]:
-    """Yield the declarations of a file, except prototypes and preprocessor lines at the outermost level."""
+    """Yield the declarations of a C file, except prototypes and preprocessor lines at the outermost level."""
     start = depth = 0
     for mark in _MARK.finditer(text):
         word = mark[0]
@@ -115,13 +115,13 @@ def _pieces(text: str) -> Iterator[_Piece]:
 
 
 def _leading(whole: str) -> int:
-    """Return the length of the comments before a declaration (characters)."""
+    """Return the length of the comments before a C declaration (characters)."""
     found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
     return found.end() if found else 0
 
 
 def _continues(code: str) -> bool:
-    """Return True if a closing brace is followed by a name or a semicolon: a type, or the value of an object."""
+    """Return True if a declaration continues after its closing brace, as C types and initialised objects do."""
     return code.startswith(("typedef", "enum", "struct")) or "=" in code.partition("{")[0]
 
 
@@ -140,5 +140,5 @@ def _defined(code: str) -> frozenset[str]:
 
 
 def _last_name(code: str) -> str:
-    """Return the name of an object: the last word before its value."""
+    """Return the name of the object that a C definition like ``int x[3] = …`` defines."""
     return str(_NAME.findall(code.partition("=")[0].partition("[")[0])[-1])

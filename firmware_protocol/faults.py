@@ -10,13 +10,13 @@ from enum import IntEnum, IntFlag
 
 
 class Described(IntEnum):
-    """A code with its meaning (`text`) and what to do about it (`remedy`)."""
+    """A number with a meaning (`text`) and what to do about it (`remedy`): a fault code, for example."""
 
     text: str
     remedy: str
 
     def __new__(cls, code: int, text: str = "", remedy: str = "") -> Described:
-        """Create a member with the value `code`."""
+        """Create the member of the enumeration with the value `code`."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -25,13 +25,13 @@ class Described(IntEnum):
 
 
 class DescribedFlag(IntFlag):
-    """A bit with its meaning (`text`) and what to do about it (`remedy`); `texts` explains a combination of bits."""
+    """A bit with a meaning (`text`) and what to do about it (`remedy`): a limit that acted, for example."""
 
     text: str
     remedy: str
 
     def __new__(cls, code: int, text: str = "", remedy: str = "") -> DescribedFlag:
-        """Create a member with the value `code`."""
+        """Create the member of the enumeration with the value `code`."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -39,12 +39,12 @@ class DescribedFlag(IntFlag):
         return member
 
     def texts(self) -> list[str]:
-        """Return the meaning of each set bit; skip bits that this version does not define."""
+        """Return the meaning of each bit that is set in this value; skip bits that this version does not define."""
         return [bit.text for bit in type(self) if bit in self]
 
 
 class Fault(Described):
-    """Reason for which the device latched FAULT. It keeps the first; later faults set bit ``1 << code`` of a mask."""
+    """Reason for which the device latched FAULT. Only the first is latched; later ones set the bit ``1 << code``."""
 
     NONE = 0, "no fault", ""
     LINK_LOST = (
@@ -139,7 +139,7 @@ OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_S
 
 
 class LimitFlag(DescribedFlag):
-    """Limits that changed the effort of a tick, and warnings. They are not faults: the device continues."""
+    """Limit that changed the effort in a tick, or a warning. A limit is not a fault: the device continues."""
 
     CURRENT = 1, "current clipped to current_limit", "command less effort"
     SLEW = 2, "change of current clipped to slew_limit", "a trial with this flag is invalid; raise slew_limit"
@@ -176,7 +176,7 @@ class LimitFlag(DescribedFlag):
 
 
 class Status(Described):
-    """Result of a request: the status of an ACK."""
+    """Result of a request; the device sends it in the field `status` of an ACK."""
 
     OK = 0, "done", ""
     UNSUPPORTED = (
@@ -264,7 +264,7 @@ class Status(Described):
 
 
 class Input(DescribedFlag):
-    """Pins that STATE reports; 1 means active. `SYNC_TRIAL` and `SYNC_INSIDE` are outputs of the device."""
+    """Bits of STATE.inputs, 1: the pin is active. `SYNC_TRIAL` and `SYNC_INSIDE` are outputs of the device."""
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""

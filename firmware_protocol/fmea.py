@@ -12,7 +12,7 @@ FMEA = Path(__file__).with_name("firmware") / "FMEA.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SingleFault:
-    """One single fault; `fmea.toml` explains the fields."""
+    """A failure of one part of a rig, its detection and the reaction; the head of `fmea.toml` explains the fields."""
 
     part: str
     fault: str
@@ -24,14 +24,14 @@ class SingleFault:
     bench: tuple[int, ...] = ()
 
     def shown_by(self) -> str:
-        """Return the tests and the steps of BENCH.md that show the reaction, as text for the page."""
+        """Return the tests and the steps of BENCH.md that demonstrate the reaction to this fault, as Markdown."""
         functions = [f"`{test.partition('::')[2]}`" for test in self.tests]
         steps = [f"step {number}" for number in self.bench]
         return ", ".join([*(functions or ["**no test**"]), *steps])
 
 
 def single_faults() -> list[SingleFault]:
-    """Return all single faults, in the order of the file."""
+    """Return the single faults of a rig, in the order of `firmware/fmea.toml`."""
     content = tomllib.loads(FMEA.with_name("fmea.toml").read_text(encoding="utf-8"))
     return [_row(**row) for row in content["row"]]
 

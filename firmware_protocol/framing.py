@@ -26,7 +26,7 @@ _CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code by
 
 
 class Defect(IntEnum):
-    """Defect of a frame; the compiled codec returns its negative number."""
+    """Reason why received bytes are not a frame; the compiled codec returns the negative number."""
 
     COBS = 1
     CRC = 2
@@ -35,29 +35,31 @@ class Defect(IntEnum):
 
 
 class FrameError(RemoteProtocolError):
-    """Bytes between two delimiters that are not a frame; `defect` is the reason."""
+    """Bytes between two delimiters are not a frame; `defect` gives the reason."""
 
     def __init__(self, defect: Defect) -> None:
-        super().__init__(f"bad frame: {defect.name}")
+        super().__init__(f"received bytes are not a valid frame: {defect.name} error")
         self.defect = defect
 
 
 def encode_frame(raw: bytes) -> bytes:
-    """Return the encoded frame for header and payload: with CRC, byte stuffing and delimiter.
+    """Return the encoded frame of header and payload (`raw`), with CRC, byte stuffing and delimiter, ready to send.
 
     Raise `LocalProtocolError` if `raw` is too short or too long for a frame.
     """
     if not HEADER_BYTES <= len(raw) <= RAW_LIMIT - CRC_BYTES:
         raise LocalProtocolError(
-            f"a frame of {len(raw)} bytes before its CRC cannot be sent: {HEADER_BYTES} … {RAW_LIMIT - CRC_BYTES} "
-            "bytes are allowed"
+            f"header and payload have {len(raw)} bytes; a frame allows {HEADER_BYTES} … {RAW_LIMIT - CRC_BYTES}"
         )
     runs = (raw + crc32(raw).to_bytes(CRC_BYTES, "little")).split(b"\0")
     return b"".join([_CODES[len(run)] + run for run in runs]) + b"\0"
 
 
 def decode_frame(encoded: bytes | bytearray) -> bytes:
-    """Return header and payload of an encoded frame without its delimiter; raise `FrameError` for a bad frame."""
+    """Return header and payload of an encoded frame; `encoded` does not contain the delimiter.
+
+    Raise `FrameError` for wrong byte stuffing, a wrong CRC or a wrong length.
+    """
     size = len(encoded)
     if size > ENCODED_LIMIT:
         raise FrameError(Defect.TOO_LONG)
@@ -82,10 +84,10 @@ def decode_frame(encoded: bytes | bytearray) -> bytes:
 
 
 class FrameSplitter:
-    """Splitter of a byte stream into raw frames. Bad frames are counted, not raised.
+    """Splitter of a received byte stream into raw frames. Bad frames are counted in `statistics`, not raised.
 
-    It stores at most one unfinished frame and processes every byte once. Empty frames (two delimiters in succession)
-    are ignored: a sender may begin with a delimiter to end noise on the line.
+    The splitter stores at most one unfinished frame and processes every byte once. Empty frames (two delimiters in
+    succession) are ignored: a sender may begin with a delimiter to end noise on the line.
     """
 
     def __init__(self, statistics: LinkStatistics | None = None) -> None:
@@ -94,7 +96,7 @@ class FrameSplitter:
         self._skipping = False  # inside something too long: wait for its end
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Accept bytes and return the raw frames (without CRC) that they complete, in order."""
+        """Accept received bytes; return the raw frames (header and payload) that are now complete, oldest first."""
         *ends, tail = data.split(b"\0")
         frames = []
         for piece in ends:
@@ -107,7 +109,7 @@ class FrameSplitter:
         return frames
 
     def reset(self) -> None:
-        """Discard an unfinished frame, for example after another reader has read from the link."""
+        """Discard an unfinished frame, for example after other code has read from the link."""
         self._pending.clear()
         self._skipping = False
 

@@ -1,7 +1,7 @@
 """Generate the firmware's `protocol.h` and `protocol.c` (C99) from the tables in Python.
 
-They contain type ids, the offset of each field in a raw frame, states and their transitions, parameters and codes, so
-that no number of the protocol is written twice. Names are those of PROTOCOL.md with the prefix ``HR_``.
+The C files contain type ids, the offset of each field in a raw frame, states and their transitions, parameters and
+codes, so that no number of the protocol is written twice. Names are those of PROTOCOL.md with the prefix ``HR_``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _KINDS = {"u": "HR_UNSIGNED", "i": "HR_SIGNED", "f": "HR_FLOAT"}
 
 
 def title(cls: type) -> str:
-    """Return the name of a message in PROTOCOL.md: SET_BEGIN for the class `SetBegin`."""
+    """Return the name of a message class in PROTOCOL.md, for example "SET_BEGIN" for the class `SetBegin`."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).upper()
 
 
@@ -144,7 +144,7 @@ extern const uint32_t hr_crc_table[256];
 
 
 def header() -> str:
-    """Return the text of protocol.h."""
+    """Return the C text of the firmware's protocol.h."""
     lines = [_MADE, "#ifndef HR_PROTOCOL_H", "#define HR_PROTOCOL_H", "", "#include <stdint.h>", ""]
     lines += _constants()
     lines += _message_lines()
@@ -156,7 +156,7 @@ def header() -> str:
 
 
 def source() -> str:
-    """Return the text of protocol.c."""
+    """Return the C text of the firmware's protocol.c."""
     parts = [
         _table("struct hr_message hr_messages[HR_MESSAGES]", map(_message_row, LAYOUTS.values())),
         _table("struct hr_parameter hr_parameters[HR_PARAMETERS]", map(_parameter_row, PARAMETERS)),
@@ -185,7 +185,9 @@ def _wire_bits(parameter: Parameter, value: float) -> str:
 def _parameter_row(parameter: Parameter) -> str:
     excluded = (*parameter.excluded, 0)[0]
     if len(parameter.excluded) > 1:
-        raise ValueError(f"{parameter.name}: the C table has room for one excluded value")
+        raise ValueError(
+            f"parameter {parameter.name} excludes {len(parameter.excluded)} values; the firmware's table allows one"
+        )
     values = (parameter.minimum, parameter.maximum, parameter.default, excluded)
     bits = ", ".join(_wire_bits(parameter, value) for value in values)
     kind = _KINDS[parameter.ctype[0]]

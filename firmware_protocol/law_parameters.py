@@ -1,8 +1,7 @@
-"""List the parameters of the control law that runs on the device, in the units of the device.
+"""List the parameters of the control law that runs on the device, in the device's integer units.
 
-The host designs the law with its filters (`rig.config.device_law`), and the device only computes with the results.
-Lengths are counts, velocities counts per velocity period, currents quanta, times ticks; see firmware/law/law.h.
-Live parameters may change while the device is armed, between two ticks, when the handle is in free space.
+The host designs the law and its filters (`rig.config.device_law`); the device only computes with the resulting numbers.
+Lengths are encoder counts, velocities counts per velocity period, currents quanta, times ticks; see firmware/law/law.h.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
 def _rows() -> list[_Row]:
-    """Return name, C type, unit, range, default, meaning and `live` of each parameter, in the order of their ids."""
+    """Return name, C type, unit, range, default, meaning and `live` of each parameter of the law, in order of id."""
     fixed = False
     rows: list[_Row] = [
         ("law", "u8", "", (0, 3), 0,
@@ -80,7 +79,7 @@ def _rows() -> list[_Row]:
 
 
 def _wall_rows() -> list[_Row]:
-    """Return the same of walls, excitation and what was added later, at the end: ids do not change."""
+    """Return the last rows of `_rows`: parameters of walls, of the excitation, and of later versions."""
     fixed, live = False, True
     return [
         ("float_surface", "i32", "count", _I32, 0, "position from the reference; rounded down", live),

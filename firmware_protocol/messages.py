@@ -2,7 +2,7 @@
 
 The annotations are the only description of the bytes: packing.py, codec.py and the tables of PROTOCOL.md are generated
 from them. Values are little-endian, without padding. A type id contains sender and delivery class, so a receiver can
-handle a type of a newer version correctly:
+handle an unknown type of a newer version correctly:
 
 * even: sent by the host, odd: sent by the device;
 * below 0x40: TRANSACTION, from 0x40: STREAM, from 0x60: BATCH.
@@ -31,14 +31,14 @@ OLDEST_EDGE = (
 
 
 class Role(IntEnum):
-    """End of the link: host or device."""
+    """End of the link: the host or the device."""
 
     HOST = 0
     DEVICE = 1
 
 
 class Delivery(IntEnum):
-    """Delivery class of a message: whether it is answered, repeated, or may be lost."""
+    """Delivery class of a message: whether it gets a reply, whether the sender repeats it, whether it may be lost."""
 
     TRANSACTION = 0  # answered; repeated by the host until it is
     STREAM = 1  # never repeated, the newest wins, losses are counted
@@ -46,7 +46,7 @@ class Delivery(IntEnum):
 
 
 class Mode(IntEnum):
-    """Mode that a COMMAND requests."""
+    """Mode that a COMMAND requests from the device."""
 
     CURRENT = 0  # apply the current
     SUPERVISE = 1  # the law runs on the device; the current is ignored, the watchdog fed
@@ -57,11 +57,13 @@ STOP_FRAMES = 5  # times that a host sends STOP, so that one arrives over a link
 
 
 class Sync(IntFlag):
-    """Pins of the sync output, for an oscilloscope or other recorders.
+    """Bits of the device's sync outputs, which mark ticks and trials for an oscilloscope or another recorder.
 
     `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device sets these pins when the current
-    of the command becomes active, and clears them when the lifetime of the command is over, at STOP, at a fault and
-    outside of a session. With SUPERVISE the law on the device controls them.
+    of
+    the COMMAND becomes active, and clears them when the lifetime of the COMMAND is over, at STOP, at a fault and
+    outside of
+    a session. With mode SUPERVISE the law on the device controls the pins.
     """
 
     TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND
@@ -70,7 +72,7 @@ class Sync(IntFlag):
 
 
 class DisarmFlag(IntFlag):
-    """Flags of DISARM."""
+    """Flags of a DISARM message."""
 
     CLEAR_FAULT = 1  # also leave FAULT; refused while the cause is present
 
@@ -87,7 +89,7 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Identify(Message):
-    """Ask for a piece of the device's dictionary; answered in every state, to every major version."""
+    """Request a piece of the device's dictionary; accepted in every state and from every major version."""
 
     nonce: Nonce
     offset: Annotated[
@@ -97,7 +99,7 @@ class Identify(Message):
 
 @dataclass(frozen=True, slots=True)
 class Identity(Message):
-    """A piece of the device's dictionary (see dictionary.py). The header's major is the device's."""
+    """A piece of the device's dictionary. The major version in the header is the device's."""
 
     nonce: Nonce
     minor: Annotated[int, Wire("u8", "", "minor protocol version of the device")]
@@ -112,7 +114,7 @@ class Identity(Message):
 
 @dataclass(frozen=True, slots=True)
 class Ack(Message):
-    """The answer to a request that has no reply of its own, and every refusal."""
+    """The reply to a request that has no reply message of its own, and the reply to every rejected request."""
 
     nonce: Nonce
     request: Annotated[int, Wire("u8", "", "type id of the request")]
@@ -126,7 +128,7 @@ class Ack(Message):
 
 @dataclass(frozen=True, slots=True)
 class SetBegin(Message):
-    """SET_PARAMETERS, first step: announce a parameter block."""
+    """First step of SET_PARAMETERS: announce a parameter block."""
 
     nonce: Nonce
     length: Annotated[int, Wire("u16", "byte", "length of the block")]
@@ -135,7 +137,7 @@ class SetBegin(Message):
 
 @dataclass(frozen=True, slots=True)
 class SetChunk(Message):
-    """SET_PARAMETERS, second step: a piece of the block; pieces may come twice and in any order."""
+    """Second step of SET_PARAMETERS: a piece of the parameter block; pieces may arrive twice and in any order."""
 
     nonce: Annotated[int, Wire("u16", "", "transaction of the SET_BEGIN")]
     offset: Annotated[int, Wire("u16", "byte", "offset of this piece")]
@@ -144,14 +146,14 @@ class SetChunk(Message):
 
 @dataclass(frozen=True, slots=True)
 class SetCommit(Message):
-    """SET_PARAMETERS, last step: check the block, then activate all or none of it between two ticks."""
+    """Last step of SET_PARAMETERS: check the parameter block, then activate all of it or nothing between two ticks."""
 
     nonce: Annotated[int, Wire("u16", "", "transaction of the SET_BEGIN")]
 
 
 @dataclass(frozen=True, slots=True)
 class GetParameters(Message):
-    """Ask for a piece of the active parameter block."""
+    """Request a piece of the active parameter block."""
 
     nonce: Nonce
     offset: Annotated[int, Wire("u16", "byte", "offset of the first requested byte")]
@@ -159,7 +161,7 @@ class GetParameters(Message):
 
 @dataclass(frozen=True, slots=True)
 class Parameters(Message):
-    """A piece of the active parameter block, which holds every parameter."""
+    """A piece of the active parameter block, which contains every parameter."""
 
     nonce: Nonce
     total: Annotated[int, Wire("u16", "byte", "length of the block")]
@@ -170,7 +172,7 @@ class Parameters(Message):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Message):
-    """Begin a session, whose number is in the header; hash and CRC must equal those of the device."""
+    """Begin a session, whose number is in the header; dictionary hash and CRC must equal those of the device."""
 
     nonce: Nonce
     dictionary_hash: Annotated[int, Wire("u64", "", "hash from IDENTITY")]
@@ -187,7 +189,7 @@ class Disarm(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetTime(Message):
-    """First message of the clock exchange: the host's time at sending."""
+    """Begin a clock exchange: the request contains the host's time at sending."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "host clock at sending; echoed")]
@@ -195,7 +197,7 @@ class GetTime(Message):
 
 @dataclass(frozen=True, slots=True)
 class Time(Message):
-    """Reply of the clock exchange: the device's times at receipt and sending; the host stores its time at receipt."""
+    """Reply of a clock exchange: the device's times at receipt and at sending; the host adds its time at receipt."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "copied from the request")]
@@ -226,14 +228,14 @@ class FaultLog(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetStatistics(Message):
-    """Ask for the device's link counters."""
+    """Request the device's counters of received and dropped frames."""
 
     nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics(Message):
-    """The device's counters of received frames (counters.py), each modulo 2³², and the place of its last crash."""
+    """The device's counters of received and dropped frames, each modulo 2³², and the address of its last crash."""
 
     nonce: Nonce
     frames: Annotated[int, Wire("u32", "", "frames with a good CRC")]
@@ -262,7 +264,7 @@ class GetReference(Message):
 
 @dataclass(frozen=True, slots=True)
 class Reference(Message):
-    """Origin of position zero, and the index pulses that the device has detected since it started."""
+    """Origin of position zero, and the encoder's index pulses that the device has detected since it started."""
 
     nonce: Nonce
     zero: Annotated[
@@ -282,14 +284,14 @@ class Reference(Message):
 
 @dataclass(frozen=True, slots=True)
 class EnterBootloader(Message):
-    """Restart the device in its boot loader, which accepts another program, shortly after the reply."""
+    """Restart the device in its boot loader, which accepts another firmware, shortly after the reply."""
 
     nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
 class Command(Message):
-    """Command of the host for this tick; feeds the watchdog."""
+    """The host's motor current and mode for this tick; every COMMAND also restarts the device's link watchdog."""
 
     state_sequence: Annotated[
         int, Wire("u16", "", "sequence of the STATE that this answers; 0 before the first")
@@ -310,7 +312,7 @@ class Command(Message):
 
 @dataclass(frozen=True, slots=True)
 class State(Message):
-    """Sample of the device in one tick: count, times, currents, limits and state."""
+    """The device's sample of one tick: count, times, currents, limits and state."""
 
     command_sequence: Annotated[int, Wire("u16", "", "sequence of the active COMMAND")]
     command_age: Annotated[
@@ -342,7 +344,7 @@ class State(Message):
 
 @dataclass(frozen=True, slots=True)
 class Batch(Message):
-    """Consecutive ticks of the law on the device, packed as `layout` says (BATCH_LAYOUTS)."""
+    """Consecutive ticks of the law on the device, packed with the C types of `layout` in BATCH_LAYOUTS."""
 
     first_index: Annotated[int, Wire("u32", "tick", "sample index of the first sample")]
     device_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the first sample")]
@@ -355,7 +357,7 @@ class Batch(Message):
 
 @dataclass(frozen=True, slots=True)
 class FaultEntry:
-    """One tick in the device's fault ring (FAULT_ENTRY)."""
+    """One tick in the device's fault log, a ring buffer (FAULT_ENTRY)."""
 
     sample_index: Annotated[int, Wire("u32", "tick", "number of the tick")]
     count: Annotated[int, Wire("i32", "count", "encoder count")]
@@ -398,12 +400,12 @@ BATCH_LAYOUTS: dict[int, tuple[str, ...]] = {
 
 
 def sender_of(type_id: int) -> Role:
-    """Return the sender of a type id, also of an unknown one."""
+    """Return the sender of messages with a type id (even: host, odd: device), also of an unknown id."""
     return Role.DEVICE if type_id & 1 else Role.HOST
 
 
 def delivery_of(type_id: int) -> Delivery:
-    """Return the delivery class of a type id, also of an unknown one."""
+    """Return the delivery class of messages with a type id, also of an unknown id."""
     if type_id < 0x40:
         return Delivery.TRANSACTION
     return Delivery.STREAM if type_id < 0x60 else Delivery.BATCH

@@ -1,4 +1,4 @@
-"""Definition of a parameter of the device."""
+"""Definition of a parameter of the device: its number in messages, name, C type, unit and range."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ Value = int | float
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Definition of a parameter: number on the wire, name, C type, unit, range, default and meaning.
+    """A parameter of the device: id in messages, name, C type, unit, range, default and meaning.
 
-    `excluded` are values inside the range that are not allowed. A `live` parameter may change while the device is
-    armed, in a block that contains only live parameters.
+    `excluded` are values inside the range that the device rejects. A `live` parameter may change while the device is
+    armed,
+    in a parameter block that contains only live parameters.
     """
 
     id: int
@@ -27,5 +28,5 @@ class Parameter:
     live: bool = False
 
     def accepts(self, value: Value) -> bool:
-        """Return True if a value is in the range and not excluded; NaN is not accepted."""
+        """Return True if `value` is in the parameter's range and not excluded; return False for NaN."""
         return self.minimum <= value <= self.maximum and value not in self.excluded

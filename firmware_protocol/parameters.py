@@ -1,7 +1,7 @@
 """List the device's parameters, and encode and decode the parameter block.
 
 A block is a sequence of entries in ascending order of id, each an id (u16) and a value in four bytes, both
-little-endian. The device activates a block as a whole or not at all. Defaults are safe: a device that was never
+little-endian. The device activates all values of a block or none. Defaults are safe: a device that was never
 configured drives no current.
 """
 
@@ -27,8 +27,9 @@ _FORMATS = {"u8": "<HI", "u16": "<HI", "u32": "<HI", "i8": "<Hi", "i32": "<Hi", 
 class ParameterError(ProtocolError):
     """A parameter or a parameter block is not valid.
 
-    `status` and `detail` are those of the ACK; `detail` is the id of the parameter, or 0 for the whole block. `name` is
-    the name of the parameter, or empty.
+    `status` and `detail` are the fields of the ACK that rejects the block; `detail` is the id of the parameter, or 0
+    for
+    the whole block. `name` is the name of the parameter, or empty.
     """
 
     def __init__(self, status: Status, message: str, *, detail: int = 0, name: str = "") -> None:
@@ -195,7 +196,7 @@ BLOCK_LIMIT = 1024  # a longer block is refused at BEGIN; above one entry for ev
 def check_together(values: Mapping[str, Value]) -> None:
     """Raise `ParameterError` if parameters contradict each other, although each is in its range.
 
-    `values` are all active values; a missing parameter has its default.
+    `values` contains all active values by name; a missing parameter has its default.
     """
     if values.get("window_minimum", 0) > values.get("window_maximum", 0):
         parameter = BY_NAME["window_maximum"]
@@ -209,7 +210,7 @@ def check_together(values: Mapping[str, Value]) -> None:
 
 
 def encode_block(values: Mapping[str, Value]) -> bytes:
-    """Return the parameter block for values in any order; raise `ParameterError` for an invalid one.
+    """Return the parameter block (bytes) for values by name, in any order; raise `ParameterError` for an invalid value.
 
     f32 values are rounded to float32: `decode_block` returns the value that the device will use.
     """
@@ -228,7 +229,7 @@ def encode_block(values: Mapping[str, Value]) -> bytes:
 
 
 def decode_block(block: bytes) -> dict[str, Value]:
-    """Return the values in a block by name, in the order of their ids; raise `ParameterError` for an invalid block."""
+    """Return the values in a parameter block by name, in order of their ids; raise `ParameterError` if not valid."""
     if len(block) % ENTRY_BYTES or len(block) > BLOCK_LIMIT:
         raise ParameterError(
             Status.BAD_LENGTH,
@@ -245,7 +246,7 @@ def decode_block(block: bytes) -> dict[str, Value]:
         if number <= previous:
             raise ParameterError(
                 Status.BAD_ORDER,
-                f"{parameter.name} is out of order: parameters must be in ascending order of id",
+                f"parameter {parameter.name} is out of order: a block has ascending ids, each at most once",
                 detail=number,
                 name=parameter.name,
             )
@@ -257,14 +258,18 @@ def decode_block(block: bytes) -> dict[str, Value]:
 
 
 def block_crc(block: bytes) -> int:
-    """Return the CRC-32 of a block, which the device reports in the ACK of COMMIT and the host sends in ARM."""
+    """Return the CRC-32 of a parameter block; the device sends it in the ACK of COMMIT, the host in ARM."""
     return crc32(block)
 
 
 def _by_name(name: str) -> Parameter:
     parameter = BY_NAME.get(name)
     if parameter is None:
-        raise ParameterError(Status.UNKNOWN_PARAMETER, f"unknown parameter {name!r}", name=name)
+        raise ParameterError(
+            Status.UNKNOWN_PARAMETER,
+            f"unknown parameter {name!r}; PROTOCOL.md lists all parameters",
+            name=name,
+        )
     return parameter
 
 
@@ -274,7 +279,7 @@ def _check_one(parameter: Parameter, value: Value) -> None:
     if not parameter.accepts(value):
         excluded = "".join(f", not {banned}" for banned in parameter.excluded)
         limits = f"{parameter.minimum} … {parameter.maximum}{excluded}"
-        raise _refusal(parameter, f"{parameter.name} = {value} is outside {limits}")
+        raise _refusal(parameter, f"{parameter.name} = {value} is outside its range {limits}")
 
 
 def _refusal(parameter: Parameter, message: str) -> ParameterError:

@@ -1,8 +1,8 @@
-"""Execute each request at most once: a repeated request gets the same reply again.
+"""Execute each request at most once: a device answers a repeated request with its stored reply.
 
 The host repeats a request if the reply does not arrive in time; it cannot detect whether request or reply was lost.
 Requests that only read may be executed again; a request that changes the device must not. The host waits for each reply
-before its next request, so storing one reply is enough.
+before its next request, so the device needs to store only one reply.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ REMEMBERED = frozenset(type_id_of(cls) for cls in (SetBegin, SetCommit, Arm, Dis
 
 
 class Replies:
-    """The device's memory of its last request of a type in `REMEMBERED`, and of the reply."""
+    """A device's memory of its last request that changes something (a type in `REMEMBERED`), and of the reply."""
 
     def __init__(self) -> None:
         self._key: tuple[int, int, int] | None = None
         self._reply: Message | None = None
 
     def answer(self, event: Event, execute: Callable[[], Message]) -> Message:
-        """Return the stored reply if this request was the last one executed; otherwise execute it."""
+        """Return the stored reply if the request repeats the last executed one, else the result of `execute()`."""
         if event.request not in REMEMBERED:
             return execute()
         if not self.remembers(event) or self._reply is None:
@@ -35,9 +35,9 @@ class Replies:
         return self._reply
 
     def remembers(self, event: Event) -> bool:
-        """Return True if a request repeats the last executed one, so that its reply is sent again."""
+        """Return True if a request repeats the last executed one, so that the device must send the stored reply."""
         return self._reply is not None and self._key == (event.request, event.nonce, event.session)
 
     def forget(self) -> None:
-        """Delete the stored reply, after a reset of the device."""
+        """Delete the stored request and its reply; the device calls this after a reset."""
         self._key = self._reply = None

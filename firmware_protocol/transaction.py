@@ -1,8 +1,8 @@
-"""Compute the host side of a transaction: which request to send, and when, in integers.
+"""Compute the host side of a transaction (a request and its reply): which request to send, and when, in integers.
 
-A transaction is a request and its reply. An update of parameters consists of SET_BEGIN, SET_CHUNKs and SET_COMMIT with
-one nonce; each is answered before the next is sent. `after_time` and `after_answer` are pure functions: `Connection`
-calls them and the control loop compiles them, so parameters change in the same way before and during a run.
+An update of parameters consists of SET_BEGIN, SET_CHUNKs and SET_COMMIT with one nonce; the host waits for the reply to
+each before it sends the next. `after_time` and `after_answer` are pure functions: `Connection` calls them and the
+control loop compiles them, so parameters change in the same way before and during a run.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
 from firmware_protocol.packing import data_limit, type_id_of
 
-# How long a host waits for an answer before it sends the request again; after the last repeat the last time once more.
+# How long a host waits for a reply before it sends the request again; after the last repeat the last time once more.
 RETRY_AFTER_S = (0.020, 0.040, 0.080)
 MOST_TRIES = 1 + len(RETRY_AFTER_S)
 ENDLESS = 1 << 62  # tries
@@ -27,22 +27,22 @@ _FIRST_NS, _DOUBLINGS = round(RETRY_AFTER_S[0] * 1e9), len(RETRY_AFTER_S) - 1
 
 
 class Transaction(NamedTuple):
-    """Progress of a transaction.
+    """Progress of a transaction on the host.
 
     Attributes
     ----------
     nonce
         Nonce of all requests of the transaction.
     length
-        Length of the parameter block (bytes); 0 for other requests.
+        Length of the parameter block (bytes); 0 for requests without a parameter block.
     step
-        Type id of the present request, or the result: DONE, REFUSED or UNANSWERED.
+        Type id of the request whose reply is awaited, or the result: DONE, REFUSED or UNANSWERED.
     offset
-        Offset of the present chunk in the block (bytes).
+        Offset of the chunk whose reply is awaited, in the parameter block (bytes).
     tries
-        Number of times that the present request was sent.
+        Number of times that the host has sent the request of this step.
     again_at
-        Time at which to send it again (ns).
+        Time at which the host must send the request again (ns).
     """
 
     nonce: int
@@ -54,7 +54,10 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """Return the transaction updated to `time_ns`. If its `tries` increased, send the request now."""
+    """Return the transaction at the host time `time_ns` (ns), with one more try if its request must be sent now.
+
+    If `tries` of the result is larger, the caller must send the request. After `most_tries` the result is UNANSWERED.
+    """
     if t.step < 0 or (t.tries > 0 and time_ns < t.again_at):
         return t
     if t.tries >= most_tries:
@@ -64,9 +67,9 @@ def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
 
 
 def after_answer(t: Transaction, nonce: int, request: int, status: int, detail: int) -> Transaction:
-    """Return the transaction after a reply: with the next request, or finished.
+    """Return the transaction after an ACK with these fields: its next request, or the result DONE or REFUSED.
 
-    A reply to another request changes nothing. `nonce`, `request`, `status` and `detail` are those of an ACK.
+    An ACK for another request changes nothing.
     """
     # an OK for the chunk before, which was sent twice
     late = t.step == CHUNK and status == _OK and detail != t.offset

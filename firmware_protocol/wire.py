@@ -1,4 +1,4 @@
-"""Describe a field on the wire (C type, unit, meaning) in its annotation, and convert such fields to bytes."""
+"""Describe a message's field (C type, unit, meaning) in its type annotation, and convert such fields to bytes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMATS = {
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Description of a field: C type (a key of FORMATS, or "bytes" for the rest of the frame), unit and meaning."""
+    """Description of a message's field: C type (a key of FORMATS, or "bytes": the rest of the frame), unit, meaning."""
 
     ctype: str
     unit: str
@@ -32,7 +32,7 @@ class Wire:
 
 
 def wire_fields(cls: type) -> dict[str, Wire]:
-    """Return the `Wire` of each field by name, in wire order, of a class with fields ``Annotated[int, Wire(…)]``."""
+    """Return the `Wire` of each field by name, in order of the bytes; a class annotates ``Annotated[int, Wire(…)]``."""
     return _wire_fields(cls)
 
 
@@ -42,17 +42,17 @@ def _wire_fields(cls: type) -> dict[str, Wire]:
 
 
 def fixed_fields(cls: type) -> dict[str, Wire]:
-    """Return `wire_fields` without a field of variable length ("bytes")."""
+    """Return the `Wire` of each field of a class by name, except a field of variable length ("bytes")."""
     return {name: wire for name, wire in wire_fields(cls).items() if wire.ctype != "bytes"}
 
 
 def record_struct(cls: type) -> struct.Struct:
-    """Return the struct of the fixed fields: little-endian, without padding."""
+    """Return the `struct.Struct` of all fields of a class with a fixed length: little-endian, without padding."""
     return struct.Struct("<" + "".join(FORMATS[wire.ctype] for wire in fixed_fields(cls).values()))
 
 
 def field_getter(cls: type) -> Callable[[Any], tuple[int, ...]]:
-    """Return a function that reads the fixed fields of an instance as one tuple."""
+    """Return a function that reads the fields of fixed length from an instance of `cls` and returns them as a tuple."""
     names = list(fixed_fields(cls))
     getter: Callable[[Any], Any] = attrgetter(*names)
     if len(names) > 1:

@@ -1,4 +1,4 @@
-"""Extract samples from the frames of a device that runs the law: each sample once, in order.
+"""Extract samples from the BATCH frames of a device that runs the law: each sample once, in order.
 
 Samples wait in a queue, because a later reply of the device can decide which wall was active at a sample. Duplicates
 and samples that arrive after newer ones are dropped and counted; lost samples are a gap in the sample index.
@@ -46,7 +46,7 @@ assert min(sum(int(c[1:]) // 8 for c in layout) for layout in BATCH_LAYOUTS.valu
 
 @kernel(types.boolean(SUPERVISION_TYPE))
 def has_room(supervision: Any) -> bool:
-    """Return True if the queue has room for all samples of one read."""
+    """Return True if the queue of samples has room for all samples that one read of the link can bring."""
     v = supervision[0]
     return bool(v["head"] - v["tail"] <= QUEUE - SAMPLES_A_READING)
 
@@ -55,7 +55,7 @@ def has_room(supervision: Any) -> bool:
 def _take_batch(
     settings: Any, buffers: Buffers, supervised: SupervisionBuffers, count: int, words: int
 ) -> int:
-    """Put the new samples of a BATCH into the queue; return their number."""
+    """Put the samples of the received BATCH that are new into the queue; return their number (of `count` in all)."""
     v, s, progress = supervised.supervision[0], settings[0], buffers.progress
     header, batch, decoded = buffers.header, supervised.batch, supervised.decoded
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
@@ -102,7 +102,7 @@ def _take_batch(
 
 @kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Store a STATE as the newest one and in the queue of STATEs, if it is newer than the last one and accepted."""
+    """Store the received STATE as the newest, and queue it, if it is newer and consistent; otherwise count it."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest
@@ -137,7 +137,7 @@ def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
 def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> int:
     """Move samples and STATEs from the receive buffer to their queues; return the number of new samples.
 
-    Also process replies to a clock exchange and to a parameter transaction. The queue must have room (`has_room`).
+    Also process replies to a clock exchange and to a parameter update. The queue must have room (`has_room`).
     """
     session = settings[0]["session"]
     raw, header, ack = buffers.raw, buffers.header, supervised.ack

@@ -1,4 +1,4 @@
-"""Send COMMAND messages, with which a loop controls or supervises the device."""
+"""Send COMMAND messages, with which the host's loop sets the device's current or keeps a law on the device running."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PHASE_TRIAL, _FLAG_INSIDE = int(Phase.TRIAL), int(RowFlag.INSIDE)
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def sync_of(memory: Any) -> int:
-    """Return the bits (`Sync`) of the sync outputs for the present tick of the law."""
+    """Return the levels of the sync outputs (bits of `Sync`) by phase and flags of the law's state `memory`."""
     bits = NO_SYNC
     if memory[0]["phase"] == _PHASE_TRIAL:
         bits |= _TRIAL
@@ -38,7 +38,10 @@ def sync_of(memory: Any) -> int:
     types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.int64, types.int64),
 )
 def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, current: int, sync: int) -> int:
-    """Send one COMMAND; return 1 if the link accepted all of it, 0 if not, or the negative errno of a broken link."""
+    """Send one COMMAND; return 1 if the link accepted all of it, 0 if not, or the negative errno of a broken link.
+
+    `mode` is a `Mode`, `current` the motor current (quanta), `sync` the levels of the sync outputs (bits of `Sync`).
+    """
     p, command, transmit = buffers.progress[0], buffers.command, buffers.transmit
     command[COMMAND.state_sequence] = p["answers"]
     command[COMMAND.lifetime_us] = settings[0]["lifetime_us"]

@@ -21,7 +21,7 @@ WRAP = 1 << 32
 
 
 class Contradiction(IntEnum):
-    """Kinds of impossible data from a device, each with a text."""
+    """Kind of impossible data from a device; `text` describes it."""
 
     NONE = 0, ""
     RESTARTED = 1, "its sample index started again"
@@ -33,7 +33,7 @@ class Contradiction(IntEnum):
     text: str
 
     def __new__(cls, code: int, text: str = "") -> Contradiction:
-        """Return a member with the value `code` and a text."""
+        """Create the member of the enumeration with the value `code` and a text."""
         member = int.__new__(cls, code)
         member._value_ = code
         member.text = text
@@ -48,21 +48,21 @@ _NO_COMMAND_YET, _OLDEST_EDGE = int(NO_COMMAND_YET), int(OLDEST_EDGE)
 
 @kernel(types.int64(types.int64, types.int64), inline=True)
 def ahead(new: int, old: int) -> int:
-    """Return new − old modulo 2³², from −2³¹ to 2³¹ − 1: how far a 32-bit counter is ahead of `old`."""
+    """Return new − old modulo 2³², from −2³¹ to 2³¹ − 1: by how much a 32-bit counter has advanced."""
     return (new - old + WRAP // 2) % WRAP - WRAP // 2
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64), inline=True)
 def time_of(settings: Any, samples: int) -> int:
-    """Return the duration of a number of samples (units of the device's clock)."""
+    """Return the nominal duration of `samples` ticks (units of the device's clock)."""
     return int(samples * settings[0]["period_ns"] * 1000 // settings[0]["device_tick_ps"])
 
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64, types.int64))
 def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
-    """Return how far the device's clock is ahead of its sample index (units of its clock).
+    """Return how far the device's clock is ahead of its sample index (units of the device's clock).
 
-    `error` is the previous result; since then `samples` samples and the device time `time` have passed.
+    `error` is the previous result; since that sample, `samples` samples and the device time `time` have passed.
     """
     # A share of the elapsed time is forgotten: a timer that cannot have the exact rate drifts and is no contradiction.
     expected = time_of(settings, samples)
@@ -73,7 +73,10 @@ def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
 def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
-    """Return the `Contradiction` in a sample that is `samples` after the last one and has this `clock_error`."""
+    """Return the number of the `Contradiction` between sample index and clock of a device, 0 if they agree.
+
+    `samples` counts from the last STATE to this one, negative if the index jumped back; `error` is the `clock_error`.
+    """
     if samples < -settings[0]["lost_after_ns"] // settings[0]["period_ns"]:
         return _RESTARTED
     return _CLOCK if abs(error) > time_of(settings, _PERIODS) else _NONE
@@ -81,7 +84,7 @@ def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
 def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
-    """Return the `Contradiction` inside a STATE, or between a STATE and the sent COMMANDs."""
+    """Return the number of the `Contradiction` inside a STATE, or of a STATE with the sent COMMANDs; 0 without one."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE
@@ -96,7 +99,8 @@ def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool
     """Compare a STATE with the last one (`before`); return by how many samples it is newer, and 1 if accepted, else 0.
 
     A STATE with a contradiction is rejected, and the contradiction is stored in `progress`. A STATE that reports a
-    fault is always accepted, because it ends the run anyway.
+    fault is
+    always accepted, because it ends the run anyway.
     """
     p = progress[0]
     newer, error, found = 1, 0, _NONE

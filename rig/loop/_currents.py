@@ -2,7 +2,7 @@
 
 The active current in a STATE must be that of the COMMAND that the STATE names as active, unless a limit acted. If this
 COMMAND arrived in the same tick, an earlier one was active in the tick: a late host sends several in one tick.
-`rig.control.current` compares the measured current with the active one. The results are flags of the row
+`rig.control.current` compares the measured current with the active one. The results are flags of the recorded row
 (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
 """
 
@@ -33,28 +33,28 @@ OLDER = 8
 
 @kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)
 def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
-    """Store the current of a COMMAND and the index of the sample that it answers, to check later STATEs."""
+    """Store a COMMAND's current (quanta) and the index (`answers`) of the sample that it answers, for later checks."""
     place = 3 * (sequence % COMMANDS_KEPT)
     sent[place], sent[place + 1], sent[place + 2] = sequence, current, answers
 
 
 @kernel(types.int64(INTS, types.int64), inline=True)
 def answered_by(sent: Any, sequence: int) -> int:
-    """Return the index of the sample that a COMMAND answers, -1 if the COMMAND is no longer stored."""
+    """Return the index of the sample that the COMMAND number `sequence` answers; -1 if that is no longer stored."""
     place = 3 * (sequence % COMMANDS_KEPT)
     return int(sent[place + 2]) if sent[place] == sequence else -1
 
 
 @kernel(types.boolean(INTS, types.int64, types.int64), inline=True)
 def _was_sent(sent: Any, sequence: int, current: int) -> bool:
-    """Return True if the COMMAND number `sequence` had this current, or is no longer stored."""
+    """Return True if the COMMAND number `sequence` had this current (quanta), or is no longer stored."""
     place = 3 * (sequence % 65536 % COMMANDS_KEPT)
     return bool(sent[place] != sequence % 65536 or sent[place + 1] == current)
 
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE))
 def compare_command(buffers: Buffers, memory: Any) -> None:
-    """Set the flag OTHER_CURRENT if the active current is not the commanded one although no limit acted."""
+    """Set the row flag OTHER_CURRENT if the active current is not the commanded one although no limit acted."""
     state, sent = buffers.state, buffers.sent
     if state[STATE.state] != _RUNNING or state[STATE.command_age] == _NONE_YET or state[STATE.fault] != 0:
         return
@@ -70,7 +70,10 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE, types.int64))
 def compare_measured(buffers: Buffers, memory: Any, elapsed: int) -> None:
-    """At the end of a window, set the flag CURRENT_FOLLOWS or CURRENT_DIFFERS by the measured current."""
+    """Set the row flag CURRENT_FOLLOWS or CURRENT_DIFFERS at the end of each comparison of measured and active current.
+
+    `elapsed` is the number of ticks since the last sample; above 1, the comparison starts again.
+    """
     words, state = buffers.currents, buffers.state
     # A rig without a current sensor, or without an expected current: nothing was configured.
     if words[CURRENT.ticks] == 0:

@@ -1,4 +1,4 @@
-"""Device–host agreement: comparison of the device's current with that of the same law on the host.
+"""Compare the current of a law on the device with the current that the same law computes on the host.
 
 The current that is active at a sample is compared with the host's result at the sample before. The two laws use
 different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, and after a gap
@@ -34,7 +34,10 @@ FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whiche
 
 @kernel(types.void(SUPERVISION_TYPE, SETTINGS_TYPE, CONTROL_TYPE, types.int64, types.int64))
 def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
-    """Compare the active current `applied` (quanta) with the host law's current at the sample before."""
+    """Compare the device's active current `applied` (quanta) with the host law's current at the sample before.
+
+    `elapsed` is the number of ticks since that sample; above 1, the comparison pauses. `settle` counts the result.
+    """
     v, s = supervision[0], settings[0]
     if v["comparable"] == 0:
         return
@@ -55,7 +58,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
-    """Count the differences since the last STATE, or exclude them if the new STATE reports that a limit acted."""
+    """Count the current differences since the last STATE, or exclude them if the new STATE reports an active limit."""
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING
     if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:

@@ -1,4 +1,4 @@
-"""Reasons for the end of a run (`EndReason`) that all loops share: the device, a stop request, a flag of the law."""
+"""Find the reason for the end of a run (`EndReason`) in a STATE, a stop request, or the flags of the law."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def reason_by_contradiction(progress: Any) -> int:
 
 @kernel(types.int64(INTS, PROGRESS_TYPE))
 def reason_by_device(state: Any, progress: Any) -> int:
-    """Return the end reason if a STATE reports a fault or a disarmed device, or for a contradiction; 0 to continue.
+    """Return the end reason if a STATE reports a fault, a disarmed device or impossible data; 0 to continue.
 
     A pressed emergency stop counts as a fault, although a device may still report ARMED.
     """
@@ -62,10 +62,7 @@ def reason_by_device(state: Any, progress: Any) -> int:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
 def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
-    """Return the end reason if the limit switch is pressed in a STATE, 0 to continue.
-
-    A broken wire reads as pressed and so ends the run too.
-    """
+    """Return the end reason if a STATE reports the limit switch as pressed or its wire as broken, 0 to continue."""
     # The switch lies outside of the position window: where it is reached, position zero is wrong or the guard failed.
     s, p = settings[0], progress[0]
     if state[STATE.inputs] & _SWITCH == 0:
@@ -79,7 +76,7 @@ def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
-    """Return the end reason for a stop word, a stop request or a missing heartbeat of the supervisor, else 0."""
+    """Return the end reason for a stop request or a missing heartbeat in the control `words`, 0 to continue."""
     requests = settings[0]["stop_requests"]
     # The request is copied to the stop word of this run, so that `rig stop --list` shows that it is stopping.
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:
@@ -94,10 +91,9 @@ def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
 
 @kernel(types.int64(MEMORY_TYPE))
 def reason_by_law(memory: Any) -> int:
-    """Return the end reason that follows from the tick's flags and phase, 0 to continue.
+    """Return the end reason that follows from the flags and the phase in the law's state `memory`, 0 to continue.
 
-    `rig.control.step` and the comparison of currents set the flags. With the law on the device, the host runs the same
-    step on the samples of each BATCH.
+    With the law on the device, the host runs the same law on the samples of each BATCH.
     """
     # A device's law does not watch energy, violence or a count that stands: it drives until the STOP arrives, after the
     # rest of the batch (5 ms at most, `rig.config.device_law._batch`) and the transfer of both.

@@ -1,7 +1,7 @@
-"""Clock exchanges while the loop runs: GET_TIME about eleven times a second, after a COMMAND, and the reply TIME.
+"""Clock exchanges while the loop runs: about eleven times a second, send GET_TIME after a COMMAND, and receive TIME.
 
 An exchange has four time stamps: the host's at sending, the device's at receipt and at sending, the host's at receipt.
-`rig.core.clock_fit` fits a line to them.
+`rig.core.clock_fit` fits a line to them, which gives offset and drift of the two clocks.
 """
 
 from __future__ import annotations
@@ -24,17 +24,14 @@ EVERY_NS = 91_000_000
 
 @kernel(types.int64(types.int64, types.int64))
 def device_ns(ticks: int, device_tick_ps: int) -> int:
-    """Return a device time in ns; `ticks` are units of its clock, of `device_tick_ps` (ps) each."""
+    """Return a device time in ns; `ticks` counts units of the device's clock, of `device_tick_ps` (ps) each."""
     # In two parts: the product of ticks and picoseconds would leave 64 bits after 107 days.
     return ticks // 1000 * device_tick_ps + ticks % 1000 * device_tick_ps // 1000
 
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE))
 def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
-    """Send a GET_TIME if one is due; return 0, or the negative errno of a broken link.
-
-    A reply that has not arrived by the next request is ignored.
-    """
+    """Send a GET_TIME if one is due, and ignore an unanswered one; return 0, or the negative errno of a broken link."""
     s, p = settings[0], buffers.progress[0]
     asked_at = port.now(port.clock_handle)
     if s["exchange_every_ns"] == 0 or asked_at - p["asked_at"] < s["exchange_every_ns"]:
@@ -54,7 +51,7 @@ def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
-    """Store the clock exchange and return 1 if the frame in `buffers.raw` is the expected TIME; else return 0."""
+    """Store the clock exchange and return 1 if the `length` bytes in `buffers.raw` are the expected TIME; else 0."""
     p, times, exchanges = buffers.progress[0], buffers.times, buffers.exchanges
     device_tick_ps = settings[0]["device_tick_ps"]
     if p["asking"] == 0 or codec.decode_time(buffers.raw, length, buffers.header, times) != 0:

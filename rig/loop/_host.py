@@ -1,4 +1,4 @@
-"""The control loop on the host, as one compiled function without the GIL.
+"""The control loop on the host, as one compiled function that runs without the GIL.
 
 For each new STATE: read the count, run `rig.control.step`, reply with a COMMAND, put one row into the ring.
 `rig.loop._run` starts it in a thread. It must not wait without a bound, allocate, or return before it has sent several
@@ -54,7 +54,7 @@ LONGEST_WAIT_NS = 10_000_000
 
 @kernel(types.boolean(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE))
 def _overran(settings: Any, memory: Any, progress: Any) -> bool:
-    """Return True if this tick is more than one period late."""
+    """Return True if this tick, or a sample that was skipped before it, is more than one period late."""
     # Device-paced, the newest of several samples is in time though the skipped ones were not: they decide.
     flags = memory[0]["flags"]
     behind = settings[0]["host_paced"] == 0 and flags & FLAG_GAP != 0 and progress[0]["fresh"] > 1
@@ -79,7 +79,7 @@ def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
 
 @kernel(types.void(PORT_TYPE, SETTINGS_TYPE, PROGRESS_TYPE, types.uintp))
 def _sleep_to_the_grid(port: LoopPort, settings: Any, progress: Any, words: int) -> None:
-    """Sleep until the next tick of the host's regular grid (host-paced); count and skip ticks that have passed."""
+    """Sleep until the next tick of the host's own time grid; count and skip ticks that have already passed."""
     s, p = settings[0], progress[0]
     if p["deadline"] == 0:
         p["deadline"] = port.now(port.clock_handle)
@@ -159,8 +159,9 @@ def run(
     Returns
     -------
     int
-        `EndReason`; also stored in the ring. The caller must set LOOP_DONE, because it must be set after an exception
-        of a law too.
+        `EndReason`; also stored in the ring. The caller must set the control word LOOP_DONE, because it must be set
+        after
+        an exception of a law too.
     """
     memory, state, words = controller.memory, buffers.state, shared.words
     p, m = buffers.progress[0], memory[0]

@@ -1,8 +1,8 @@
-"""Detect a delayed link, which delivers a frame in every tick, but all of them too late.
+"""Detect a delayed link: it delivers a frame in every tick, but all frames arrive too late.
 
-The command age in a STATE counts from receipt, and so does a command's lifetime. The transit time of a command follows
-from the sample that it answers. A single late command is not a fault of the link; the run ends only if all commands are
-late for a whole command lifetime.
+The command age in a STATE counts from receipt, and so does a command's lifetime. The loop computes the transit time of
+a command from the sample that the command answers. A single late command is not a fault of the link; the run ends only
+if all commands are late for a whole command lifetime.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NONE_YET, _TOO_OLD = int(NO_COMMAND_YET), int(LimitFlag.COMMAND_TOO_OLD)
 
 @kernel(types.int64(BUFFERS_TYPE))
 def ticks_under_way(buffers: Buffers) -> int:
-    """Return the ticks from the sample that the active command answers to its receipt; a lower bound if it is old."""
+    """Return the ticks from the sample that the active COMMAND answers to its receipt; a lower bound if it is old."""
     state, active = buffers.state, buffers.state[STATE.command_sequence]
     answered = answered_by(buffers.sent, active)
     if answered >= 0:
@@ -36,7 +36,7 @@ def ticks_under_way(buffers: Buffers) -> int:
 def is_delayed(settings: Any, buffers: Buffers) -> bool:
     """Return True if all commands of the last command lifetime were in transit for longer than this lifetime.
 
-    Some devices check the age of a command and reject an old one with a limit flag; on others it becomes active.
+    Some devices check the age of a command and reject an old one with a limit flag; on other devices it becomes active.
     """
     s, p, state = settings[0], buffers.progress[0], buffers.state
     too_old = state[STATE.limits] & _TOO_OLD != 0

@@ -1,4 +1,4 @@
-"""Update of the wall while the law runs on the device: it becomes active on device and host at the same sample.
+"""Change the wall while the law runs on the device: the new wall becomes active on device and host at the same sample.
 
 Python encodes a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the same
 wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
@@ -75,7 +75,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
 
 @kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
-    """Take the newest update from the mailbox, unless `SETS_KEPT` sets, the most for a replay, have become active."""
+    """Take the newest update from the mailbox (an address), unless `SETS_KEPT` sets, the most for a replay, exist."""
     v, p, values = supervised.supervision[0], buffers.progress[0], supervised.update_values
     if p["sets"] == len(buffers.sets) or take(mailbox, supervised.update) == 0:
         return
@@ -88,7 +88,7 @@ def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers)
 
 @kernel(TRANSACTION(SUPERVISION_TYPE))
 def _transaction(supervision: Any) -> Transaction:
-    """Return the state of the current transaction."""
+    """Return the progress of the present transaction."""
     v = supervision[0]
     return Transaction(v["nonce"], v["length"], v["request"], v["offset"], v["tries"], v["again_at"])
 
@@ -103,7 +103,7 @@ def _remember(supervision: Any, t: Transaction) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, TRANSACTION))
 def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: Transaction) -> int:
-    """Encode the current request into `buffers.transmit`; return the frame's length (bytes), negative on failure."""
+    """Encode the request of transaction `t` into `buffers.transmit`; return its bytes, negative for a wrong value."""
     session, request, block = settings[0]["session"], supervised.request, supervised.update_block
     request[SET_BEGIN.nonce] = t.nonce
     if t.step == BEGIN:
@@ -119,7 +119,7 @@ def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: 
 
 @kernel(types.boolean(CONTROL_TYPE, FLOATS, SUPERVISION_TYPE, types.int64))
 def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bool:
-    """Return True if the handle was outside old and new wall in the newest sample; the device checks this too."""
+    """Return True if the handle is outside old and new wall (`waiting`) at the newest sample; the device checks too."""
     v = supervision[0]
     if v["started"] == 0 or time_ns < v["not_before"]:
         return False
@@ -139,10 +139,9 @@ def send_update(
     buffers: Buffers,
     supervised: SupervisionBuffers,
 ) -> int:
-    """Send the request of an update that is due, if any; return 0, or the negative errno of a broken link.
+    """Send the next request of a parameter update if one is due; return 0, or the negative errno of a broken link.
 
-    `mailbox` is the address of the mailbox of updates, 0 for a loop without updates; `control` has the parameters of
-    the host's law.
+    `mailbox` is the address of the mailbox, 0 for a loop without updates; `control` contains the host law's settings.
     """
     v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:
@@ -171,7 +170,7 @@ def send_update(
 
 @kernel(types.int64(BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def take_answer(buffers: Buffers, supervised: SupervisionBuffers) -> int:
-    """Continue the update and return 1 if the received ACK replies to the last request; else return 0."""
+    """Continue the parameter update and return 1 if the received ACK replies to the last request; else return 0."""
     v, p, ack = supervised.supervision[0], buffers.progress[0], supervised.ack
     if v["step"] != UNDER_WAY and v["step"] != COMMITTED:
         return 0

@@ -1,8 +1,8 @@
-"""Parameter updates of a running loop: from the mailbox, between two ticks, never with the handle in the wall.
+"""Parameter updates of a running loop: the loop takes a new set from a mailbox and activates it between two ticks.
 
 A step of stiffness, damping or position inside the wall would be a step of effort. So a new parameter set waits until
 the handle is outside both the present and the new wall; a newer set replaces a waiting one. Each set that became active
-is stored with its tick, for the replay.
+is stored with its first tick, for the replay.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rig.realtime.mailbox import take
 
 @kernel(types.boolean(CONTROL_TYPE, types.float64, types.int64))
 def inside(control: Any, wall_position: float, count: int) -> bool:
-    """Return True if an encoder count lies inside a wall whose surface is at `wall_position` (rad or m)."""
+    """Return True if the encoder count `count` lies inside a wall whose surface is at `wall_position` (rad or m)."""
     c = control[0]
     position = c["resolution"] * count_difference(count, c["reference_count"])
     return bool(c["wall_side"] * (position - wall_position) > 0.0)
@@ -38,7 +38,7 @@ def activate(controller: ControllerArguments, values: Any) -> None:
 
 @kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
-    """Activate the waiting parameter set from this tick on, and store it for a replay."""
+    """Activate the waiting parameter set from tick `tick` on; store it for a replay, its number in control `words`."""
     p, waiting = buffers.progress[0], buffers.waiting
     activate(controller, waiting)
     row = buffers.sets[p["sets"]]
@@ -56,7 +56,7 @@ def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, word
 def renew_parameters(
     controller: ControllerArguments, shared: SharedRing, buffers: Buffers, tick: int
 ) -> None:
-    """Read the mailbox; activate the waiting parameter set from this tick on if the handle is in free space."""
+    """Take a new parameter set from the mailbox; activate it from the tick `tick` on if the handle is in free space."""
     if shared.mailbox == 0:
         return
     p, waiting, control = buffers.progress[0], buffers.waiting, controller.control

@@ -1,4 +1,4 @@
-"""Receive bytes from the link: split them into frames, check and dispatch these, and return the newest STATE."""
+"""Receive bytes from the link: split them into frames, check and dispatch the frames, and return the newest STATE."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.realtime.kernel import kernel
 
 @kernel(types.void(types.uintp, types.int64, types.int64))
 def add(words: int, word: int, amount: int) -> None:
-    """Increase a counter of the ring by `amount`; only the loop writes it."""
+    """Add `amount` to the counter `word` of the control words at the address `words`; only the loop writes counters."""
     store_word(words + WORD * word, load_word(words + WORD * word) + amount)
 
 
@@ -47,7 +47,7 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _take(settings: Any, buffers: Buffers, words: int) -> int:
-    """Store a STATE in `buffers.state` if it is newer and accepted; return by how many samples it is newer, else 0."""
+    """Store the received STATE if it is newer and consistent; return by how many samples it is newer, else 0."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
     newer, accepted = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
     if accepted == 0:
@@ -76,8 +76,9 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
     """Process all whole frames in the receive buffer and store the newest STATE in `buffers.state`.
 
     Return the number of samples since the last stored STATE, 0 if no newer one arrived; ``progress["fresh"]`` is the
-    number of STATEs that arrived. A reply to a clock exchange goes to `buffers.exchanges`. An unfinished frame moves to
-    the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
+    number of STATEs that arrived. A reply to a clock exchange is stored in `buffers.exchanges`. An unfinished frame
+    moves
+    to the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
     """
     p, header = buffers.progress[0], buffers.header
     p["fresh"] = 0

@@ -1,4 +1,4 @@
-"""Write one row per tick into the ring: received data, results of the law, and times."""
+"""Write one row of the recording for each tick into the ring: received data, results of the law, and times."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, rec
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, types.int64))
 def lateness(settings: Any, progress: Any, received_ns: int) -> int:
-    """Return the lateness of the newest sample (ns) in a device-paced loop."""
+    """Return the lateness of the newest sample (ns), received at host time `received_ns`, in a device-paced loop."""
     return int(behind_grid(settings, progress, progress[0]["sample_index"], 1, received_ns))
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def room(words: int, capacity: int, wait_for_room: int) -> int:
-    """Return the slot for the next row; -1 (row dropped) if the ring is full and the loop must not wait."""
+    """Return the ring's slot for the next row; -1 (row dropped) if all `capacity` slots are full and it cannot wait."""
     head = load_word(words + WORD * control_words.HEAD)
     while head - load_word(words + WORD * control_words.TAIL) >= capacity:
         if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
@@ -72,7 +72,7 @@ def room(words: int, capacity: int, wait_for_room: int) -> int:
 
 @kernel(types.int64(PROGRESS_TYPE, INTS, SETTINGS_TYPE))
 def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
-    """Return the age of the last encoder edge at the sample (ns)."""
+    """Return the time from the last encoder edge to the sample (ns)."""
     # The device's clock wraps at 32 bits, so an age is a difference modulo that.
     ticks = (progress[0]["device_time"] - state[STATE.edge_time]) % WRAP
     return int(ticks * settings[0]["device_tick_ps"] // 1000)
@@ -82,7 +82,7 @@ def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
 def sync_time(progress: Any, state: Any) -> int:
     """Return the device time of the newest rising edge of the sync input (64 bits, device clock units); 0: no edge.
 
-    An edge may be later than the sample of its STATE, because the STATE is made after the sample.
+    An edge may be later than the sample of its STATE, because the STATE is built after the sample.
     """
     # Extended when it is first reported: its 32 bits stay the same while the clock wraps.
     p = progress[0]
@@ -96,7 +96,7 @@ def sync_time(progress: Any, state: Any) -> int:
 
 @kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
 def show_law(rows: Any, slot: int, memory: Any) -> None:
-    """Copy the results of `step` from its memory into a row: the columns that a replay computes again."""
+    """Copy the law's results of a tick (`memory`) into the row `slot`: the columns that a replay computes again."""
     r, m = rows[slot], memory[0]
     r["phase"] = m["phase"]
     r["position"] = m["position"]
@@ -130,9 +130,10 @@ def leave_row(
     computed_ns: int,
     sent_ns: int,
 ) -> None:
-    """Put one row of `rig.core.sample.COLUMNS` into the ring; if the ring is full, drop the row and count it.
+    """Put the row of a tick (`rig.core.sample.COLUMNS`) into the ring; if the ring is full, drop the row and count it.
 
-    The active effort is computed from the active current.
+    `elapsed` is the ticks since the last sample. The host times (ns) are those of the sample's receipt, of the computed
+    current and of the sent COMMAND. The active effort is computed from the active current.
     """
     words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
     # Before the row may be dropped: an edge is extended to 64 bits once, when it is first reported.
@@ -175,7 +176,7 @@ def leave_row(
 
 @kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
 def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
-    """Set the flags LATE and GAP of this tick, and count late, skipped and lost samples."""
+    """Set the row flags LATE and GAP; count late, skipped and lost samples, `elapsed` ticks after the last one."""
     if progress[0]["late"] > settings[0]["period_ns"]:
         memory[0]["flags"] |= FLAG_LATE
         add(words, control_words.LATE, 1)

@@ -1,7 +1,7 @@
 """Thread that runs the compiled loop: start, supervise and stop it, and report its end.
 
-Trials and motions start it. To stop it, one word of the ring is written, which the loop reads within a tick, whichever
-thread has the GIL. The main thread must stay free for Ctrl-C.
+Trials and motions start it. To stop the loop, any process or thread writes one control word of the ring, which the loop
+reads within a tick, whichever thread has the GIL. The main thread must stay free for Ctrl-C.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ JOIN_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """Settings of the loop besides the controller; see `rig.loop.layout.SETTINGS` for each field."""
+    """Settings of the loop besides the controller; the comments in `rig.loop.layout.SETTINGS` explain each field."""
 
     period_ns: int
     session: int
@@ -60,7 +60,7 @@ class LoopSettings:
     agreement_quanta: int = 0
 
     def as_array(self) -> NDArray[np.void]:
-        """Return the settings as the array of length 1 that the compiled loop reads."""
+        """Return the settings as an array of length 1 with named fields, which the compiled loop reads."""
         array = np.zeros(1, SETTINGS)
         for name in SETTINGS.names or ():
             array[name] = getattr(self, name)
@@ -71,10 +71,9 @@ class LoopSettings:
 class LoopEnd:
     """End of a loop: the reason, an exception of a law or of the simulation, and the counters of loop and link.
 
-    `contradiction` describes an inconsistency in the device's reports, "" without one.
-    `stopper` completes the text "stopped": the signal or process that stopped it, "" if the owner of the loop did.
-    `watched` has the quantities of `rig.control._watch` and their limits: energy given in the trial and its limit (J),
-    oscillations in a row at the end, and the time within which they are in a row (s).
+    `contradiction` describes an inconsistency in the device's reports, "" without one. `stopper` is the second half of
+    "stopped by …": a signal or process, "" if the owner of the loop stopped it. `watched` contains energy given to the
+    handle and its limit (J), consecutive effort oscillations at the end, and the longest time between two of them (s).
     """
 
     reason: EndReason
@@ -117,7 +116,7 @@ def fault_of(state: NDArray[np.int64]) -> int:
 
 
 class LoopThread:
-    """One run of the loop: call `start`, `wait`, `finish` and `end`; `stop` from any thread, any number of times.
+    """A thread that runs the loop once: call `start`, `wait`, `finish` and `end` in this order; `stop` at any time.
 
     Parameters
     ----------
@@ -138,7 +137,7 @@ class LoopThread:
 
     @classmethod
     def prepare(cls, link: Link, controller: ControllerState) -> None:
-        """Compile or load all code of a run; call it before the device is armed, since a loop must not compile."""
+        """Compile or load all code of a run. Call it before the device is armed, since a loop must not compile."""
         prepare(*cls.compiled, *link.port(), *controller.arguments())
 
     def __init__(
@@ -185,13 +184,13 @@ class LoopThread:
         self._thread.start()
 
     def stop(self) -> None:
-        """Set the stop word, so that the loop sends zero effort within one tick and ends."""
+        """Request the end of the loop: it sends zero effort within a tick. Call it from any thread, also repeatedly."""
         self.ring.put(control_words.STOP, 1)
 
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
 
-        After a stop, wait at most `JOIN_S`, because a law that never returns must not keep Ctrl-C from ending the
+        After a stop, wait at most `JOIN_S` (s), because a law that never returns must not keep Ctrl-C from ending the
         program. After Ctrl-C or an exception of `progress`, the caller must call `finish`.
         """
         requested_at: float | None = None
@@ -227,7 +226,7 @@ class LoopThread:
         """Do periodic work in Python while the loop runs; subclasses override it."""
 
     def finish(self) -> None:
-        """Stop the loop if it still runs, and wait at most `JOIN_S` for its end. Never raise, also not after Ctrl-C."""
+        """Stop the loop if it still runs, and wait at most `JOIN_S` (s) for its end. Never raise, even after Ctrl-C."""
         patience = time.monotonic() + JOIN_S
         while self._started and not self._ended.is_set() and time.monotonic() < patience:
             with suppress(KeyboardInterrupt):
@@ -237,7 +236,7 @@ class LoopThread:
             self.ring.put(control_words.STOP, control_words.ABANDONED)
 
     def end(self) -> LoopEnd:
-        """Return how the loop ended; `EndReason.STUCK` if it has not ended although `finish` stopped it."""
+        """Return how the loop ended; the reason is `EndReason.STUCK` if it still runs although `finish` stopped it."""
         stuck = self._started and not self._ended.is_set()
         # END_REASON of a loop that is stuck is not written yet.
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
@@ -263,17 +262,17 @@ class LoopThread:
         return []
 
     def findings(self) -> dict[str, Any]:
-        """Return additional entries for the recording's trailer that only this kind of loop has."""
+        """Return results for the recording that only this kind of loop has, by name; empty in this class."""
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:
-        """Return the clock exchanges of the run: rows of 4 stamps (ns; `rig.core.clock_fit.EXCHANGE`), oldest first."""
+        """Return the clock exchanges of the run, oldest first: rows of 4 times (ns), as in `clock_fit.EXCHANGE`."""
         done = self.ring.get(control_words.EXCHANGES)
         kept = np.arange(max(0, done - EXCHANGES_KEPT), done) % EXCHANGES_KEPT
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Return the parameter sets that became active: number, first tick, wall position, and the law's parameters."""
+        """Return the sets that became active: number, first tick, wall position (rad or m), the law's parameters."""
         count = len(self._controller.law.parameters)
         return [
             {
@@ -330,9 +329,9 @@ class LoopThread:
         return SharedRing(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
 
     def _mailbox(self) -> int:
-        """Return the address of the ring's mailbox; 0 for a law with more parameters than a set holds."""
+        """Return the address of the ring's mailbox; 0 if the law has more parameters than a set can contain."""
         return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
-        """Return the arrays to keep in memory, so that the loop never waits for a page."""
+        """Return the arrays that must be loaded into memory before the run, so that the loop never waits for a page."""
         return tuple(self._buffers)

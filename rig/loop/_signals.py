@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal as a stop of the loop, and never as an exception in the middle of a run.
+"""Convert Ctrl-C, SIGTERM and a closed terminal to a stop of the loop, never to an exception in the middle of a run.
 
 `rig.realtime.stop_requests` stops the loop at once, in whichever thread it runs. This file is for a run in the main
 thread, where Python's signal handlers raise exceptions: it replaces them during the run, and calls them itself.
@@ -19,7 +19,7 @@ from rig.realtime.stop_requests import STOPPING, RunSeries
 
 @dataclass(slots=True)
 class Signals:
-    """Signals that stopped a run; all attributes but `series` are set at the end of the run.
+    """The signals that stopped a run; all attributes except `series` are set at the end of the run.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Signals:
     is_stopped, number
         True if a stop was requested, and the number of the signal that requested it, None without a signal.
     raised
-        Exception that a signal handler of the caller raised, except KeyboardInterrupt.
+        Exception that the caller's own signal handler raised, None without one; KeyboardInterrupt is ignored.
     """
 
     series: RunSeries
@@ -39,11 +39,13 @@ class Signals:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Signals]:
-    """Make signals stop the loop instead of raising an exception, until the block ends.
+    """Return a context in which SIGINT, SIGTERM and SIGHUP stop the loop instead of raising an exception.
 
-    An exception during the run, also by a second signal, could interrupt the code that brings the rig to rest. A signal
-    handler of the caller is called at once; its exception is stored until the end of the run. A signal that arrives
-    while the old handlers are being restored is raised again afterwards.
+    An exception during the run, also by a second signal, could interrupt the code that brings the rig to rest. The
+    caller's
+    own signal handler is called at once; its exception is stored until the end of the run. A signal that arrives while
+    the
+    previous handlers are being restored is raised again afterwards.
     """
     received: int | None = None
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}

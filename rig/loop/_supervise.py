@@ -121,7 +121,7 @@ def _listen(
     until_ns: int,
     words: int,
 ) -> int:
-    """Wait for bytes until `until_ns`, and process all available ones; return 0, or -errno if the link is broken."""
+    """Wait for bytes until host time `until_ns`, and process all frames; return 0, or -errno if the link is broken."""
     p = buffers.progress[0]
     ready = port.wait(port.handle, until_ns)
     p["read_at"] = port.now(port.clock_handle)
@@ -145,7 +145,7 @@ def _listen(
 
 @kernel(types.void(INT_ROWS, INTS, SUPERVISION_TYPE, types.int64))
 def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -> None:
-    """Copy the newest STATE at or before a sample into `state`."""
+    """Copy the newest STATE that is not later than the sample `sample_index` from the queue `states` into `state`."""
     # A batch carries neither limits, inputs nor fault: a sample has those of the STATE before it.
     v = supervision[0]
     while v["states_tail"] < v["states_head"]:
@@ -162,7 +162,7 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
 def _show_sample(
     control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Set `buffers.state` to the STATE that belongs to a sample; return the ticks since the last sample."""
+    """Set `buffers.state` to a sample and the last STATE before it; return the ticks since the previous sample."""
     supervision, state = supervised.supervision, buffers.state
     v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -197,7 +197,7 @@ def _run_law(
 ) -> int:
     """Run the law on queued samples and write their rows; return an `EndReason`, `_CONTINUE` or `_ABANDONED`.
 
-    With `to_the_end`, samples do not wait for the reply about a new wall.
+    With `to_the_end`, samples do not wait for the device's reply about a new wall.
     """
     # While the reply about a new wall is awaited, samples wait as long as there is room: the reply names the sample
     # from which the new wall counts.
@@ -247,7 +247,7 @@ def _run_law(
 def _reason_without_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
-    """Return the end reason that follows from device or link without a new row, 0 to continue."""
+    """Return the end reason from device or link (`ready` < 0: broken) although no new sample arrived, 0 to continue."""
     v, s, p = supervision[0], settings[0], progress[0]
     reason = reason_by_contradiction(progress)
     if reason == 0 and v["heard"] != 0:
@@ -316,14 +316,14 @@ def run(
     Parameters
     ----------
     port, controller, shared, settings, buffers
-        As in `rig.loop._host.run`, but the mailbox contains updates (`rig.loop._parameter_update`).
+        Link, law, ring and memory, as in `rig.loop._host.run`; the mailbox contains updates for the device.
     supervised
         Additional memory of this loop.
 
     Returns
     -------
     int
-        `EndReason`; also stored in the ring. The caller must set LOOP_DONE.
+        `EndReason`; also stored in the ring. The caller must set the control word LOOP_DONE.
     """
     supervision, newest, words = supervised.supervision, supervised.newest, shared.words
     v, p = supervision[0], buffers.progress[0]

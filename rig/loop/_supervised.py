@@ -1,4 +1,4 @@
-"""Thread of the loop for a law on the device: a `LoopThread` that also encodes parameter updates."""
+"""Thread that runs the loop for a law on the device, encodes parameter updates and compares the two currents."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ Live = Callable[[Sequence[float]], Mapping[str, Value]]
 
 @dataclass(frozen=True, slots=True)
 class DeviceHostAgreement:
-    """Comparison of the device's current with the host's law, which `rig.control.step` ran on the same counts.
+    """Comparison of the device's current with the current of the same law on the host, computed from the same counts.
 
     Attributes
     ----------
     compared
-        Compared ticks: no limit, ramp or gap acted in them.
+        Number of compared ticks: no limit, ramp or gap acted in them.
     excluded
-        Excluded ticks: a limit acted, no STATE covered them, or a gap was shortly before.
+        Number of excluded ticks: a limit acted, no STATE covered them, or a gap was shortly before.
     differing
-        Compared ticks in which the currents differ.
+        Number of compared ticks in which the currents differ.
     greatest_quanta
         Greatest difference (current quanta).
     bound_quanta
         Largest difference that rounding explains (current quanta): `BOUNDS`.
     beyond
-        Compared ticks with a difference above `bound_quanta`.
+        Number of compared ticks with a difference above `bound_quanta`.
     holds
-        True if `beyond` is at most `MANY_TICKS`, or at most `MANY_SHARE` of `compared`.
+        True if `beyond` is at most `MANY_TICKS`, or at most the share `MANY_SHARE` of `compared`.
     """
 
     compared: int
@@ -67,7 +67,7 @@ class DeviceHostAgreement:
 
 
 class SupervisedThread(LoopThread):
-    """`LoopThread` for a law that runs on the device.
+    """A thread that runs the loop for a law on the device; it has the methods of `LoopThread`.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class SupervisedThread(LoopThread):
         return fault_of(self._supervision.newest)
 
     def agreement(self) -> DeviceHostAgreement:
-        """Return the comparison of the device's current with the host's law so far."""
+        """Return the comparison so far of the device's current with the current of the host's law."""
         v = self._supervision.supervision[0]
         compared, beyond = int(v["compared"]), int(v["beyond"])
         return DeviceHostAgreement(
@@ -114,7 +114,7 @@ class SupervisedThread(LoopThread):
         )
 
     def messages(self) -> list[str]:
-        """Return warnings about refused parameter updates, and about a device whose current differs from the law."""
+        """Return warnings for the user: refused parameter updates, or a device whose current differs from the law."""
         found, refusals = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
@@ -135,11 +135,14 @@ class SupervisedThread(LoopThread):
         return refusals
 
     def findings(self) -> dict[str, Any]:
-        """Return the entry ``device_host_agreement`` (`DeviceHostAgreement`) for the recording's trailer."""
+        """Return the `DeviceHostAgreement` for the recording's trailer, under the key ``device_host_agreement``."""
         return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:
-        """Return what `LoopThread.handover` returns; not None if commands were sent but no STATE was received."""
+        """Return the loop's last sequence numbers and nonce for `FramedDevice.take_back`; None if no command was sent.
+
+        The result also contains ``parameters_crc`` if the wall has changed.
+        """
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:
             return None
@@ -163,14 +166,14 @@ class SupervisedThread(LoopThread):
         )
 
     def _mailbox(self) -> int:
-        """Return the address of the mailbox of updates, 0 if the wall cannot change."""
+        """Return the address of the mailbox for parameter updates, 0 if the wall cannot change."""
         return int(self._updates.ctypes.data) if self._live_parameters and super()._mailbox() else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return (*super()._arrays(), *self._supervision)
 
     def _attend(self) -> None:
-        """Convert a posted parameter set to an update for the loop; store the reason if it is refused."""
+        """Convert a posted parameter set to an update for the loop; store the reason if the set is refused."""
         if self._live_parameters is None or not super()._mailbox():
             return
         number = mailboxes.take(self.ring.mailbox, self._posted)

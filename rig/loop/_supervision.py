@@ -1,4 +1,4 @@
-"""Memory that only the loop for a law on the device needs, in addition to `rig.loop.layout`."""
+"""Memory that only the loop for a law on the device needs, in addition to the memory in `rig.loop.layout`."""
 
 from __future__ import annotations
 
@@ -85,12 +85,12 @@ VALUES_AT = BLOCK_AT + BLOCK_BYTES
 
 @group
 class SupervisionBuffers(NamedTuple):
-    """Memory of the loop for a law on the device, in addition to `rig.loop.layout.Buffers` and the ring.
+    """Memory of the loop for a law on the device, in addition to the ring and to `rig.loop.layout.Buffers`.
 
     Attributes
     ----------
     supervision
-        State of the loop in one row, of dtype `SUPERVISION`.
+        State of the loop, an array of length 1 with the fields of `SUPERVISION`.
     batch, decoded
         Fields and samples of the BATCH that was received last.
     samples
@@ -102,7 +102,8 @@ class SupervisionBuffers(NamedTuple):
     ack, request
         Fields of the ACK that was received last, and of a request to send.
     update, update_head, update_block, update_values
-        Bytes of the newest update (`rig.loop._parameter_update`), and views of the three parts of these bytes.
+        Bytes of the newest parameter update (`rig.loop._parameter_update`), and views of the three parts of these
+        bytes.
     """
 
     supervision: Annotated[NDArray[np.void], SUPERVISION_TYPE]
@@ -120,7 +121,7 @@ class SupervisionBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> SupervisionBuffers:
-        """Return new buffers; call it before the loop starts."""
+        """Return new buffers with initial values; the caller must do this before the loop starts."""
         supervision, update = np.zeros(1, SUPERVISION), np.zeros(MOST_BYTES, np.uint8)
         for name in ("stop_sequence", "done_at", "parameters_crc"):
             supervision[name] = -1

@@ -20,13 +20,12 @@ _BYTES = types.uint8[::1]
 
 @kernel(types.UniTuple(types.int64, 2)(_BYTES, types.int64, types.int64, _BYTES))
 def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]:
-    """Decode the next frame in ``received[start:end]`` into `raw`.
+    """Decode the next frame in the bytes ``received[start:end]`` into `raw`.
 
     Returns
     -------
     int
-        Length of the frame without its CRC, which is then in `raw` (`codec.RAW_BYTES`); a negative defect of
-        `codec.decode_frame`; or `NO_FRAME`.
+        Bytes of header and payload in `raw`; a negative `firmware_protocol.framing.Defect`; or `NO_FRAME`.
     int
         Index of the first byte after the frame.
     """
@@ -41,7 +40,7 @@ def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]
 
 @kernel(types.int64(_BYTES, types.int64, types.int64))
 def keep_rest(received: Any, start: int, end: int) -> int:
-    """Move an unfinished frame to the front of the buffer; return its length (bytes).
+    """Move the unfinished frame ``received[start:end]`` to the front of the buffer; return its length (bytes).
 
     Discard it and return -1 if it is longer than half the buffer: so many bytes without a delimiter are noise.
     """

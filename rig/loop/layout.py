@@ -1,7 +1,7 @@
 """Memory of the compiled loop besides the ring: settings, state of the link, and buffers.
 
-The files of the loop, trials, motions and the followers of the console and of LSL import it. The numbers of `EndReason`
-are in the shared memory of running loops: add new numbers at the end, and do not change existing ones.
+The files of the loop, trials, motions, the console and LSL import it. The numbers of `EndReason` are in the shared
+memory of running loops: add new numbers at the end, and do not change existing ones.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rig.realtime.mailbox import MOST_BYTES, SET_FLOATS
 
 
 class EndReason(IntEnum):
-    """Reason for the end of a loop."""
+    """Reason for which a loop ended."""
 
     RUNNING = 0
     FINISHED = 1  # all phases done
@@ -125,7 +125,10 @@ ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
 
 @group
 class SharedRing(NamedTuple):
-    """Ring (`rig.realtime.ring`): addresses of control words and mailbox (0: no mailbox), and array of rows."""
+    """The ring (`rig.realtime.ring`) as the compiled loop sees it: addresses and the array of rows.
+
+    `words` is the address of the control words, `mailbox` that of the mailbox for parameter sets (0: no mailbox).
+    """
 
     words: Address
     mailbox: Address
@@ -143,18 +146,19 @@ class Buffers(NamedTuple):
     header, candidate, state, command, question, times
         Fields of a frame's header, of a received STATE, of the newest STATE, of COMMAND, GET_TIME and TIME.
     exchanges
-        The four stamps of each clock exchange (ns), the newest `EXCHANGES_KEPT` of them.
+        The four time stamps of each clock exchange (ns), of the newest `EXCHANGES_KEPT` exchanges.
     mail, waiting
         Bytes of the parameter set that waits to become active, and a view of them as numbers: wall position, then the
         law's parameters.
     sets
         Each parameter set that became active: its number, its first tick, its values.
     sent
-        Sequence and current of the newest `COMMANDS_KEPT` COMMANDs, and the index of the sample that each answers.
+        Sequence number and current of the newest `COMMANDS_KEPT` COMMANDs, and the index of the sample that each
+        answers.
     currents
         Settings and memory of `rig.control.current`; zeros if the measured current is not checked.
     progress
-        State of the link in one row, of dtype `PROGRESS`.
+        State of the link, an array of length 1 with the fields of `PROGRESS`.
     """
 
     received: Bytes
@@ -176,7 +180,7 @@ class Buffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> Buffers:
-        """Return new buffers filled with initial values; call it before the loop starts."""
+        """Return new buffers with initial values; the caller must do this before the loop starts."""
         progress, mail = np.zeros(1, PROGRESS), np.zeros(MOST_BYTES, np.uint8)
         progress["earliest"] = 1 << 62
         progress["active"] = progress["too_old_from"] = -1

@@ -1,4 +1,4 @@
-"""Replay: run the law on recorded rows, without a link.
+"""Replay: compute the law again on the rows of a recording, without a link.
 
 `rig.experiments.trials.replay` and the comparison of schemes call it. It must compute a row exactly as the loop does.
 """
@@ -26,10 +26,11 @@ NO_SETS = np.zeros((0, 1))  # of a run without parameter updates
 
 @kernel(types.void(CONTROLLER_TYPE, ROWS_TYPE, ROWS_TYPE, types.float64[:, ::1]))
 def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, sets: Any) -> None:
-    """Run `step` on the samples of `recorded` and write its results into `replayed`.
+    """Run the law (`rig.control.step.step`) on each row of `recorded`, and write the results into `replayed`.
 
-    Each row of `sets` is a parameter set that became active during the run: first tick, wall position, the law's
-    parameters.
+    Each row of `sets` is a parameter set that became active during the run: first tick, wall position (rad or m), and
+    the
+    law's parameters.
     """
     due = 0
     for i in range(len(recorded)):
