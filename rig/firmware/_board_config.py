@@ -1,4 +1,4 @@
-"""Generate the C files that describe a rig and the wiring of its board to the firmware's core.
+"""Generate the C files that describe a rig, and the pins and scales of its board, to the firmware's core.
 
 `board_config.h` has the board's settings as preprocessor macros and declares two constants: `board_config` (struct
 board of the core) and `image_record` (`rig.firmware._record`), which contains the device's dictionary.
@@ -22,7 +22,7 @@ _BYTES_A_LINE = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardConfig:
-    """Contents of the generated header and source file, and the image record that they contain."""
+    """Text of the generated C header and C source file, and the image record that the source contains."""
 
     header: str
     source: str
@@ -67,7 +67,7 @@ def configure(
 
 
 def _with_current_sensor(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
-    """Return the rig with the board's current sensor: none, or with the added noise of converter and output steps."""
+    """Return the rig with the board's current sensor: none, or with the noise of the board's converter steps added."""
     amplifier, monitor = model.amplifier, settings.get("current_monitor")
     if monitor == "none":
         amplifier = replace(amplifier, current_monitor=False)
@@ -183,5 +183,5 @@ def _byte_lines(content: bytes) -> list[str]:
 
 
 def _one_line(text: str) -> str:
-    """Return a text without line breaks and without the end of a C comment."""
+    """Return a text that is safe in a C comment: on one line, and without the end mark of a comment."""
     return "".join(character if character.isprintable() else " " for character in text).replace("*/", "* /")

@@ -1,7 +1,7 @@
 """Read the description of a board (compiler flags, memory, settings) from the ``board.toml`` of its port.
 
-A port is a directory with C files, a linker script and ``board.toml``, in `firmware_protocol/firmware/boards` or
-anywhere else. A new board needs no Python code.
+A port is a directory with board-specific C files, a linker script and ``board.toml``, in
+`firmware_protocol/firmware/boards` or anywhere else. A new board needs no Python code.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class BoardSetting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MemoryRegion:
-    """Memory region that an image may use: first address and size in bytes."""
+    """A region of the processor's memory that an image may use: first address, and size (bytes)."""
 
     origin: Annotated[int, Ge(0)]
     bytes: Annotated[int, Gt(0)]
@@ -145,7 +145,7 @@ class Board(BoardFile):
         return [f"{self.name}: {self.description}, up to {self.rate_maximum / 1e3:g} kHz", *named]
 
     def sources(self, application: str) -> tuple[Path, ...]:
-        """Return the C and assembler files of a program: the port's shared files by name, then the program's own."""
+        """Return the C and assembler files of a program (`application`): files of all programs, then its own ones."""
         special = {name for names in self.applications.values() for name in names}
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
         own = (Path(normpath(self.directory / name)) for name in self.applications[application])
@@ -153,7 +153,7 @@ class Board(BoardFile):
 
 
 def names() -> list[str]:
-    """Return the names of all boards of this package; a board with several processors has a name for each, too."""
+    """Return the names of all boards of this package; one with several processors has a name for each of them, too."""
     found = []
     for path in sorted(BOARDS.glob("*/board.toml")):
         found.append(path.parent.name)
@@ -207,12 +207,12 @@ def _read(path: Path) -> BoardFile:
 
 
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:
-    """Return all settings of a board: the chosen values, and the defaults of the others.
+    """Return the value of each setting of a board by name: from `chosen`, else the board's default.
 
     Raises
     ------
     ConfigError
-        The board does not have the setting, a value is out of range, or two settings use the same pin.
+        The board does not have a chosen setting, a value is out of range, or two settings use the same pin.
     """
     for name in chosen:
         if name not in board.settings:

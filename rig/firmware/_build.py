@@ -1,4 +1,4 @@
-"""Build the firmware of a board for one rig from the sources and a generated constant.
+"""Build the firmware of a board for one rig, from the C sources and a generated C file that describes the rig.
 
 Builds are reproducible: the files contain no time, no path and no name of a computer.
 """
@@ -62,7 +62,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildRequest:
-    """Parameters of a build.
+    """Parameters of a firmware build.
 
     Attributes
     ----------
@@ -182,14 +182,14 @@ def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | 
 
 
 def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
-    """Build an image and write its files.
+    """Build a firmware image and write its files.
 
     Parameters
     ----------
     request
         Rig, board, program and output directory.
     on_progress
-        Called with the name of the current step and the completed share, 0 … 1.
+        Called with the name of the current step and the completed share of that step, 0 … 1.
 
     Raises
     ------
@@ -223,14 +223,14 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: N
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
-    """Return the C files of a program that are the same for all boards."""
+    """Return the C files of a program (`application`) that are the same for all boards."""
     if application == PORT_CHECK:
         return tuple(FIRMWARE / name for name in PORT_CHECK_SOURCES)
     return tuple(path for part in SHARED for path in sorted((FIRMWARE / part).glob("*.c")))
 
 
 def sources_hash(board: Board) -> str:
-    """Return the hash (12 hexadecimal digits) of all sources for a board, without the generated files of the rig."""
+    """Return the hash (12 hexadecimal digits) of all sources for a board, without the files generated for a rig."""
     digest = hashlib.sha256()
     directories = [*(FIRMWARE / part for part in SHARED), board.directory]
     files = (path for directory in directories for path in directory.iterdir() if path.is_file())
@@ -240,14 +240,14 @@ def sources_hash(board: Board) -> str:
 
 
 def _path_in_tree(path: Path, board: Board) -> Path:
-    """Return the path of a source below the scratch directory of the build, which links the port as ``board``."""
+    """Return the path of a source file below the build's scratch directory, where ``board`` links to the port."""
     if path.is_relative_to(board.directory):
         return Path("board") / path.relative_to(board.directory)
     return Path("firmware") / path.relative_to(FIRMWARE)
 
 
 def package_version() -> str:
-    """Return the version of the installed haptic-rig."""
+    """Return the version of the installed package haptic-rig, "0" if it is not installed."""
     try:
         return version("haptic-rig")
     except PackageNotFoundError:
@@ -365,7 +365,7 @@ def _write_error(directory: Path, error: OSError) -> RecordingError:
 
 
 def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
-    """Return the bytes of flash and of RAM that a program uses; raise `ToolchainError` for data outside the flash."""
+    """Return the flash and RAM that a program uses (bytes); raise `ToolchainError` for data outside of the flash."""
     flash, ram = board.flash, board.ram
     for segment in segments:
         begin = segment.load.address

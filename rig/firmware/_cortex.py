@@ -1,11 +1,8 @@
 """Build code for a Cortex-M and run it in an instruction-set simulator, with instruction counts and estimated cycles.
 
 The simulator has memory but no peripherals. Instructions are counted exactly, by basic blocks. Cycles are estimated
-from the instructions, for code in memory without wait states. M0+ (Armv6-M, two stages; data: Cortex-M0+ Technical
-Reference Manual, table 3-1): a load or store 2, one of n words 1 + n, a branch taken 2, a call 3, a return from the
-stack 3 + n, everything else 1, a product too (RP2040's multiplier). M4F and M7: a load or store 2, a branch taken 3, a
-division of integers 8, of floats and a root 14, everything else 1; the M7 often issues two instructions per cycle, so
-its number is an upper bound. For the M33 only instructions are counted, because their cycles were not looked up.
+from the instructions, for code in memory without wait states. For the M33 only instructions are counted, because their
+cycles were not looked up.
 """
 
 from __future__ import annotations
@@ -35,7 +32,7 @@ STRICT = (
 
 @dataclass(frozen=True)
 class CortexCore:
-    """A processor core: compiler flags, name in the simulator unicorn, and clock of the board that has it (Hz)."""
+    """A processor core: compiler flags, name in the simulator unicorn, and clock frequency of a typical board (Hz)."""
 
     name: str
     flags: tuple[str, ...]
@@ -44,7 +41,7 @@ class CortexCore:
 
     @property
     def cycles_known(self) -> bool:
-        """Return True if the cycles per instruction of this core are known, so that cycles can be estimated."""
+        """Return True if the cycles of each instruction of this core are known, so that cycles can be estimated."""
         return self.name != "M33F"
 
 
@@ -69,7 +66,7 @@ CORES = {
 
 @dataclass(frozen=True)
 class Image:
-    """A linked program: its bytes in flash, and the addresses and sizes of its functions and variables."""
+    """A linked program: its bytes in flash, and addresses and sizes (bytes) of its functions and variables by name."""
 
     core: CortexCore
     code: bytes
@@ -80,7 +77,7 @@ class Image:
 def build(
     core: CortexCore, directory: Path, sources: Sequence[Path], entries: Iterable[str], *more: str
 ) -> Image:
-    """Compile and link sources for a core.
+    """Compile and link C sources for a processor core.
 
     Parameters
     ----------
@@ -122,7 +119,7 @@ def build(
 
 @dataclass
 class BasicBlock:
-    """A basic block: its end address, instructions, cycles without a taken jump, extra cycles of a taken jump."""
+    """A basic block (code without jumps): end address, instructions, cycles, extra cycles if its last jump is taken."""
 
     end: int
     instructions: int
@@ -132,7 +129,7 @@ class BasicBlock:
 
 @dataclass
 class Simulator:
-    """A simulated core with an image in its flash."""
+    """A simulated processor core with an image in its flash, which counts instructions and cycles of each call."""
 
     image: Image
     counts: bool = True  # what a call costs; without, it is quicker
@@ -174,7 +171,10 @@ class Simulator:
             self.profile[address] += cycles
 
     def call(self, name: str, *arguments: int, stack: bytes = b"") -> int:
-        """Call a function with up to four words as arguments, and `stack` for further ones; return its result."""
+        """Call a function of the image by name and return its result (32 bits).
+
+        `arguments` are up to four words; `stack` contains the bytes of further arguments.
+        """
         uc, arm = self.uc, self.arm
         for register, value in zip(("R0", "R1", "R2", "R3"), arguments, strict=False):
             uc.reg_write(getattr(arm, f"UC_ARM_REG_{register}"), value & 0xFFFF_FFFF)
@@ -189,13 +189,20 @@ class Simulator:
 
     @property
     def stack(self) -> int:
-        """Return the largest number of stack bytes used so far."""
+        """Return the largest number of stack bytes that the calls so far have used."""
         painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
         return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
 
 
+# Cycles of the M0+ (Armv6-M, two stages; Cortex-M0+ Technical Reference Manual, table 3-1): a load or store 2, one of n
+# words 1 + n, a taken branch 2, a call 3, a return from the stack 3 + n, everything else 1, also a product (the RP2040
+# has the fast multiplier). M4F and M7: a load or store 2, a taken branch 3, a division of integers 8, of floats and a
+# root 14, everything else 1; the M7 often issues two instructions per cycle, so its number is an upper bound.
 def _block(address: int, words: list[int], small: bool) -> BasicBlock:
-    """Return instructions and cycles of the basic block at `address`; `small` is True for the M0+."""
+    """Return instructions and cycles of the basic block at `address`, from its 16-bit `words`.
+
+    `small` is True for the core M0+, which has a shorter pipeline.
+    """
     taken = 1 if small else 2  # more for a branch that is taken
     instructions = cycles = at = jump = 0
     while at < len(words):
@@ -215,7 +222,7 @@ def _block(address: int, words: list[int], small: bool) -> BasicBlock:
 
 
 def _extra(word: int, taken: int) -> int:
-    """Return the cycles above 1 of a 16-bit instruction; conditional jumps are not included."""
+    """Return the cycles above 1 of a 16-bit instruction; `taken` is the cost of a jump."""
     if word >> 11 == 0b01001 or word >> 12 in (0b0101, 0b0110, 0b0111, 0b1000, 0b1001):
         return 1
     if word & 0xF600 == 0xB400:  # push and pop
@@ -242,7 +249,7 @@ _WIDE = (
 
 
 def _extra_wide(first: int, second: int, taken: int) -> int:
-    """Return the cycles above 1 of a 32-bit instruction; conditional jumps are not included."""
+    """Return the cycles above 1 of a 32-bit instruction; `taken` is the cost of a jump."""
     if first & 0xFE40 == 0xE800:
         return second.bit_count()  # several words
     for mask, value, mask_2, value_2, cycles, jumps in _WIDE:

@@ -1,4 +1,4 @@
-"""Read the segments of an ELF file: which bytes belong to which address, and how much memory the program uses.
+"""Read the segments of an ELF program: which bytes belong to which address, and how much memory the program uses.
 
 Only 32-bit little-endian files with program headers are read (System V ABI, chapters 4 and 5).
 """
@@ -21,7 +21,7 @@ _WORD = struct.Struct("<I")
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A segment: bytes at the load address, their offset in the file, and address and size in memory at run time."""
+    """A segment of a program: bytes with their load address, offset in the file, run-time address, size in memory."""
 
     offset: int
     load: Piece
@@ -30,7 +30,10 @@ class Segment:
 
 
 def seal(content: bytes, behind: int) -> bytes:
-    """Return the program with its last loaded word set to the CRC-32 of the image from byte `behind` to that word."""
+    """Return the program with its last loaded word set to the CRC-32 of the image.
+
+    `content` are the bytes of the ELF file. The CRC covers the image from byte number `behind` to the last word.
+    """
     segments = read_segments(content, "the new program")
     image = flat(tuple(segment.load for segment in segments if segment.load.data))
     last = max((segment for segment in segments if segment.load.data), key=lambda one: one.load.address)
@@ -39,7 +42,10 @@ def seal(content: bytes, behind: int) -> bytes:
 
 
 def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
-    """Return the segments of a program by load address; raise `ConfigError` for a damaged file (`name` is for text)."""
+    """Return the segments of an ELF file (`content`) in order of their load address.
+
+    Raise `ConfigError` with the file's `name` if the file is damaged.
+    """
     try:
         header = _HEADER.unpack_from(content)
         at, size, count = header[5], header[9], header[10]
@@ -61,7 +67,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
 
 
 def flat(pieces: tuple[Piece, ...]) -> bytes:
-    """Return the bytes from the first to the last address; gaps between pieces are 0xFF, like erased flash."""
+    """Return all pieces as one block of bytes from first to last address; gaps are 0xFF, like erased flash."""
     if not pieces:
         return b""
     first = min(piece.address for piece in pieces)

@@ -1,4 +1,4 @@
-"""Export a designed estimator as C99 code: an excerpt of the firmware's sources with the designed numbers.
+"""Export a designed velocity estimator as C99 code: an excerpt of the firmware's sources with the designed numbers.
 
 The numbers are those of a law on the device (`rig.config.device_law`), so the exported code and the firmware of this
 package compute the same estimator.
@@ -27,7 +27,7 @@ FIXED = "fdm-butterworth-fixed"
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """C code of an estimator: source file, struct of its numbers, struct of its memory, call, functions to export."""
+    """The C parts of an estimator: source file, names of its two structs, call, names of the functions to export."""
 
     source: str
     numbers: str
@@ -71,7 +71,7 @@ _FORMS = {
 
 @dataclass(frozen=True, slots=True)
 class EstimatorC:
-    """An estimator exported as C code.
+    """A velocity estimator exported as C code.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class EstimatorC:
     scale
         Velocity (rad/s or m/s) of a returned 1.0, or of one LSB if the type is an integer.
     code
-        Includes, declarations and functions; the public functions are at the end.
+        C text with includes, declarations and functions; the public functions are at the end.
     uses_effort
-        True if the velocity's function takes the effort after the count.
+        True if the function ``…_velocity`` has the effort as an argument after the count.
     """
 
     prefix: str
@@ -95,7 +95,7 @@ class EstimatorC:
 
 
 def estimator_c(prepared: Prepared) -> EstimatorC:
-    """Export an estimator as C code.
+    """Return a designed estimator as C code.
 
     Raises
     ------
@@ -124,14 +124,14 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
 
 
 def _prefix_names(text: str, prefix: str) -> str:
-    """Replace the firmware's names (``law_…``, ``NUMBERS``) in a text by the names of the excerpt."""
+    """Return the C text with the firmware's names (``law_…``, ``NUMBERS``) replaced by the names of the excerpt."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
     )
 
 
 def _numbers(form: _Form, values: dict[str, Value]) -> str:
-    """Return the C definition of the constant struct with the designed numbers; empty if the estimator has none."""
+    """Return the C definition of the constant struct with the designed numbers; "" if the estimator has no numbers."""
     if not form.numbers:
         return ""
     if form.numbers == "law_low_pass":
@@ -143,7 +143,7 @@ def _numbers(form: _Form, values: dict[str, Value]) -> str:
 
 
 def _field(parameter: str) -> str:
-    """Return the name of the struct member in law.h that corresponds to a parameter."""
+    """Return the name of the struct member in law.h that corresponds to a device parameter."""
     kind, _, name = parameter.partition("_")
     return f"gain_{name}" if kind == "kalman" and name != "input" else name
 
@@ -168,7 +168,7 @@ def _literal(value: Value) -> str:
 
 
 def c_float(value: float) -> str:
-    """Return a float32 constant of C with the shortest digits that read back equal."""
+    """Return a value as a C constant of type float, with the fewest digits that read back as the same float32."""
     return f"{np.float32(value)!s}f"
 
 

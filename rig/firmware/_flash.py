@@ -1,8 +1,8 @@
-"""Copy an image to a board whose boot ROM appears as a USB drive.
+"""Copy a firmware image to a board whose boot ROM appears as a USB drive.
 
 If the board's BOOTSEL button is held while it is plugged in, the boot ROM appears as a small drive with a file
-INFO_UF2.TXT; firmware of this project does the same on request. The boot ROM writes a UF2 that is copied to the drive
-into the flash, starts it, and the drive disappears.
+INFO_UF2.TXT; firmware of this project does the same on request. The boot ROM writes a UF2 file that is copied to the
+drive into the flash and starts it; the drive disappears.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BootDrive:
-    """A boot ROM that appears as a USB drive: its mount point and the board's identification."""
+    """A boot ROM that appears as a USB drive: path at which it is mounted, and Board-ID and model from INFO_UF2.TXT."""
 
     path: Path
     board_id: str
@@ -47,7 +47,7 @@ class BootDrive:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlashResult:
-    """Image that was flashed, and the board that accepted it."""
+    """The firmware image that was flashed, and the board that accepted it."""
 
     image: Path
     drive: Path
@@ -65,7 +65,7 @@ def flash(
     *,
     url: str | None = None,
 ) -> FlashResult:
-    """Copy an image to a board's boot drive, and wait until the board has started it.
+    """Copy a firmware image to a board's boot drive, and wait until the board has started it.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def flash(
     drive
         Path of the boot ROM's drive; None to search for it.
     on_progress
-        Called with the name of the current step and the completed share of it, 0 … 1.
+        Called with the name of the current step and the completed share of that step, 0 … 1.
     url
         URL of a device that is restarted into its boot loader first; it must not be armed.
 
@@ -125,7 +125,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
 
 
 def find_drives() -> list[BootDrive]:
-    """Return all mounted boot drives of boards."""
+    """Return the boot drives of all boards that are mounted now."""
     found = []
     for path in _mount_points():
         drive = _drive(path)
@@ -135,7 +135,7 @@ def find_drives() -> list[BootDrive]:
 
 
 def drive_at(path: Path) -> BootDrive:
-    """Return the boot drive at a path; raise `DeviceNotFoundError` if it is not the drive of a boot ROM."""
+    """Return the boot drive at a path; raise `DeviceNotFoundError` if the path is not the drive of a boot ROM."""
     drive = _drive(path)
     if drive is None:
         raise DeviceNotFoundError(
@@ -248,7 +248,7 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
 
 
 def _is_there(drive: BootDrive) -> bool:
-    """Return True if the drive is still mounted (its INFO_UF2.TXT can be read)."""
+    """Return True if the drive is still mounted, so that its INFO_UF2.TXT can be read."""
     # A stale mount gives an error: the drive is gone.
     try:
         return (drive.path / INFO_FILE).exists()
@@ -257,7 +257,7 @@ def _is_there(drive: BootDrive) -> bool:
 
 
 def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
-    """Wait up to `APPEAR_S` until the system has mounted the drive; `flash` then reports a missing drive."""
+    """Wait until the system has mounted the drive (None: any boot drive), at most `APPEAR_S` (s); raise nothing."""
     deadline = time.monotonic() + APPEAR_S
     while not (find_drives() if drive is None else _drive(drive)) and time.monotonic() < deadline:
         on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)
@@ -265,7 +265,10 @@ def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
 
 
 def _wait_until_gone(drive: BootDrive, on_progress: Progress) -> None:
-    """Wait until the drive disappears: the board restarts, which is the only sign that it has accepted the image."""
+    """Wait until the drive disappears, the only sign that the board has accepted the image and restarts.
+
+    Raise `LinkLostError` if the drive is still present after `VANISH_S` (s).
+    """
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):
         left = deadline - time.monotonic()

@@ -31,7 +31,8 @@ class FirmwareInfo(FirmwareFacts):
     facts
         Facts of the build; None for a connected device, which does not report them.
     checks
-        Differences from this package; a check that refuses means that this package cannot run the firmware.
+        One check for each difference from this package; a refusing check means that this package cannot run the
+        firmware.
     """
 
     source: str
@@ -50,7 +51,7 @@ class FirmwareInfo(FirmwareFacts):
 
 
 def info(source: str) -> FirmwareInfo:
-    """Return the facts about the firmware in an image (a file) or on a device (a URL).
+    """Return the facts about the firmware in an image (path) or on a device (URL), compared with this package.
 
     Raises
     ------
@@ -67,13 +68,19 @@ def info(source: str) -> FirmwareInfo:
 
 
 def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | None) -> FirmwareInfo:
-    """Return the facts about a firmware with the given dictionary, compared with this package."""
+    """Return the facts about the firmware with the given dictionary and hash, compared with this package.
+
+    `facts` are those of the build, None for a connected device.
+    """
     checks = tuple(compatibility(dictionary))
     return FirmwareInfo(**stated(dictionary, hash_), source=source, facts=facts, checks=checks)
 
 
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
-    """Yield a check for each difference between a firmware and this package; a difference that prevents use refuses."""
+    """Yield a check for each difference between a firmware and this package.
+
+    A check refuses if this package cannot use the firmware because of the difference; otherwise it is a warning.
+    """
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
     versions = f"the firmware uses protocol {theirs}, this package {ours}"
     if dictionary.major != MAJOR:

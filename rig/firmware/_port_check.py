@@ -1,8 +1,8 @@
-"""Test on a board whether its port fulfils the duties that `firmware_protocol.duties` lists.
+"""Test on a board whether its port (board-specific code) fulfils the duties in `firmware_protocol.duties`.
 
 The board runs `firmware/port_check/port_check.c` in place of the core, with the port's files unchanged. That program
 calls the port's functions and sends its observations, which this file judges. Each broken duty has its own message; a
-duty that could not be tested says what is missing.
+duty that could not be tested has a message about what is missing.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence;
 
 
 class PortProbe(IntEnum):
-    """Requests to the test program on the board: enum port_check_probe in port_check.c."""
+    """Number of a request to the test program on the board; port_check.c has the same numbers."""
 
     BOARD = 0
     TIME = 1
@@ -114,23 +114,23 @@ class PortCheckRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheck:
-    """Result of a port check: a check for each duty, in the order of `firmware_protocol.duties`."""
+    """Result of a port check: a check for each duty of the port, in the order of `firmware_protocol.duties`."""
 
     url: str
     checks: tuple[Check, ...]
 
     @reported
     def passed(self) -> bool:
-        """Return True if no duty is broken."""
+        """Return True if no duty of the port is broken."""
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return the checks of the duties as items to print."""
+        """Return the checks of the port's duties as items to print."""
         return list(self.checks)
 
 
 def failure(found: PortCheck) -> DeviceRefusedError | None:
-    """Return the error that lists all broken duties, or None if no duty is broken."""
+    """Return the error that lists all broken duties of a port, or None if no duty is broken."""
     broken = check.refused(found.checks)
     if not broken:
         return None
@@ -140,12 +140,12 @@ def failure(found: PortCheck) -> DeviceRefusedError | None:
 
 
 class NoAnswerError(Exception):
-    """The board did not reply to a probe in time."""
+    """The board did not reply to a request of the port check in time."""
 
 
 @dataclass
 class BoardUnderTest:
-    """Connection to the test program on the board; the link is reopened if a reset of the board closes it."""
+    """A connection to the test program on the board; the link is reopened if a reset of the board closes it."""
 
     open_link: Callable[[], Link]
     patience: float = 1.0  # of a wait for an answer
@@ -161,7 +161,7 @@ class BoardUnderTest:
     def ask(
         self, probe: PortProbe, *arguments: int, wait_s: float = ANSWER_S, quiet_s: float = ANSWER_S
     ) -> tuple[int, ...]:
-        """Send a probe and return the numbers of its reply.
+        """Send a request with its arguments to the test program; return the numbers in its reply (unsigned, 32 bits).
 
         Raise `NoAnswerError` if no reply comes within `wait_s` (s), or no byte within `quiet_s` (s).
         """
@@ -195,14 +195,17 @@ class BoardUnderTest:
         return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
 
     def meet(self) -> tuple[int, ...]:
-        """Return the board's description of itself (`PortProbe.BOARD`), from its first reply."""
+        """Return the numbers with which the board describes itself; repeat the request until the board replies.
+
+        Raise `NoAnswerError` if it never does.
+        """
         for _ in range(TRIES - 1):
             with suppress(NoAnswerError):
                 return self.ask(PortProbe.BOARD, wait_s=ANSWER_S / TRIES)
         return self.ask(PortProbe.BOARD)
 
     def answers(self, wait_s: float) -> bool:
-        """Return True if the board replies within `wait_s` (s)."""
+        """Return True if the board replies to a request within `wait_s` (s)."""
         try:
             self.ask(PortProbe.BOARD, wait_s=wait_s)
         except (NoAnswerError, LinkLostError):
@@ -210,7 +213,10 @@ class BoardUnderTest:
         return True
 
     def meet_again(self) -> tuple[int, ...]:
-        """Return the board's description of itself after a reset; reopen the link if the reset has closed it."""
+        """Return the numbers with which the board describes itself after a reset; reopen the link if it was closed.
+
+        Raise `NoAnswerError` if the board does not reply.
+        """
         for _ in range(TRIES):
             try:
                 return self.meet()
@@ -223,7 +229,7 @@ class BoardUnderTest:
         raise NoAnswerError
 
     def pause(self, seconds: float) -> None:
-        """Read the link for `seconds` (s) and discard the bytes."""
+        """Read the link for `seconds` (s) and discard the received bytes."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         while (left := ends - self.link.clock.now_ns()) > 0:
             self._splitter.feed(self.link.read(left * 1e-9))
@@ -231,7 +237,7 @@ class BoardUnderTest:
 
 @dataclass
 class PortTrial:
-    """A running port check: the board, the request, and the verdicts so far."""
+    """A running port check: the board with its properties, the parameters of the check, and the results so far."""
 
     board: BoardUnderTest
     request: PortCheckRequest
@@ -249,7 +255,10 @@ class PortTrial:
 
     @classmethod
     def begin(cls, board: BoardUnderTest, request: PortCheckRequest) -> PortTrial:
-        """Read the board's description and prepare the check; raise `ConfigError` for a current above the limit."""
+        """Return a new check of a board, whose properties are read first.
+
+        Raise `ConfigError` if the requested current is above the rig's over-current limit.
+        """
         rate, maximum, law, senses, lag, noise, bootloader, _reports_reset, _place, limit = board.meet()
         if abs(request.current) > limit:
             raise ConfigError(
@@ -259,13 +268,13 @@ class PortTrial:
         return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
 
     def distrust(self) -> None:
-        """Replace verdicts that depend on the board's time by "not judged" if that time is wrong."""
+        """Replace results that depend on the board's clock by "not judged" if that clock is wrong."""
         if any(isinstance(self.verdicts[name], Mapping) for name in TIME):
             wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
             self.verdicts |= dict.fromkeys(wrong, "not judged: the board's time, which this needs, is wrong")
 
     def ask_signed(self, probe: PortProbe, *arguments: int) -> list[int]:
-        """Send a probe and return the numbers of its reply as signed 32-bit integers."""
+        """Send a request to the test program and return the numbers in its reply as signed 32-bit integers."""
         return [(one + 2**31) % 2**32 - 2**31 for one in self.board.ask(probe, *arguments)]
 
 
@@ -284,7 +293,7 @@ def check_port(
     request
         Parameters of the check.
     on_progress
-        Called with the name of the current test and the completed share, 0 … 1.
+        Called with the name of the current test and the completed share of all tests, 0 … 1.
 
     Raises
     ------
@@ -392,7 +401,10 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
-    """Return the tick rate (Hz, by corrected device time), True if `rate` was accepted, and the jitter (s)."""
+    """Set the tick rate `rate` (Hz; 0: keep the present one) and count ticks, at `expected` Hz.
+
+    Return the measured rate (Hz, by corrected device time), True if the board accepted `rate`, and the jitter (s).
+    """
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
     least, most, newest = off
@@ -523,7 +535,10 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
-    """Stop feeding a watchdog of `bite_us` (µs); return how long the board ran (ms), and True if it was reset."""
+    """Stop feeding the board's watchdog, whose time-out is `bite_us` (µs).
+
+    Return how long the board ran on (ms), and True if the watchdog reset it.
+    """
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
     except (NoAnswerError, LinkLostError):

@@ -1,4 +1,4 @@
-"""Write and find the record that identifies an image, in an ELF file, a UF2 file or plain bytes.
+"""Write and find the record that identifies a firmware image, in an ELF file, a UF2 file or plain bytes.
 
 The record consists of sixteen magic bytes, the lengths of a JSON text and of the compressed dictionary, the CRC-32 of
 text and dictionary, the text, and the dictionary. The device sends the same dictionary to its host.
@@ -24,7 +24,7 @@ HEAD_BYTES = len(MAGIC) + _LENGTHS.size
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageFacts:
-    """Facts about an image that are known when it is built.
+    """Facts about a firmware image that are known when it is built.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ImageFacts:
     rig
         Name of the rig; an image contains the limits of one rig.
     settings
-        Pins and scales of the board.
+        Value of each of the board's settings (pins, scales, choices) by name.
     """
 
     package: str
@@ -49,14 +49,14 @@ class ImageFacts:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """The record of an image: facts of its build, and the compressed dictionary."""
+    """The record that identifies a firmware image: facts of its build, and the compressed dictionary."""
 
     facts: ImageFacts
     packed: bytes
 
     @property
     def dictionary_hash(self) -> int:
-        """Return the hash of the dictionary, as in IDENTITY and ARM."""
+        """Return the 64-bit hash of the dictionary, as the device sends it."""
         return dictionaries.dictionary_hash(self.packed)
 
     @property
@@ -71,7 +71,7 @@ class Record:
 
 
 def pack(record: Record) -> bytes:
-    """Return the bytes of a record; equal facts give equal bytes."""
+    """Return the image record as bytes; equal facts give equal bytes."""
     text = json.dumps(
         asdict(record.facts), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     ).encode()
@@ -80,7 +80,7 @@ def pack(record: Record) -> bytes:
 
 
 def find(image: bytes, name: str) -> Record:
-    """Find the record in the bytes of an image; `name` is the file's name for messages.
+    """Return the record in the bytes of a firmware image; `name` is the file's name for messages.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def find(image: bytes, name: str) -> Record:
 
 
 def _read(image: bytes, at: int) -> Record | None:
-    """Return the record at offset `at`, or None if the bytes are not a valid record."""
+    """Return the image record at the byte offset `at`, or None if these bytes are not a valid record."""
     if len(image) < at + HEAD_BYTES:
         return None
     text_bytes, packed_bytes, crc = _LENGTHS.unpack_from(image, at + len(MAGIC))

@@ -1,6 +1,8 @@
-"""Check that a board's scales fit a rig and its amplifier: reject saturation, useless limits and coarse steps.
+"""Check that the scales of a board's current output and sensor fit the rig and its amplifier.
 
-A device reports the commanded current. It equals the real current only while the board's output can deliver it.
+The checks reject saturation, limits that cannot act, and coarse steps. A device reports the commanded current; it
+equals
+the real current only while the board's output can deliver it.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "cl
 
 
 def monitor_step_a(settings: Mapping[str, SettingValue]) -> float:
-    """Return the current (A) of one step of the A/D converter that reads the current monitor."""
+    """Return the current (A) of one step of the A/D converter that reads the amplifier's current monitor."""
     return CONVERTER_V / CONVERTER_STEPS / float(settings["monitor_scale"])
 
 
@@ -35,7 +37,7 @@ def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
 
 
 def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step of the board's output as a share of full scale; None if the settings do not determine it."""
+    """Return one step of the board's current output as a share of full scale; None if the settings do not give it."""
     if not settings.keys() >= SCALES:
         return None
     if not _has_pulse_width(settings):
@@ -50,10 +52,9 @@ def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
 
 
 def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step of the set-point (A): the coarser of the board's output step and the amplifier's resolution.
+    """Return one step of the current set-point (A): the coarser of the board's output step and the amplifier's.
 
-    Return None for a board without such an output. If the clock is not given in MHz, only the amplifier's resolution
-    counts.
+    Return None for a board without such an output. If the clock is not given in MHz, only the amplifier's step counts.
     """
     if (sent := _share_of_a_step(settings)) is None:
         return None
@@ -63,14 +64,14 @@ def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> f
 
 
 def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
-    """Raise `ConfigError` if the board cannot output or measure the rig's currents; return `set_point_step_a`.
+    """Check that a board can output and measure the rig's currents; return one step of the set-point (A).
 
     Parameters
     ----------
     board, model
-        The board, and the rig with its amplifier's profile.
+        The board, and the rig with the name of its amplifier's profile.
     settings
-        All settings of the board. A board without an output for set-points is not checked.
+        All settings of the board. A board without an output for set-points is not checked, and the result is None.
 
     Raises
     ------
@@ -117,7 +118,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
 
 
 def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float, refuse: _Refusal) -> None:
-    """Raise `ConfigError` if the amplifier does not accept the PWM frequency (Hz), or its period exceeds `delay_s`."""
+    """Raise `ConfigError` if the amplifier rejects the PWM frequency (Hz) or a period is longer than `delay_s` (s)."""
     least, most = profile.pwm_frequency or (0.0, inf)
     if not least <= frequency <= most:
         raise refuse(
@@ -134,7 +135,7 @@ def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float
 
 
 def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: _Refusal) -> None:
-    """Raise `ConfigError` if the current monitor cannot measure the over-current limit (A) in both directions."""
+    """Raise `ConfigError` if the current monitor cannot measure ± the over-current limit `over_a` (A)."""
     zero, scale = float(settings["monitor_zero"]), float(settings["monitor_scale"])
     room_v = min(zero, CONVERTER_V * (1.0 - 1.0 / CONVERTER_STEPS) - zero)
     if over_a * scale > room_v:
@@ -147,7 +148,7 @@ def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: 
 
 
 class _Refusal:
-    """Factory of `ConfigError` messages that name the board and the rig."""
+    """A factory of `ConfigError` messages that name the board and the rig."""
 
     def __init__(self, board: Board, model: RigModel) -> None:
         self._of = f"board {board.name} for the rig {model.name}"

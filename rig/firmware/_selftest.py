@@ -1,4 +1,4 @@
-"""Test a device and its link without moving the handle.
+"""Test a device and its link without moving the handle: the checks of `rig firmware selftest`.
 
 The tests use the same link as a loop. All checks run, even if one fails; the test ends early only if the device does
 not reply to the first request.
@@ -78,7 +78,7 @@ Step = Callable[[FramedDevice, SelfTestRequest], Check]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SelfTest:
-    """Result of a self test: identification of the device, and its checks."""
+    """Result of a self test: URL, name and firmware of the device, and the checks."""
 
     url: str
     device: str
@@ -88,7 +88,7 @@ class SelfTest:
 
     @reported
     def passed(self) -> bool:
-        """Return True if no check failed."""
+        """Return True if no check of the self test failed."""
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
@@ -97,7 +97,7 @@ class SelfTest:
 
 
 def failure(found: SelfTest) -> DeviceRefusedError | None:
-    """Return the error that names all failed checks, or None if no check failed."""
+    """Return the error that names all failed checks of a self test, or None if no check failed."""
     failed = check.refused(found.checks)
     if not failed:
         return None
@@ -110,7 +110,7 @@ def failure(found: SelfTest) -> DeviceRefusedError | None:
 def selftest(
     device: FramedDevice, request: SelfTestRequest, on_progress: Progress = lambda _what, _share: None
 ) -> SelfTest:
-    """Test a device that is connected.
+    """Run all checks of the self test on a connected device, and return their results.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def selftest(
     request
         Parameters of the test.
     on_progress
-        Called with the name of the current check and the completed share, 0 … 1.
+        Called with the name of the current check and the completed share of the test, 0 … 1.
 
     Raises
     ------
@@ -284,7 +284,7 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
 
 @contextmanager
 def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
-    """Set the device's tick rate (Hz) within the context, then restore it."""
+    """Return a context in which the device has the tick rate `rate` (Hz); its rate is restored at the end."""
     before = device.active_parameters()
     kept: dict[str, Value] = {"verified": before["verified"]}
     device.configure({**kept, "position_rate": rate})
@@ -335,7 +335,7 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
 
 
 def _until_rest(device: FramedDevice, last: int) -> list[int]:
-    """Return the encoder's counts until the handle is at rest; `last` is the first of them."""
+    """Read STATE frames until the handle is at rest; return their encoder counts, after the count `last`."""
     counts = [last]
     while len(counts) < MOVE_LOOKS:
         new = [state.count for state in device.states(REST_S)] or [counts[-1]]
@@ -346,7 +346,10 @@ def _until_rest(device: FramedDevice, last: int) -> list[int]:
 
 
 def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
-    """Return a sentence on the handle's motion in counts, and in rad or m if the rig is known."""
+    """Return a sentence on the handle's motion, in counts, and in rad or m if the rig is known.
+
+    `first` and `last` are encoder counts, `span` is the largest minus the smallest count.
+    """
     text = f"from {first} to {last}, through {span} counts"
     if model is None or first == last:
         return text

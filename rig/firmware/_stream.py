@@ -15,7 +15,10 @@ LOAD_LIMIT = 0.8
 
 @question("stream")
 def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
-    """Judge the messages that a supervised device sent in `ticks` ticks at `rate` (Hz) with a current limit of 0."""
+    """Return a check of the messages that a device sent in `ticks` ticks while it ran the law without any current.
+
+    `rate` is the tick rate (Hz). The check refuses faults, currents, wrong counts, lost samples and too long ticks.
+    """
     batches = [message for message in received if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in received if isinstance(message, m.State)}
     rows, gaps = _rows(batches)
@@ -42,7 +45,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
 
 
 def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
-    """Return encoder count and current (quanta) by sample index, and the number of gaps between batches."""
+    """Return (encoder count, current in quanta) by sample index, and the number of gaps between successive BATCHes."""
     rows: dict[int, tuple[int, int]] = {}
     gaps = 0
     for number, batch in enumerate(batches):

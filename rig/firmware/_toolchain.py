@@ -1,4 +1,4 @@
-"""Find and run the cross compiler, and name the package to install if it is missing."""
+"""Find and run the C cross compiler for the board, and name the package to install if it is missing."""
 
 from __future__ import annotations
 
@@ -24,20 +24,23 @@ _SHOWN_LINES = 12  # of what the compiler complains about
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """A working cross compiler: its path and its version text."""
+    """A working cross compiler: the path of its program, and its version text."""
 
     path: str
     version: str
 
     def run(self, arguments: Sequence[str], directory: Path) -> None:
-        """Run the compiler in a directory; raise `ToolchainError` with the first lines of its error output."""
+        """Run the compiler in a directory; raise `ToolchainError` with the first lines of its errors if it fails."""
         done = _call([self.path, *arguments], directory)
         if done.returncode != 0:
             shown = "\n".join(done.stderr.strip().splitlines()[:_SHOWN_LINES])
             raise ToolchainError(f"the firmware cannot be built:\n{shown}\n", remedy=_remedy(done.stderr))
 
     def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
-        """Run a tool that came with the compiler, such as ``nm``, and return what it printed."""
+        """Run a tool that came with the compiler, such as ``nm``, in a directory, and return what it printed.
+
+        Raise `ToolchainError` if the tool fails.
+        """
         done = _call([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
         if done.returncode != 0:
             raise ToolchainError(f"{name} failed: {done.stderr.strip()}", remedy=INSTALL)
@@ -45,7 +48,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the installed compiler; raise `ToolchainError` if the compiler or its C library is missing."""
+    """Return the installed cross compiler; raise `ToolchainError` if the compiler or its C library is missing."""
     named = os.environ.get(COMPILER_VARIABLE)
     path = find_program(named or COMPILER)
     if path is None:

@@ -28,7 +28,7 @@ _HEAD = struct.Struct("<8I")
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes of a program and their address in the processor's memory."""
+    """Consecutive bytes of a program, and their address in the processor's memory."""
 
     address: int
     data: bytes
@@ -36,19 +36,22 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Uf2:
-    """Contents of a UF2 file: pieces of consecutive bytes, and the family of all blocks (None if not given)."""
+    """Contents of a UF2 file: pieces of consecutive bytes, and the processor family's number (None if not given)."""
 
     pieces: tuple[Piece, ...]
     family: int | None
 
 
 def is_uf2(content: bytes) -> bool:
-    """Return True if the content begins with the magic numbers of UF2."""
+    """Return True if a file's content begins with the magic numbers of UF2."""
     return content[:8] == struct.pack("<2I", MAGIC_FIRST, MAGIC_SECOND)
 
 
 def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
-    """Return the UF2 file of pieces that do not overlap; each is padded with zeros to whole pages."""
+    """Return the bytes of a UF2 file for a processor family.
+
+    The pieces of the program must not overlap; each is padded with zeros to whole pages of 256 bytes.
+    """
     pages: dict[int, bytearray] = {}
     for piece in pieces:
         for offset, byte in enumerate(piece.data):
@@ -72,12 +75,12 @@ def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
 
 
 def read_uf2(content: bytes, name: str) -> Uf2:
-    """Read the content of a UF2 file; `name` is the file's name for messages.
+    """Return the program in the bytes of a UF2 file; `name` is the file's name for messages.
 
     Raises
     ------
     ConfigError
-        The file is not a UF2, or it is damaged: a magic number or a block is missing, or it names two families.
+        The file is not a UF2 file, is damaged (a magic number or a block is missing), or is for two processor families.
     """
     if not content or len(content) % BLOCK_BYTES:
         raise _damage_error(
@@ -98,7 +101,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
 
 
 def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
-    """Return the number of a block, the total number of blocks, the family, and the data (None if not for flash)."""
+    """Return number, total number of blocks, family and data of a UF2 block; data is None for a block not for flash."""
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):

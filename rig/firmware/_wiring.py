@@ -1,4 +1,4 @@
-"""Draw and list the wiring of a board's reference rig, from the netlist beside its ``board.toml``."""
+"""Draw and list the wiring of a board's reference rig, from the netlist ``wiring.toml`` beside its ``board.toml``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LINE = 36  # characters of a box
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """A pin of a part: its name, and the net to which it is connected."""
+    """A pin of a part: its name, and the name of the net (wire) to which it is connected."""
 
     name: str
     net: str
@@ -31,7 +31,7 @@ class Pin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WiringPart:
-    """A part: its name, description, source of its pin numbers, and the pins on the two sides of its drawn box."""
+    """A part of the rig: name, description, source of its pin numbers, and the pins on both sides of its drawn box."""
 
     name: str
     what: str
@@ -43,12 +43,12 @@ class WiringPart:
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """All parts of a rig, in the order of the netlist."""
+    """All parts of a rig with their connected pins, in the order of the netlist."""
 
     parts: tuple[WiringPart, ...]
 
     def nets(self) -> dict[str, list[str]]:
-        """Return for each net its pins as ``PART.pin``."""
+        """Return the pins of each net (wire) as texts ``PART.pin``, by the name of the net."""
         found: dict[str, list[str]] = {}
         for part in self.parts:
             for pin in (*part.left, *part.right):
@@ -57,7 +57,7 @@ class Wiring:
 
 
 def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
-    """Read the wiring of a board, with the pin numbers of its settings.
+    """Return the wiring of a board's reference rig, with the pin numbers in `settings`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _part(row: Mapping[str, Any], board: Board, settings: Mapping[str, SettingVa
 
 
 def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
-    """Return a pin's name; the name of a setting is replaced by its pin number and meaning."""
+    """Return a pin's name for the drawing; the name of a setting is replaced by its pin number and meaning."""
     setting, _, offset = (text.strip() for text in name.partition("+"))
     if setting not in board.settings:
         if setting.endswith("_pin"):
@@ -106,14 +106,14 @@ def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
 
 
 def draw(found: Wiring, path: Path) -> Path:
-    """Write a drawing (SVG) with a box for each part; raise `RecordingError` if the file cannot be written."""
+    """Write the wiring as an SVG drawing and return its path; raise `RecordingError` if the file cannot be written."""
     with whole_file(path, overwrite=True) as file:
         file.write(svg(found).encode())
     return path
 
 
 def svg(found: Wiring) -> str:
-    """Return the drawing of the parts and nets as SVG text."""
+    """Return the wiring as SVG text: a box for each part, with its pins and the names of their nets."""
     shapes: list[str] = []
     bottom = 0
     for column, parts in groupby(sorted(found.parts, key=lambda part: part.column), lambda part: part.column):

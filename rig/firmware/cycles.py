@@ -1,6 +1,6 @@
 """Compute the cost of one call of an exported estimator on a microcontroller: instructions, cycles, code and memory.
 
-The export of an estimator reports it. It must not be called a measurement, because the processor is emulated.
+The export of an estimator reports the cost. It must not be called a measurement, because the processor is emulated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _ENTRIES = ("begin", "velocity")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Cost of one call of an estimator on one core, with memory without wait states (`rig.firmware._cortex`).
+    """Cost of one call of an estimator on one processor core, with memory without wait states (`rig.firmware._cortex`).
 
     Attributes
     ----------
@@ -60,9 +60,10 @@ def cost_of(
     elapsed: Ints,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[Cost, ...]:
-    """Run an estimator over samples on each core in `REPORTED` and return its costs.
+    """Return the cost of an estimator on each core in `REPORTED`, from a simulated run.
 
-    Raise `ToolchainError` if the cross compiler or the simulator is not installed.
+    `counts` are the encoder counts of successive samples, `elapsed` the velocity periods since the sample before. Raise
+    `ToolchainError` if the cross compiler or the simulator is not installed.
     """
     costs = []
     for number, name in enumerate(REPORTED):

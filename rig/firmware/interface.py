@@ -1,7 +1,7 @@
 """Public names of this package for `rig firmware`: boards, and how to build, inspect, flash and test images.
 
-It defines nothing, and no file of this package imports it. Plans and exports import `tick_budget` and `cycles` instead,
-so that they load no toolchain.
+This file defines nothing, and no file of this package imports it. Plans and exports import `tick_budget` and `cycles`
+instead, so that they load no toolchain.
 """
 
 from rig.firmware import _boards as boards

@@ -1,6 +1,6 @@
-"""Compute the highest rate at which a board's processor can run a law, from the cycles of a whole tick.
+"""Compute the highest rate at which a board's processor can run the control law, from the cycles of a whole tick.
 
-A tick may take at most `SHARE` of its period; link and host need the rest. The cycles are those of
+A tick may take at most the share `SHARE` of its period; link and host need the rest. The cycles are those of
 `rig.firmware._cortex`: estimates for memory without wait states, not measured on a board.
 
 Plans and designs call it. It must not load a toolchain.
@@ -48,16 +48,16 @@ TICKS: Mapping[str, Mapping[str, int]] = {
 
 @dataclass(frozen=True, slots=True)
 class TickBudget:
-    """A board's processor with its clock, which determine the cost of a tick.
+    """A board's processor and its clock, which determine how long a tick of the law takes.
 
     Attributes
     ----------
     board
         Name of the board.
     core
-        Core of its processor.
+        Core of the board's processor.
     clock_hz
-        Clock by the board's settings (Hz).
+        Clock frequency of the processor, from the board's settings (Hz).
     """
 
     board: str
@@ -65,21 +65,21 @@ class TickBudget:
     clock_hz: float
 
     def call_cycles(self, estimator: str) -> int | None:
-        """Return the largest number of cycles of one call of an estimator; None if no board runs the estimator."""
+        """Return the largest number of cycles of one call of this estimator; None if no board can run it."""
         return CALLS[self.core.name].get(estimator)
 
     def rate_maximum(self, estimator: str) -> float:
-        """Return the highest rate (Hz) at which a tick with an estimator fits; 0 if no board runs the estimator."""
+        """Return the highest rate (Hz) at which a tick with this estimator fits; 0 if no board can run it."""
         cycles = TICKS[self.core.name].get(estimator)
         return 0.0 if cycles is None else SHARE * self.clock_hz / cycles
 
     @property
     def has_float_unit(self) -> bool:
-        """Return True if the core computes float32 in hardware."""
+        """Return True if the processor computes float32 in hardware."""
         return "-mfloat-abi=hard" in self.core.flags
 
     def text(self, estimator: str) -> str:
-        """Return a sentence with the cycles of a tick and the highest rate."""
+        """Return a sentence with the cycles of a tick with this estimator, and the highest tick rate."""
         unit = "" if self.has_float_unit or estimator == INTEGERS else ", no floating-point unit"
         cycles = TICKS[self.core.name].get(estimator)
         if cycles is None:
@@ -91,7 +91,10 @@ class TickBudget:
 
 
 def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None) -> TickBudget | None:
-    """Return the budget of a board with `settings`, or with its defaults; None if its core's cycles are not known."""
+    """Return the processor and clock of a board with `settings`, or with its default settings.
+
+    Return None if the cycles of the board's processor are not known.
+    """
     known = [
         core for core in CORES.values() if core.name in TICKS and set(core.flags) <= set(board.processor)
     ]
@@ -103,7 +106,10 @@ def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None
 
 
 def named_budget(name: str) -> TickBudget:
-    """Return the budget of a board by name; raise `ConfigError` if the board or the cycles of its core are unknown."""
+    """Return the processor and clock of the board with a name.
+
+    Raise `ConfigError` if the board is unknown or the cycles of its processor were never counted.
+    """
     found = tick_budget(load(name))
     if found is None:
         raise ConfigError(
