@@ -1,1 +1,1 @@
-"""Reproduce papers: compute the numbers behind every claim, and write the report's sentences from them."""
+"""Reproduce published papers: compute the numbers behind every claim, judge the claims, and write a report."""

@@ -149,6 +149,16 @@ def test_shares_are_areas_of_cells_that_fill_the_plane(experiment: Any) -> None:
     assert list(shares.sets) == ["friction; contact"]
 
 
+@pytest.mark.parametrize(
+    ("sets", "text"), [(None, "0.0 % of the plane"), ([["quantum"]], "100.0 % of the plane: quantum 100.0 %")]
+)
+def test_the_brief_result_names_the_causes_after_the_share(experiment: Any, sets: Any, text: str) -> None:
+    plan = plan_of(experiment, "dual:20k/2k", (0.0,), StiffnessSearch(lowest=10.0, highest=11.0, ratio=2.0))
+    row = {"stiffness": 10.0, "radius": 0.9, "holds": sets is None, "holds_without": True, "cures": sets}
+    _, shown = plan.found([[{**row, "hits": 1, "ticks": 1}]]).brief()
+    assert shown.value == text
+
+
 def test_cells_end_half_way_to_their_neighbours() -> None:
     assert edges_of((0.0, 1.0, 3.0)).tolist() == [0.0, 0.5, 2.0, 3.0]
     assert edges_of((1.0, 4.0, 16.0), by_ratio=True).tolist() == [1.0, 2.0, 8.0, 16.0]

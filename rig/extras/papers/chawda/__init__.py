@@ -1,1 +1,1 @@
-"""Reproduce Chawda, Celik and O'Malley 2011: velocity estimators."""
+"""Reproduce the comparison of velocity estimators by Chawda, Celik and O'Malley (2011)."""

@@ -1,4 +1,4 @@
-"""Judge the claims of Chawda et al.: pass the computed numbers to the rule of each claim."""
+"""Judge the claims of Chawda et al.: pass the computed numbers to the rule of each claim (`rules` in this folder)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.extras.papers.rules import MOST, Ruling, each, judge, judge_share, over
 
 
 def rulings(chawda: Chawda) -> dict[str, Ruling]:
-    """Return the ruling (verdict and numbers) on every claim, by the claim's key."""
+    """Return the ruling (verdict and the numbers behind it) on every claim, by the claim's key in ``claims.j2``."""
     drops = derived.drops(chawda)
     fits = [fit for of in derived.by_edge(chawda).values() for fit in of]
     mass, damping = derived.mass_and_damping()
@@ -111,7 +111,11 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """Return numbers for the sentence: at how many dampings both compared limits exceed the searched stiffnesses."""
+    """Return numbers about the limits of some schemes that the search of stiffnesses could not find.
+
+    ``dampings`` is the number of dampings in (0, `up_to`] N·s/m, ``top`` the stiffest searched wall (N/m). ``beyond``
+    has (scheme, number of dampings at which its limit and that of the filtered difference both exceed ``top``).
+    """
     dampings = sum(0.0 < b <= up_to for b in chawda.scale.hit_dampings)
     beyond = [(name, dampings - len(derived.over_filtered(chawda, name, up_to))) for name in names]
     return {

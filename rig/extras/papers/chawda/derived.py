@@ -1,4 +1,7 @@
-"""Compute from the results of Chawda et al. the numbers that claims, page and pictures share."""
+"""Compute from the results of Chawda et al. the numbers that the claims, the page and the pictures share.
+
+A *reading* is one way to judge passivity: a frequency band and a tolerance, since the paper does not state its own.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +25,27 @@ from rig.extras.papers.rules import over
 
 
 def curve(chawda: Chawda, name: str) -> list[float]:
-    """Return the mean stiffness limit (N/m) of one scheme of Fig. 3 for each damping."""
+    """Return, for each damping of Fig. 3, the largest stiffness (N/m) at which hits show no velocity ripple.
+
+    The hits must also be stable. `name` is one of `Chawda.hit_names`; each value is a mean over the encoder offsets.
+    """
     return [b.stiffness for b in chawda.hits.curve(chawda.hit_names.index(name), "felt")]
 
 
 def drops(chawda: Chawda) -> dict[str, float]:
-    """Return the damping (N·s/m) from which on each limit of Fig. 3 stays below half of its peak; infinite if never."""
+    """Return, by scheme, the damping (N·s/m) from which on the stiffness limit of Fig. 3 stays below half of its peak.
+
+    The damping is infinite for a scheme whose limit never stays below half of its peak.
+    """
     dampings = chawda.scale.hit_dampings
     return {name: rules.find_drop(dampings, curve(chawda, name)) for name in chawda.hit_names}
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """Return limit / limit of the filtered difference at each damping above 0, unless both limits are search ends."""
+    """Return a scheme's stiffness limit divided by that of the filtered difference, for dampings up to `up_to` (N·s/m).
+
+    B = 0 is left out, and so are dampings at which both limits exceed the searched stiffnesses.
+    """
     of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
         over(a.stiffness, b.stiffness)
@@ -43,7 +55,11 @@ def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[fl
 
 
 def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
-    """Return K of AKF divided by K of FDM+filter for B >= `rules.LEAST_DAMPING`: by linear theory, by hits at 1 kHz."""
+    """Return the stiffness limit with the Kalman filter divided by the limit with the filtered difference.
+
+    The keys name the method: linear theory, or hits at 1 kHz. A value has one ratio for each damping of at least
+    `rules.LEAST_DAMPING` (N·s/m) that the linear theory covers.
+    """
     akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
     linear = [
         over(a, f)
@@ -65,7 +81,10 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
 
 
 def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
-    """Return, by upper edge of the band (Hz) and reading, whether K-widths and errors are near those of Table I."""
+    """Return, for each upper edge of the band (Hz), a pair of booleans per reading and measurement.
+
+    The first is True if all K-widths (stiffest passive walls) are near Table I, the second if all fidelity errors are.
+    """
     fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
     stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
     error = {name: printed.worst_fidelity for name, printed in rigs.PRINTED.items()}
@@ -78,25 +97,31 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
 
 
 def closed_widths(chawda: Chawda, name: str) -> list[float]:
-    """Return the largest passive stiffness (N/m) over all dampings by linear theory, for each upper edge of a band."""
+    """Return the stiffest wall (N/m) that linear theory calls passive at any damping, for each of `rigs.HIGHEST_HZ`.
+
+    `name` is the name of a linear estimator.
+    """
     return [max(of) for of in chawda.linear[name]["passive"]]
 
 
 @cache
 def mass_and_damping() -> tuple[float, float]:
-    """Return the mass (kg) and the viscous damping (N·s/m) of the paper's rig."""
+    """Return the mass (kg) and the viscous damping (N·s/m) of the paper's rig, motor and link together."""
     mechanics = presets.load(rigs.RIG).rig.mechanics
     return mechanics.motor_inertia + mechanics.link_inertia, mechanics.motor_damping + mechanics.link_damping
 
 
 def floors() -> dict[float, float]:
-    """Return the fidelity error (N·s/m) without a wall by upper edge (Hz): the largest error is hardly below it."""
+    """Return the fidelity error (rms of |Z|, N·s/m) of the rig without a wall, by upper edge of the band (Hz).
+
+    The largest error that a measurement finds over all walls can hardly be smaller.
+    """
     low, _ = rigs.CONTROL_BAND
     return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in rigs.HIGHEST_HZ}
 
 
 def edge_of(error: float) -> float:
-    """Return the upper edge (Hz) of the band in which the fidelity error without a wall is `error` (N·s/m)."""
+    """Return the upper edge (Hz) of the band in which the rms of |Z| of the rig without a wall is `error` (N·s/m)."""
     edges, (low, _) = np.arange(2.0, 1000.0), rigs.CONTROL_BAND
     errors = [fidelity_without_wall(*mass_and_damping(), (low, float(edge))) for edge in edges]
     return float(np.interp(error, errors, edges))
@@ -104,16 +129,18 @@ def edge_of(error: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """Results that depend on the upper edge of the band (Hz).
+    """Results for all readings that share one upper edge of the frequency band, `high` (Hz).
 
     Attributes
     ----------
     closed_fdm, closed_akf
-        K-widths by the closed form (N/m).
+        Stiffest wall (N/m) that linear theory calls passive, with FDM+filter and with the Kalman filter.
     floor
         Fidelity error without a wall (N·s/m).
     widths, errors, both
-        Number of readings with all K-widths, all errors, or both near Table I, out of `readings`.
+        Number of results with all K-widths near Table I, with all fidelity errors near Table I, and with both.
+    readings
+        Number of results: readings with this edge times measurements.
     """
 
     high: float
@@ -127,7 +154,7 @@ class Edge:
 
 
 def edges(chawda: Chawda) -> list[Edge]:
-    """Return an `Edge` for each upper edge of the band."""
+    """Return an `Edge` (results that depend on the frequency band) for each upper edge in `rigs.HIGHEST_HZ`."""
     closed = zip(*(closed_widths(chawda, name) for name in (rigs.FDM, rigs.AKF)), strict=True)
     return [
         Edge(
@@ -145,7 +172,11 @@ def edges(chawda: Chawda) -> list[Edge]:
 
 
 def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[float]]:
-    """Return by which share FOAW's mean error is below FDM's and AKF's at walls passive with all, by measurement."""
+    """Return by which share FOAW's mean fidelity error is below that of FDM+filter and of AKF (0.1: 10 % lower).
+
+    The key is the name of the other estimator; its list has one share per measurement. Means are over the walls that
+    are passive with all three estimators in every measurement; without such a wall the mapping is empty.
+    """
     numbers = {name: rigs.ESTIMATORS.index(name) for name in rigs.FILTERS}
     common = chawda.map.common(reading, list(numbers.values()))
     if not common.any():
@@ -161,7 +192,7 @@ def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[flo
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
-    """Return `common_gains` for each upper edge of the band (Hz)."""
+    """Return the shares of `common_gains` (by how much FOAW's error is lower) for each upper edge of the band (Hz)."""
     main = rigs.READINGS[rigs.MAIN]
     return {
         high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
@@ -170,14 +201,20 @@ def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
 
 
 def common_error(chawda: Chawda, name: str) -> Spread:
-    """Return the mean error (N·s/m) of one filter at walls passive with all three filters, over measurements."""
+    """Return the mean fidelity error (N·s/m) of one filter at the walls that are passive with all three filters.
+
+    The result has mean and standard deviation over the measurements; its count is 0 for Levant's differentiator.
+    """
     held = chawda.map.common(rigs.MAIN, [rigs.ESTIMATORS.index(one) for one in rigs.FILTERS])
     of = chawda.map.fidelity[:, rigs.MAIN, rigs.ESTIMATORS.index(name)]
     return Spread.of([float(one[held].mean()) for one in of] if held.any() and name in rigs.FILTERS else [])
 
 
 def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
-    """Return the mean fidelity error (N·s/m) in the softest and in the stiffest quarter of the connected walls."""
+    """Return the mean fidelity errors (N·s/m) in the softest and in the stiffest quarter of the passive walls.
+
+    The key is the name of the estimator; estimators with fewer than 4 passive walls are left out.
+    """
     found = {}
     for number, name in enumerate(rigs.ESTIMATORS):
         held = chawda.map.common(rigs.MAIN, [number])
@@ -191,7 +228,11 @@ def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
 
 
 def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
-    """Return, by tolerance, in how many readings scheme 0 has the larger K-width, and in how many K-widths differ."""
+    """Compare the K-widths (stiffest passive walls) of schemes 0 and 1, by allowed tolerance of the phase.
+
+    A value is (number of results in which scheme 0 has the larger K-width, number in which the K-widths differ); there
+    is one result for each band and measurement.
+    """
     counts: dict[str, tuple[int, int]] = {}
     for number, reading in enumerate(found.grid.readings):
         above, differ = counts.get(reading.allowed, (0, 0))
@@ -203,24 +244,27 @@ def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
 
 
 def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
-    """Return in how many maps the largest error is at the softest stiffness of the grid, and the number of maps."""
+    """Return the number of maps whose largest fidelity error is at the softest wall, and the number of all maps.
+
+    There is one map for each estimator and measurement.
+    """
     worst = [width.worst_stiffness for name in rigs.SCHEMES for width in chawda.widths(name)]
     return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
 
 
 def count_tuned(chawda: Chawda, name: str) -> int:
-    """Return the number of numeric settings that are stated for an estimator."""
+    """Return how many numeric settings the paper's scheme for an estimator states."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
 
 def is_capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
-    """Return True if a width reaches the end of the grid."""
+    """Return True if the width `name` ("stiffness" or "damping") of any measurement reaches the end of the grid."""
     return any(getattr(width, f"{name}_capped") for width in widths)
 
 
 def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
-    """Return the widths of the variants of Levant's differentiator, by name."""
+    """Return the extent of the passive region (K-width, B-width, errors) of each variant of Levant's estimator."""
     return {name: chawda.variants.width(0, 0, n) for n, name in enumerate(chawda.variant_names)}
 
 
@@ -229,7 +273,10 @@ def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """One scheme on one rig by one reading: area and widths of its Z-width, and its error relative to Koul's wall."""
+    """One sampling scheme on one of Koul's rigs, judged by one reading.
+
+    Area, stiffness and damping describe the passive region; each has mean and standard deviation over the measurements.
+    """
 
     scheme: Scheme
     area: Spread
@@ -240,7 +287,10 @@ class Ranked:
 
 
 def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
-    """Return the schemes sorted by the area of their Z-width, the largest first."""
+    """Return the schemes of a grid, sorted by the area of their passive region in the K–B plane, the largest first.
+
+    `reading` is an index into the readings of the grid.
+    """
     schemes = found.grid.schemes
     reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
     rows = []
@@ -260,7 +310,10 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return the scheme's mean error / the reference's, over walls passive with both schemes, by measurement."""
+    """Return a scheme's mean fidelity error divided by that of a reference scheme, as a spread over measurements.
+
+    Both means are over the walls that are passive with both schemes. `number` and `reference` are indices of schemes.
+    """
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])
@@ -272,7 +325,17 @@ def _relative_error(found: Readings, reading: int, number: int, reference: int) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BestDual:
-    """Best dual-rate scheme by area, schemes within its SD, the most faithful dual-rate and the best uniform scheme."""
+    """The dual-rate scheme with the largest passive area, and the schemes to compare it with.
+
+    Attributes
+    ----------
+    near
+        Other dual-rate schemes whose area differs from the best by at most the sum of both standard deviations.
+    faithful
+        The dual-rate scheme with the smallest relative error; None if no scheme has a known error.
+    uniform
+        The uniform-rate scheme with the largest area.
+    """
 
     best: Ranked
     near: list[Ranked]
@@ -282,7 +345,7 @@ class BestDual:
 
     @classmethod
     def of(cls, rows: Sequence[Ranked]) -> BestDual:
-        """Choose the best scheme of each kind among ranked ones."""
+        """Choose the schemes from `rows`, which must be sorted by area, the largest first."""
         best, *others = (row for row in rows if row.scheme.kind == "dual")
         judged = [row for row in (best, *others) if row.error.count]
         uniform = max((row for row in rows if row.scheme.kind == "uniform"), key=lambda row: row.area.mean)

@@ -1,4 +1,4 @@
-"""Compute and draw the gains with which Levant's differentiator converges: Fig. 1 of Chawda et al., extended."""
+"""Compute and draw the gains with which Levant's differentiator converges (Fig. 1 of Chawda et al., extended)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevantRegions:
-    """Boundaries of the regions of convergence: μ1 over `mu2`, shape (n,), infinite if missing; μ2 over `mu1`."""
+    """Boundaries of the gains with which Levant's differentiator converges, in μ1 = α/C and μ2 = λ/√C.
+
+    Attributes
+    ----------
+    hba_mu1, lfba_mu1
+        Smallest μ1 at each `mu2` by the homogeneity-based (HBA) and by the Lyapunov-function-based approach (LFBA),
+        shape (n,); infinite where no μ1 is allowed.
+    worst_case_mu2
+        Smallest μ2 at each `mu1` with which the estimation error shrinks in every half cycle, found numerically.
+    """
 
     mu2: Floats
     hba_mu1: Floats
@@ -29,7 +38,7 @@ class LevantRegions:
     worst_case_mu2: Floats
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values for JSON; infinite values become null in the file."""
+        """Return boundaries, crossing and named gains as lists and numbers for JSON (infinite values: null)."""
         return {
             "parameters": "alpha = mu1 * C, lambda = mu2 * sqrt(C)",
             "crossing": dict(zip(("mu1", "mu2"), regions.find_crossing(), strict=True)),
@@ -51,7 +60,7 @@ class LevantRegions:
 
 
 def levant_regions() -> LevantRegions:
-    """Compute the boundaries that the picture shows."""
+    """Compute the boundaries of the convergent gains for μ1 up to `LARGEST_MU1` and μ2 up to `LARGEST_MU2`."""
     mu2 = np.linspace(0.0, LARGEST_MU2, _POINTS)
     mu1 = 1.0 + np.geomspace(0.02, LARGEST_MU1 - 1.0, _POINTS // 2)
     return LevantRegions(
@@ -65,7 +74,7 @@ def levant_regions() -> LevantRegions:
 
 @style.own_style()
 def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
-    """Draw both regions, their crossing, the named gains and the numeric boundary into a file; return its path."""
+    """Draw the HBA and LFBA regions, named gains and the numeric boundary; return the path of the picture."""
     figure = style.new_figure(7.0, 5.0)
     axes = figure.subplots()
     for bound, colour, label in (
@@ -86,6 +95,7 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
     )
     _mark(axes, *regions.find_crossing(), "crossing", "o", (6, 6))
     for i, (name, (mu1, mu2)) in enumerate(regions.NAMED_GAINS.items()):
+        # Alternate labels above and below the marker, because neighbouring labels overlap otherwise.
         _mark(axes, mu1, mu2, name, "s", (6, -14 if i % 2 == 0 else 6))
     axes.set_xlim(0.0, LARGEST_MU2)
     axes.set_ylim(0.0, LARGEST_MU1)
@@ -97,7 +107,7 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
 
 
 def _mark(axes: Any, mu1: float, mu2: float, name: str, marker: str, offset: tuple[int, int]) -> None:
-    """Draw a point and its label, `offset` (pt) away; alternate labels above and below, so that they do not overlap."""
+    """Draw a pair of gains as a marker, with its label `offset` points (1/72 inch) away."""
     axes.plot([mu2], [mu1], marker, color="#333333", markersize=5)
     label = f"{name} ({mu1:.5g}, {mu2:.5g})"
     axes.annotate(label, (mu2, mu1), xytext=offset, textcoords="offset points", fontsize=8)

@@ -1,6 +1,7 @@
-"""Tasks of the reproduction of Chawda et al. beside excited walls and hits: theory, constant C, controls.
+"""Compute linear theory, the constant C of Levant's differentiator, and control values for the paper of Chawda et al.
 
-Each function does the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, without side effects.
+Each public function is the work of one task of the sweep that runs the reproduction (`rig.extras.papers.parts`): it
+takes and returns values that JSON can store, and has no side effects.
 """
 
 from __future__ import annotations
@@ -42,14 +43,25 @@ IDEAL = {
 }
 LIPSCHITZ_OFFSET = 0.1  # of the encoder
 LIPSCHITZ_S = 0.5  # of the hit: the fit takes the first 60 ms of contact
+# A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m: its oscillation needs 8 s.
 CONTROL_SETTLING = 40  # periods
 NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is identified
 
 
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the largest stable and the largest passive stiffness (N/m) over dampings, for some upper edges (Hz).
+    """Compute the largest stable and the largest passive stiffness (N/m) of one scheme by linear theory.
 
-    Passivity is tested at lines of 1 Hz. ``range`` is the largest stable damping (N·s/m). Needs a linear estimator.
+    Parameters
+    ----------
+    payload
+        ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), ``low_hz``, and ``highest_hz``, the
+        upper edges of the bands (Hz) in which passivity is tested, every 1 Hz.
+
+    Returns
+    -------
+    dict
+        ``stable``: a stiffness for each damping; ``passive``: a list of stiffnesses for each upper edge; ``range``: the
+        largest stable damping (N·s/m).
     """
     experiment = config.restore_experiment(payload["experiment"])
     scheme, dampings = Scheme.parse(payload["scheme"]), payload["dampings"]
@@ -66,18 +78,21 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Return the constant C (m/s²) identified from one hit at 10 kHz, and the true one; see `identify_wall`."""
+    """Identify the constant C of Levant's differentiator from a hit on the wall in `payload`; see `identify_wall`."""
     return identify_wall(payload["stiffness"], payload["damping"])
 
 
 def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
-    """Hit one wall with the filtered difference, and fit a sum of sines to the counts around the contact.
+    """Identify C, the bound of the acceleration for Levant's differentiator, from one simulated hit on a wall.
+
+    The hit has a rate of 10 kHz and uses the filtered difference. A sum of sines is fitted to the encoder counts around
+    the contact.
 
     Returns
     -------
     dict
-        ``lipschitz`` (m/s²) to three digits, ``residual_rms`` of the fit (m), ``true``: the largest acceleration in the
-        same interval (m/s²), ``impact_velocity`` (m/s).
+        ``lipschitz``: C (m/s²) to three digits; ``residual_rms`` of the fit (m); ``true``: largest acceleration of the
+        simulation in the same interval (m/s²); ``impact_velocity`` (m/s); and the wall's ``stiffness`` and ``damping``.
     """
     changes = {"wall.stiffness": stiffness, "wall.damping": damping, "trial.duration_s": LIPSCHITZ_S}
     experiment = config.override(FILTERED_SCHEME.applied(pushed_rig(FIGURE_3_RATE)), changes, "a hit")
@@ -100,13 +115,13 @@ def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
 
 
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Return a scheme's K-width at B = 0 and its fidelity error without a wall, on a rig without friction and quantum.
+    """Compute two values that theory predicts, to check the method, on a rig without friction and encoder quantisation.
 
     Returns
     -------
     dict
-        ``stiffness``: largest K (N/m) at B = 0 that passes the strict test, by bisection; ``fidelity``: rms of |Z|
-        without a wall (N·s/m).
+        ``stiffness``: largest K (N/m) at B = 0 whose impedance is passive without any tolerance, by bisection;
+        ``fidelity``: rms of |Z| without a wall (N·s/m).
     """
     experiment = _ideal(config.restore_experiment(payload["experiment"]))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
@@ -130,7 +145,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
 def control_payload(
     experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
 ) -> Any:
-    """Return the arguments of `control` for one scheme."""
+    """Return the argument of `control` for one scheme; `band` is its lowest and highest frequency (Hz)."""
     applied = scheme.applied(config.excited(experiment))
     return {
         "experiment": config.as_mapping(applied),
@@ -141,10 +156,7 @@ def control_payload(
 
 
 def _ideal(experiment: Experiment) -> Experiment:
-    """Return the experiment without friction and quantum, with one realisation after a long settling time.
-
-    A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m: it needs 8 s to settle.
-    """
+    """Return the experiment without friction and quantisation, with one realisation of the excitation."""
     ideal = config.override(experiment, IDEAL, "a control")
     return replace(
         ideal,
@@ -153,6 +165,9 @@ def _ideal(experiment: Experiment) -> Experiment:
 
 
 def fidelity_without_wall(mass: float, damping: float, band: tuple[float, float]) -> float:
-    """Return √mean(b² + (2π·m·f)²) over lines of 1 Hz in a band: the rms of |Z| of a bare rig."""
+    """Return the rms of |Z| (N·s/m) of a rig without a wall over the frequencies of `band` (Hz), 1 Hz apart.
+
+    The impedance is that of a mass m (kg) with viscous damping b (N·s/m): the result is √mean(b² + (2π·m·f)²).
+    """
     lines = np.arange(band[0], band[1] + 1.0)
     return float(np.sqrt(np.mean(damping**2 + (2.0 * np.pi * mass * lines) ** 2)))

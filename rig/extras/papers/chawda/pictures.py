@@ -1,4 +1,4 @@
-"""Draw the pictures of the reproduction of Chawda et al.; `PICTURES` maps the report's names to functions."""
+"""Draw the pictures of the reproduction of Chawda et al.; `PICTURES` has a drawing function for each picture's name."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
 
 
 def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
-    """Draw the stable and the passive limit of linear theory in the coordinates of the grid's cells."""
+    """Draw the stable (dashed) and passive limits (dotted) of linear theory; the axes count cells of the grid."""
     grid, of = chawda.map.grid, chawda.linear[name]
     x = np.interp(chawda.linear_dampings, grid.dampings, np.arange(len(grid.dampings)))
     passive = of["passive"][rigs.HIGHEST_HZ.index(rigs.READINGS[rigs.MAIN].high_hz)]
@@ -155,7 +155,7 @@ def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
 
 
 def _seen_mean(values: Any) -> Any:
-    """Return the mean over measurements, without NaN; NaN if all measurements are NaN."""
+    """Return the mean over the first axis (measurements), ignoring NaN; NaN where all measurements are NaN."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)

@@ -1,8 +1,9 @@
-"""Measure the impedance of walls, and judge their passivity in many ways, since Chawda et al. give no details.
+"""Measure the impedance of many walls, and judge the passivity of each wall in many ways.
 
-Each wall is measured a few times, each time with some realisations of the excitation. Each measurement is judged by
-every reading (`rig.extras.papers.chawda.rigs.Reading`: a band and a tolerance), to count how much a result depends on
-the reading. The test is that of `rig.analysis.impedance._verdict`: real parts, residual power, coherence.
+Chawda et al. do not state the frequency band and tolerance of their passivity test. A *reading*
+(`rig.extras.papers.chawda.rigs.Reading`) is one band and one tolerance; every measurement is judged by every reading,
+to count how much a result depends on this choice. A wall passes if Re Z is not below zero by more than the tolerance,
+if the residual power is low, and if the coherence is sufficient, as in `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExcitationGrid:
-    """Walls that are excited with some schemes, and readings that judge the measured impedance."""
+    """Grid of walls (every stiffness with every damping) to excite with some sampling schemes.
+
+    The measured impedance of each wall is judged by all `readings` (band and tolerance of the passivity test).
+    """
 
     experiment: Experiment  # its excitation has the realisations of all measurements
     schemes: tuple[Scheme, ...]
@@ -41,12 +45,12 @@ class ExcitationGrid:
 
     @property
     def runs(self) -> int:
-        """Return the number of excitations of a rig, if no guard ends a measurement early."""
+        """Return the number of excitations of a rig, if the safety guard ends no measurement early."""
         walls = len(self.schemes) * len(self.stiffnesses) * len(self.dampings)
         return walls * self.experiment.excitation.realisations
 
     def part(self, weight: float = 1.0) -> Part:
-        """Return a task for each scheme and damping; `weight` is the cost of one excitation."""
+        """Return a sweep task for each scheme and damping; `weight` is the relative cost of one excitation."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
             applied = scheme.applied(config.excited(self.experiment))
@@ -66,10 +70,11 @@ class ExcitationGrid:
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """Excite the walls of one scheme and damping; return a row for each stiffness, in it a result per measurement.
+    """Excite all walls of one scheme and damping; return a row for each stiffness, with a dict for each measurement.
 
-    ``passive`` has a digit 0 or 1 for each reading, ``fidelity`` is the rms of |Z| − |K/(jω) + B| (N·s/m) in each of
-    `bands`. A measurement that the guard ended is not passive and has no fidelity.
+    ``passive`` is a string with the digit 1 (passive) or 0 for each reading; ``fidelity`` is a list with the rms of |Z|
+    − |K/(jω) + B| (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the excited
+    lines. A measurement that the safety guard ended is not passive, and its other values are None.
     """
     experiment = config.restore_experiment(payload["experiment"])
     readings = [
@@ -101,7 +106,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
 
 
 def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Return the realisations of one wall, up to the first one that the guard ends."""
+    """Return the runs of one wall for the realisations `numbers`, up to the first run that the safety guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
@@ -113,7 +118,10 @@ def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range)
 def read(
     impedance: Impedance, stiffness: float, damping: float, readings: Sequence[Reading]
 ) -> tuple[Flags, Floats]:
-    """Return whether a wall is passive, by reading, and the rms of |Z| − |K/(jω) + B| (N·s/m), by each of `bands`."""
+    """Judge the measured impedance of one wall: return passive or not by reading, and the fidelity error by band.
+
+    The error is the rms of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`.
+    """
     lines, z = impedance.lines_hz, impedance.z
     error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
     seen = ~(impedance.coherence_motion < COHERENCE)  # what is unknown does not count against a wall
@@ -129,12 +137,15 @@ def read(
 
 
 def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
-    """Return the different bands (lowest, highest line in Hz) of the readings, in their order."""
+    """Return the distinct frequency bands (lowest, highest frequency in Hz) of the readings, in order of appearance."""
     return list(dict.fromkeys((reading.low_hz, reading.high_hz) for reading in readings))
 
 
 def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
-    """Return how far Re Z may be below zero at each line (N·s/m)."""
+    """Return how far Re Z may be below zero (N·s/m) at each line, for a tolerance in the unit `kind`.
+
+    The unit is "deviations" (standard deviations of the measured line) or "degrees" of phase.
+    """
     if tolerance == 0.0:
         return np.zeros(len(impedance.z))
     if kind == "deviations":
@@ -151,13 +162,13 @@ def _band(lines: Floats, low: float, high: float) -> slice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Results of a grid.
+    """Passivity and fidelity error of all walls of a grid, by measurement and reading (band and tolerance of the test).
 
     Attributes
     ----------
     passive, fidelity
-        Shape (measurement, reading, scheme, damping, stiffness); the fidelity error (N·s/m) is NaN if a guard ended the
-        measurement.
+        Shape (measurement, reading, scheme, damping, stiffness); the fidelity error (N·s/m) is NaN if the safety guard
+        ended the measurement.
     """
 
     grid: ExcitationGrid
@@ -166,7 +177,7 @@ class Readings:
 
     @classmethod
     def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
-        """Return the results of the tasks of `ExcitationGrid.part` as arrays."""
+        """Arrange the results of the tasks of `ExcitationGrid.part`, in their order, as arrays."""
         shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
         cells = [cell for rows in columns for row in rows for cell in row]
         names = bands(grid.readings)
@@ -182,23 +193,34 @@ class Readings:
         )
 
     def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
-        """Return the widths of the Z-width of one scheme, by one measurement and reading."""
+        """Return the extent of a scheme's passive region (K-width, B-width, errors) in one measurement.
+
+        All three arguments are indices; `reading` chooses the band and tolerance that judge passivity.
+        """
         place = measurement, reading, scheme
         return FrequencyWidth.of(
             self.passive[place], self.fidelity[place], self.grid.stiffnesses, self.grid.dampings
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Return the widths of one scheme by one reading, for each measurement."""
+        """Return the extent of one scheme's passive region by one reading, one result for each measurement."""
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
-        """Return which walls (damping × stiffness) are passive in each measurement with all `schemes` (None: all)."""
+        """Return an array (damping, stiffness): True for walls passive in every measurement with all `schemes`.
+
+        A wall counts only if all softer walls of the same damping are passive, too. `schemes` are indices; None: all
+        schemes.
+        """
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))
 
     def areas(self, reading: int, scheme: int) -> Spread:
-        """Return the area of the connected passive region, over measurements (stiffness × damping, such as N²·s/m²)."""
+        """Return the area of the passive region in the K–B plane (N/m × N·s/m, or the units of a rotary rig).
+
+        The region ends, at each damping, below the softest wall that is not passive. The result has mean and standard
+        deviation over the measurements.
+        """
         k, b = np.array((0.0, *self.grid.stiffnesses)), np.array(self.grid.dampings)
         held = connected(self.passive[:, reading, scheme]).sum(axis=-1)
         return Spread.of([float(np.trapezoid(k[row], b)) for row in held])

@@ -42,7 +42,7 @@ CONTROL_SEARCH = StiffnessSearch(way="bisection", lowest=13_000.0, highest=53_00
 
 
 class ChawdaPlan:
-    """All tasks of the reproduction, and the conversion of their results."""
+    """Tasks that compute everything for the paper of Chawda et al., and the conversion of their results to `Chawda`."""
 
     def __init__(self, scale: rigs.ChawdaScale) -> None:
         self._scale = scale
@@ -57,7 +57,7 @@ class ChawdaPlan:
         self._grids = self._all_grids()
 
     def parts(self) -> dict[str, Part]:
-        """Return all tasks, by name of their part."""
+        """Return all sweep tasks, grouped by the name of the result that they compute."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
         parts["hits"] = koul_parts.map_part(self._hits)
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
@@ -81,7 +81,7 @@ class ChawdaPlan:
         return parts
 
     def results(self, done: Parts) -> Chawda:
-        """Return the typed results from the results of all tasks."""
+        """Convert the raw results of all tasks to one typed object."""
         found = {name: Readings.of(grid, done.results[name]) for name, grid in self._grids.items()}
         hits = ZWidth.of(self._hits, done.results["hits"])
         return Chawda(
@@ -106,7 +106,10 @@ class ChawdaPlan:
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
-        """Return the schemes of Fig. 3: filtered difference, Levant's with the identified C, and with other values."""
+        """Return the schemes of Fig. 3 by name: the filtered difference, and Levant's differentiator variants.
+
+        Levant's differentiator has the identified C, and each of the scale's other values of C with each pair of gains.
+        """
         named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
         named |= {
             name: rigs.levant(rigs.FIGURE_3_RATE, self._nominal["lipschitz"], gains)
@@ -170,7 +173,7 @@ class ChawdaPlan:
         return grids
 
     def _weight(self, name: str) -> float:
-        """Return the cost of one excitation, as a number of hits at 10 kHz."""
+        """Return the cost of one excitation in the grid `name`, in hits of a 20 kHz rig."""
         return 2.0 if name.startswith("dual") else 2.2
 
     def _linear_dampings(self) -> list[float]:
@@ -178,20 +181,20 @@ class ChawdaPlan:
 
 
 def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Return the name of Levant's gains with the largest area of the Z-width: the gains that tuning would find."""
+    """Return the name of Levant's gains with the largest stable area in the K–B plane, as tuning would find them."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
 def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
-    """Return the impedance of the bare rig, and of one wall with each estimator."""
+    """Measure the impedance of the rig without a wall, and of one wall with each of the four estimators."""
     rig = rigs.excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(rigs.SCHEMES.values())))
 
 
 def words(chawda: Chawda) -> dict[str, Any]:
-    """Return the names and values that the templates use."""
+    """Return the values that the templates of the report use, by name."""
     return {
         "chawda": chawda,
         "rigs": rigs,

@@ -1,4 +1,4 @@
-"""Typed results of the reproduction of Chawda et al., and their conversion to plain values."""
+"""Types of the results of the reproduction of Chawda et al., and their conversion to values for JSON."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rig.realtime.source_files import code_version
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundarySearch:
-    """The paper's boundary search, applied to the map of one estimator and measurement.
+    """The paper's search along the boundary of the passive region, applied to one map of one estimator.
 
     Attributes
     ----------
     found, width
-        Stiffest wall that the search finds (N/m; None: no wall), and K-width of the whole grid (N/m).
+        Stiffest wall that the search finds (N/m; None: no wall), and stiffest passive wall of the whole grid (N/m).
     wrong
-        Number of dampings at which the search does not end at the edge of the connected region.
+        Number of dampings at which the search does not end at the edge of the passive region.
     """
 
     name: str
@@ -43,32 +43,35 @@ class BoundarySearch:
 class Chawda:
     """All computed results, from which claims, sentences and pictures are derived.
 
+    An *estimator* is one of the four of Table I; a *reading* is a frequency band and a tolerance that judge passivity.
+
     Attributes
     ----------
     lipschitz
-        C identified at the nominal wall (m/s²), which the gains of Fig. 3 use.
+        C of Levant's differentiator identified at the nominal wall (m/s²), used for the gains of Fig. 3.
     constants
-        C identified at some walls, see `rig.extras.papers.chawda.parts.identify_wall`.
+        C identified at several walls, see `rig.extras.papers.chawda.parts.identify_wall`.
     hits
-        Fig. 3: limits by hits at 10 kHz; `hit_names` are the names of the schemes.
+        Fig. 3: stiffness limits by hits at 10 kHz; `hit_names` are the names of the schemes.
     adjusted
-        The name in `hit_names` of the scheme with the adjusted gains.
+        The name in `hit_names` of Levant's differentiator with the best gains.
     slow_hits
-        Limits by hits at 1 kHz, for the four estimators in the order of `SCHEMES`.
+        Stiffness limits by hits at 1 kHz, for the four estimators in the order of `SCHEMES`.
     read
-        Widths of the four estimators by name, for every reading of measurement 1, then of measurement 2, and so on.
+        Extent of the passive region by estimator, for every reading of measurement 1, then of measurement 2, and so on.
     map, frictionless
-        Figs. 5 and 7 and Table I: excited walls by every reading; and the same without friction (FDM+filter, FOAW).
+        Figs. 5 and 7 and Table I: measured walls judged by every reading; and the same walls on a rig without friction,
+        with FDM+filter and FOAW.
     variants, variant_names
         Levant's differentiator with other discretisations, outputs and C, on a coarser grid.
     linear
-        Limits of linear theory for the linear estimators over `linear_dampings`, by name.
+        Limits of linear theory at `linear_dampings` (N·s/m), for each linear estimator.
     controls
-        Values on a rig without friction and quantum, which theory predicts, by name of the estimator.
+        Values on a rig without friction and quantisation, which theory predicts, by estimator.
     impedances
-        Figs. 4 and 6: impedance of the bare rig, then of one wall with each of `SCHEMES`.
+        Figs. 4 and 6: impedance of the rig without a wall, then of one wall with each of `SCHEMES`.
     dual
-        Excited walls on Koul's rigs by preset, with the schemes of `dual_schemes`.
+        Measured walls on Koul's rigs by preset, with the sampling schemes `dual_schemes`.
     """
 
     scale: rigs.ChawdaScale
@@ -91,22 +94,25 @@ class Chawda:
     dual_schemes: tuple[Scheme, ...]
 
     def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
-        """Return the widths of one of the four estimators by a reading, for each measurement."""
+        """Return the extent of the passive region (K-width, B-width, errors) of one estimator, for each measurement.
+
+        `reading` is an index into `rigs.READINGS`.
+        """
         return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
-        """Return the paper's boundary search in one measurement's map, by the main reading."""
+        """Return the path and result of the paper's boundary search in the map of one estimator and measurement."""
         grid = self.map.grid
         passive = self.map.passive[measurement, rigs.MAIN, list(rigs.SCHEMES).index(name)]
         return trace_grid(passive, grid.dampings, grid.stiffnesses)
 
     @property
     def figure_3(self) -> list[str]:
-        """Return the names of the schemes in the paper's Fig. 3."""
+        """Return the names of the schemes that Fig. 3 shows."""
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:
-        """Return the boundary search for every estimator and measurement."""
+        """Return the result of the paper's boundary search for every estimator and measurement."""
         stiffnesses = self.map.grid.stiffnesses
         return [
             BoundarySearch(
@@ -122,18 +128,18 @@ class Chawda:
         ]
 
     def islands(self, name: str) -> list[int]:
-        """Return the number of islands (passive walls outside the connected region), by measurement."""
+        """Return the number of islands of an estimator (passive walls above a wall that is not) per measurement."""
         return [len(width.islands) for width in self.widths(name)]
 
     @property
     def runs(self) -> int:
-        """Return the total number of excitations of a rig."""
+        """Return the total number of excitations of a rig in the whole reproduction."""
         grids = (self.map, self.frictionless, self.variants, *self.dual.values())
         return sum(found.grid.runs for found in grids)
 
 
 def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
-    """Return the widths of the four estimators by name, for every reading of every measurement."""
+    """Return the extent of the passive region by estimator, for every reading of each measurement in turn."""
     grid = found.grid
     return tuple(
         {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
@@ -143,12 +149,12 @@ def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
 
 
 def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
-    """Return the mean and deviation over measurements of the field `name` of the widths."""
+    """Return mean and standard deviation over the measurements of one field of `widths`, such as "stiffness"."""
     return Spread.of([getattr(width, name) for width in widths])
 
 
 def numbers(chawda: Chawda) -> dict[str, Any]:
-    """Return every number of the reproduction as plain values, for JSON."""
+    """Return every computed number of the reproduction, for the JSON file."""
     return {
         "identified": list(chawda.constants),
         "lipschitz": chawda.lipschitz,
@@ -184,7 +190,10 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
 
 
 def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
-    """Return a grid by the main reading as plain values; verdicts are a string of digits for each damping."""
+    """Return grid, widths, passivity and mean fidelity errors of each scheme for JSON, by the main reading.
+
+    Passivity is a string of the digits 0 and 1 for each damping, with a digit for each stiffness.
+    """
     reading = _main(found)
     return {
         "stiffnesses": list(found.grid.stiffnesses),
@@ -208,7 +217,7 @@ def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _mean(values: Any) -> Any:
-    """Return the mean over measurements; NaN if one of them is NaN."""
+    """Return the mean over the first axis (measurements); NaN where any measurement is NaN."""
     return np.mean(values, axis=0)
 
 
@@ -236,7 +245,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
-    """Return the sources of the numbers: code, scale, seed, presets; they do not depend on the machine."""
+    """Return what the numbers were computed from: code version, scale, seed, settings; independent of the machine."""
     x = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),

@@ -1,4 +1,4 @@
-"""Settings of the reproduction of Chawda et al.: rig, estimators, grids, readings of a verdict, and their fineness.
+"""Settings of the reproduction of Chawda et al.: rig, estimators, grids, and ways to judge passivity.
 
 Values that the paper does not give are set here; where a value decides a result, its comment gives the reason.
 """
@@ -39,7 +39,7 @@ Kind = Literal["deviations", "degrees"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """A band of lines (Hz), and the tolerance by which the phase at a line may miss ±90°.
+    """One way to judge passivity: a frequency band, and a tolerance by which the phase of Z may exceed ±90°.
 
     `tolerance` is in standard deviations of the measured line (see `rig.analysis.impedance._verdict`) or in degrees, by
     `kind`; 0 allows no deviation.
@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def allowed(self) -> str:
-        """Return the allowed phase, as text."""
+        """Return the allowed phase as text, such as ``±90° and 3°``."""
         if not self.tolerance:
             return "strictly ±90°"
         unit = " standard deviations" if self.kind == "deviations" else "°"
@@ -60,7 +60,7 @@ class Reading:
 
     @property
     def text(self) -> str:
-        """Return the reading's band and tolerance, as text."""
+        """Return band and allowed phase as text, such as ``1 to 250 Hz, ±90° and 3°``."""
         return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
@@ -128,7 +128,10 @@ VARIANT_DAMPINGS = (0.0, 20.0, 60.0, 140.0)
 def levant(
     rate: int, lipschitz: float, gains: tuple[float, float], form: str = "explicit", out: str = "u"
 ) -> Scheme:
-    """Return Levant's differentiator with C (m/s²) and gains (μ1, μ2); the paper uses explicit Euler and output u."""
+    """Return a uniform-rate scheme with Levant's differentiator.
+
+    `rate` is in Hz, `lipschitz` is C (m/s²), `gains` are (μ1, μ2). The paper uses explicit Euler and the output u.
+    """
     mu1, mu2 = gains
     return Scheme.parse(
         f"uniform:{rate},estimator=levant,lipschitz={lipschitz!r},gains=custom,mu1={mu1!r},mu2={mu2!r},"
@@ -150,14 +153,17 @@ DUAL_READINGS = tuple(Reading(low_hz=2.0, high_hz=high, tolerance=2.0) for high 
 
 
 def dual_schemes() -> tuple[Scheme, ...]:
-    """Return the schemes for Koul's rigs: two uniform ones for comparison, then each estimator at both dual rates."""
+    """Return the sampling schemes for Koul's rigs: two uniform-rate ones for comparison, then dual-rate ones.
+
+    Each estimator of `DUAL_ESTIMATORS` has two dual-rate schemes, one for each of `DUAL_RATES`.
+    """
     texts = [f"{rates},estimator={estimator}" for rates in DUAL_RATES for estimator in DUAL_ESTIMATORS]
     return tuple(Scheme.parse(text) for text in (*REFERENCES, *texts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChawdaScale:
-    """Grids and numbers of repetitions of the reproduction, which decide how long it takes."""
+    """Sizes of the grids and numbers of repetitions; they decide how long the reproduction takes."""
 
     name: str
     stiffnesses: tuple[float, ...]  # N/m, of the maps
@@ -242,7 +248,7 @@ QUICK = ChawdaScale(
 
 
 def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the paper's rig with an excitation that contains the bands of all readings."""
+    """Return the paper's rig with an excitation that contains the bands of all readings, and with `changes`."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
         "excitation.high_hz": HIGHEST_LINE,
@@ -255,13 +261,13 @@ def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) ->
 
 
 def pushed_rig(rate: int) -> Experiment:
-    """Return the paper's rig for automated wall hits at a rate (Hz)."""
+    """Return the paper's rig for automated wall hits, sampled at `rate` (Hz)."""
     changes = {**PUSH, "verdict.lowpass_hz": LOWPASS_HZ[rate], "trial.seed": SEED}
     return config.override(presets.load(RIG), changes, "the reproduction")
 
 
 def dual_rig(preset: str, scale: ChawdaScale) -> Experiment:
-    """Return one of Koul's rigs with a shorter excitation: the rig is light and settles sooner."""
+    """Return one of Koul's rigs for impedance measurements; its excitation is shorter, since the rig settles sooner."""
     changes = {
         "excitation.low_hz": 2.0,
         "excitation.high_hz": 250.0,

@@ -1,6 +1,7 @@
-"""Rules that judge the claims of Chawda et al., with their thresholds: they convert plain numbers to rulings.
+"""Rules that judge the claims of Chawda et al.: each turns numbers into a ruling (verdict and numbers).
 
-A user can set gains and the band of an excitation, so they are conditions; estimators and readings are cases.
+A claim is tested in several cases. Gains and the band of an excitation can be chosen by a user, so a claim may be
+reproduced "only with" them; the estimators and the ways to judge passivity cannot be such a condition.
 """
 
 from __future__ import annotations
@@ -30,33 +31,40 @@ TRACED = 0.9  # of the columns
 
 
 def is_in_order(widths: Sequence[float]) -> bool:
-    """Return True if each K-width is larger than the next; the caller sorts them in the paper's order."""
+    """Return True if each K-width (N/m) is larger than the next."""
     return all(first > second for first, second in pairwise(widths))
 
 
 def stiffer(cases: Mapping[str, Sequence[float]], step: float = 1.0) -> Ruling:
-    """Judge that a limit is mostly larger than another, from their ratios at some dampings, by case.
+    """Judge the claim that one stiffness limit is mostly larger than another.
 
-    `step` is the ratio of two neighbouring stiffnesses of the search.
+    `cases` has, for each case, the ratios of the two limits at several dampings. `step` is the ratio of neighbouring
+    stiffnesses of the search, below which a difference is not significant.
     """
     held = {name: mostly_stiffer(values, step) for name, values in cases.items()}
     return judge(held, conditions=each(held), ratios=list(cases.items()))
 
 
 def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
-    """Return True if no ratio is clearly below 1, and their median is above 1 by more than the search's resolution."""
+    """Return True if no ratio is clearly below 1, and the median ratio is above 1 by more than the search resolves.
+
+    `step` is the ratio of neighbouring stiffnesses of the search.
+    """
     return min(ratios) >= 1.0 / (STIFFER * step) and median(ratios) >= STIFFER * step**0.5
 
 
 def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
-    """Judge that one K-width is mostly the larger of two, from (how often larger, how often different), by case."""
+    """Judge the claim that the first of two K-widths is mostly the larger one.
+
+    A value of `cases` is (number of results in which it is larger, number of results in which the two differ).
+    """
     held = {name: above >= MOST * differ for name, (above, differ) in cases.items() if differ}
     above, differ = (sum(count[i] for count in cases.values()) for i in (0, 1))
     return judge(held, above=above, differ=differ)
 
 
 def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
-    """Return the damping beyond the peak from which on the limits stay below half of the peak; infinite if never."""
+    """Return the damping (N·s/m) beyond which the stiffness limits stay below half of their peak; infinite if never."""
     peak = max(stiffnesses)
     found = math.inf
     for damping, stiffness in zip(reversed(dampings), reversed(stiffnesses), strict=True):
@@ -67,14 +75,15 @@ def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
 
 
 def sharpness(stiffnesses: Sequence[float]) -> float:
-    """Return the largest ratio of the limits at two neighbouring dampings."""
+    """Return the largest ratio of the stiffness limit at one damping to the limit at the next damping."""
     return max((over(high, low) for high, low in pairwise(stiffnesses)), default=1.0)
 
 
 def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Ruling:
-    """Judge that Levant's differentiator has a smaller range of damping (N·s/m) than the filtered difference.
+    """Judge the claim that Levant's differentiator has a smaller range of damping than the filtered difference.
 
-    `paper` is the paper's ratio of both ranges; if ours are not near it, the claim is reproduced in part.
+    `ranges` has the largest damping (N·s/m) with Levant's differentiator by case, `filtered` that of the filtered
+    difference. If their ratio is not near the paper's ratio `paper`, the claim is reproduced in part.
     """
     cases = {name: value <= LIMITED * filtered for name, value in ranges.items()}
     factors = [over(filtered, value) for value in ranges.values()]
@@ -84,7 +93,11 @@ def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Rulin
 
 
 def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) -> Ruling:
-    """Judge that Z-widths drop at the paper's dampings (N·s/m); `others` are the drops of all gains that were tried."""
+    """Judge the claim that the stiffness limits drop at the paper's dampings.
+
+    A value of `drops` is (damping of the drop found here, damping in the paper); `others` are the drops with all gains
+    that were tried, infinite for no drop (N·s/m).
+    """
     finite = [value for value in others if math.isfinite(value)]
     return judge(
         {name: within(value, target, NEAR_DROP) for name, (value, target) in drops.items()},
@@ -96,25 +109,29 @@ def drops_at(drops: Mapping[str, tuple[float, float]], others: Sequence[float]) 
 
 
 def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: float = 1.0) -> bool:
-    """Return True if every number is within `NEAR_WIDTH` times one step of the paper's."""
+    """Return True if every number of `ours` is within a factor of `NEAR_WIDTH` times `step` of the paper's number."""
     return all(within(ours[name], paper[name], NEAR_WIDTH * step) for name in paper)
 
 
 def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Judge that simulated K-widths are larger than the paper's measured ones, from their ratios by estimator."""
+    """Judge the claim that simulated K-widths exceed the paper's measured ones, from their ratios by estimator.
+
+    `step` is the ratio of neighbouring stiffnesses of the grid.
+    """
     return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
 
 
 def controlled(found: Mapping[str, float], theory: float) -> Ruling:
-    """Judge that numbers agree with the value that theory predicts."""
+    """Judge whether all numbers of `found` agree within 3 % with `theory`, the value that theory predicts."""
     cases = {name: within(value, theory, 1.0 + SAME_CONTROL) for name, value in found.items()}
     return judge(cases, found=list(found.items()), theory=theory)
 
 
 def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
-    """Judge that an estimator's error is below another's, from the shares by which it is lower at common walls.
+    """Judge the claim that an estimator's error is lower than others', from the shares by which it is lower.
 
-    `gains` has the other's name and the upper edge of the band (Hz) as key, and a value for each measurement.
+    A key of `gains` is (name of the other estimator, upper edge of the band in Hz); it has a share for each
+    measurement.
     """
     by_other: dict[str, list[float]] = {}
     for (other, _), values in gains.items():
@@ -127,7 +144,11 @@ def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
 
 
 def traced(above: int, below: int, unseen: int, columns: int, **numbers: float) -> Ruling:
-    """Judge the boundary search from the numbers of dampings where it ends on an island, too low, or not at all."""
+    """Judge the paper's boundary search from the numbers of dampings at which its result is wrong.
+
+    `above`: it ends on an island above the passive region; `below`: it ends inside of the region; `unseen`: it finds no
+    wall. `columns` is the number of all dampings, `numbers` are for the sentence only.
+    """
     wrong = above + below + unseen
     return judge(
         {"": wrong <= (1.0 - TRACED) * columns}, above=above, below=below, unseen=unseen, columns=columns

@@ -281,7 +281,7 @@ class Disagreement(Shown, Drawn):
         rows = [
             Row(
                 shares.label,
-                f"{_percent(shares.differ.share)} of the plane: {_phrase_causes(shares.differ.causes)}",
+                f"{_percent(shares.differ.share)} of the plane{_phrase_causes(shares.differ.causes)}",
             )
             for shares in self.schemes
         ]
