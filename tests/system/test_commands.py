@@ -172,7 +172,7 @@ ROWS = (
     Row("reproduce",
         "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal", "",
         "", (("unknown", 2, "koul"), ("koul --quick -o mine.toml/below", 9, "cannot make"),
-        ("chawda --impacts", 2, "figures of chawda"))),
+        ("chawda --impacts", 2, "the paper chawda"))),
     Row("session new", "new.toml", "file template schema", "rig session check",
         (("mine.toml", 9, "exist"), ("--template koul-fig5", 2, "did you mean koul-fig6")), "new.toml"),
     Row("session check", "quick.toml",

@@ -1,4 +1,4 @@
-"""Read the claims of a paper from a template, and join each with its ruling.
+"""Read the claims of a paper from a template, and add to each claim its ruling (verdict and the numbers behind it).
 
 A paper's ``claims.j2`` has a section for each claim. Every number in it comes from the ruling or from the thresholds
 of the rules; all other text is edited in the template, without changing Python.
@@ -11,8 +11,8 @@ of the rules; all other text is edited in the template, without changing Python.
 
     [rises]                      the key of the claim
     claim: what the paper says
-    paper: its number
-    ours: ours
+    paper: the paper's number
+    ours: the number of this project
     only with: a condition       replaces the names of the cases in which the claim held (optional)
     in part: what is reproduced  if the rule can judge "reproduced in part"
     needs: what the claim depends on, as far as this project knows
@@ -36,7 +36,7 @@ BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|in part|needs|rule
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """A row of the table of claims; the docstring of this module explains the fields."""
+    """A claim of the paper as a row of the report's table; the docstring of this module explains the fields."""
 
     key: str
     claim: str
@@ -49,28 +49,29 @@ class Claim:
 
     @reported
     def verdict(self) -> str:
-        """Return the status of the claim with its condition, as text."""
+        """Return the status and its condition as text, such as "reproduced only with 10 bits"."""
         return f"{self.status} {self.condition}".rstrip()
 
 
 def read_claims(
     template: str, rulings: Mapping[str, Ruling], words: Mapping[str, Any]
 ) -> tuple[Mapping[str, str], tuple[Claim, ...]]:
-    """Fill a template with rulings; return the paper's title and source, and its claims in the order of the rulings.
+    """Fill a template of claims; return title and source of the paper, and its claims in the order of `rulings`.
 
-    Raise `KeyError` if a claim has no text, or a text has no claim.
+    `words` are further values that the template uses. Raise `KeyError` if a claim has no text or no ruling.
     """
     texts = _sections(fill_text(template, rulings=rulings, **words))
     paper = texts.pop("paper")
     if extra := set(texts) ^ set(rulings):
         raise KeyError(
-            f"{template}: each of these claims lacks its ruling or its text: {', '.join(sorted(extra))}"
+            f"{template}: claims with a text but no ruling, or with a ruling but no text: {', '.join(sorted(extra))}; "
+            "give every claim a section in the template and a ruling in claims.py"
         )
     return paper, tuple(_claim(key, ruling, texts[key]) for key, ruling in rulings.items())
 
 
 def _sections(text: str) -> dict[str, dict[str, str]]:
-    """Return the texts of each section by name; a line that begins no new text continues the last one."""
+    """Return the fields of each section of a filled template by name; a line without a field name continues a field."""
     found: dict[str, dict[str, str]] = {}
     key = name = ""
     for line in text.splitlines():

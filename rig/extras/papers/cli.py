@@ -1,4 +1,4 @@
-"""``rig reproduce``: reproduce a paper and write one report."""
+"""Command ``rig reproduce``: reproduce a published paper and write one HTML report."""
 
 from __future__ import annotations
 
@@ -65,7 +65,8 @@ def reproduce(
     if impacts:
         if paper != KOUL.name or quick:
             raise ConfigError(
-                f"--impacts has no {'coarse grid' if paper == KOUL.name else f'figures of {paper}'}",
+                "--impacts computes figures 7 and 8 of koul only; it cannot be combined with "
+                f"{'--quick' if paper == KOUL.name else f'the paper {paper}'}",
                 remedy="run: rig reproduce koul --impacts",
             )
         show_impacts(directory, plot=plot, as_json=as_json)

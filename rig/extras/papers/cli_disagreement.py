@@ -1,4 +1,4 @@
-"""``rig theory disagreement``."""
+"""Command ``rig theory disagreement``: compare linear theory with simulated hits."""
 
 from __future__ import annotations
 

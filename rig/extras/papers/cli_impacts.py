@@ -1,4 +1,4 @@
-"""Print figures 7 and 8 of Koul et al.: single impacts, without damping and with two kinds of sampling."""
+"""Print figures 7 and 8 of Koul et al.: single impacts without damping, and with uniform and dual-rate sampling."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.extras.papers.koul.compare import Panel, Profiles, WordLength
 
 
 def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
-    """Compute figures 7 and 8, and print and draw them."""
+    """Compute, print and draw figures 7 and 8 of Koul et al.; `plot` is the ending of the pictures, empty for none."""
     panels, words, profiles = koul.koul_figure_7(), koul.word_lengths(), koul.koul_figure_8()
     pictures = {}
     if plot:

@@ -1,4 +1,4 @@
-"""``rig theory levant-regions``."""
+"""Command ``rig theory levant-regions``: draw the gains with which Levant's differentiator converges."""
 
 from __future__ import annotations
 

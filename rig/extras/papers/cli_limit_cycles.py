@@ -1,4 +1,4 @@
-"""``rig theory limit-cycles``."""
+"""Command ``rig theory limit-cycles``: predict and simulate the limit cycles of the encoder's quantisation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Run the work of a reproduction as many small parts of one sweep, with one progress bar and one journal."""
+"""Run the work of a reproduction as one sweep: many tasks, one progress bar, one journal to resume from.
+
+A *part* is a named group of sweep tasks that do the same kind of work.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +18,20 @@ Part = Sequence[Task]  # of one kind; weights in hits of a 20 kHz rig
 
 
 def part(work: Callable[[Any], Any], payload: Mapping[str, Any], weight: float) -> Part:
-    """Return a part with a single task."""
+    """Return a part (group of sweep tasks) with a single task, which calls `work(payload)`."""
     return (Task("all", work, payload, weight),)
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Results of parts, by name; duration (s); and the number of tasks that were already in the journal."""
+    """Results of all tasks by name of the part, duration of the sweep (s), number of tasks found in the journal."""
 
     results: Mapping[str, Sequence[Any]]
     seconds: float
     kept: int
 
     def one(self, name: str) -> Any:
-        """Return the result of a part with a single task."""
+        """Return the result of a part that has a single task."""
         (result,) = self.results[name]
         return result
 
@@ -40,7 +43,7 @@ def run_parts(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Parts:
-    """Run all parts as one sweep; parameters and errors as `rig.experiments.sweep.run`."""
+    """Run the tasks of all parts as one sweep; parameters and errors as in `rig.experiments.sweep.run`."""
     started = time.monotonic()
     tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0

@@ -28,33 +28,33 @@ MARKS = dict.fromkeys(ClaimStatus, "only") | {ClaimStatus.REPRODUCED: "yes", Cla
 
 
 class ReproductionPlan(Protocol):
-    """All tasks of a reproduction, and the conversion of their results."""
+    """Protocol of the plan of a reproduction: all sweep tasks, and the conversion of their results."""
 
     def parts(self) -> dict[str, Part]:
-        """Return all tasks, by name of their part."""
+        """Return all sweep tasks, grouped by the name of their part."""
 
     def results(self, done: Parts) -> Any:
-        """Return all results as one typed object."""
+        """Convert the raw results of all tasks to one typed object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """A paper, and the functions that compute, judge, describe and draw its results.
+    """A published paper, and the functions that compute, judge, describe and draw its results.
 
     Attributes
     ----------
     name
-        Name in one word; its templates are in the folder of this name.
+        Name in one word; the paper's templates are in the folder of this name.
     quick, full
-        Coarse and fine scale of the computation.
+        Settings of a coarse and of a fine computation.
     plan
-        Function from a scale to the plan of the work.
+        Function from one of these settings to the plan of the work.
     rulings
-        Function from the results to the ruling on each claim, by key.
+        Function from the results to the ruling (verdict and numbers) on each claim, by the claim's key.
     words
-        Function from the results to the other names that the templates use.
+        Function from the results to further values that the templates use, by name.
     numbers, provenance
-        Functions from the results to all numbers, and to their sources, which do not depend on the machine.
+        Functions from the results to all numbers, and to the code version, seed and settings that they come from.
     pictures
         Functions that draw the results into a file, whose ending is the format; by name of the picture.
     """
@@ -70,13 +70,13 @@ class Paper:
     pictures: Mapping[str, Callable[[Any, Path], None]]
 
     def template(self, name: str) -> str:
-        """Return the path of one of the paper's templates."""
+        """Return the path of the paper's template with this file name."""
         return f"extras/papers/{self.name}/{name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reproduction:
-    """A finished reproduction.
+    """Results of a finished reproduction of one paper.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Reproduction:
     claims
         Claims with their verdicts.
     numbers, provenance
-        Results of these functions of `Paper`; equal for the same plan and code.
+        Values of the functions of these names in `Paper`; equal for the same plan and code.
     seconds, kept
         Duration of this run (s), and number of tasks that were already in the journal.
     results
@@ -103,7 +103,7 @@ class Reproduction:
     results: Any = field(default=None, repr=False, compare=False)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values for JSON; numbers that are not finite become None."""
+        """Return claims, numbers and provenance for JSON; numbers that are not finite become None."""
         mapping = {
             "name": self.paper.name,
             "title": self.title,
@@ -128,12 +128,12 @@ def reproduce(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Reproduction:
-    """Reproduce a paper.
+    """Compute and judge all claims of a paper.
 
     Parameters
     ----------
     paper, scale
-        Paper to reproduce, and its scale `full` or `quick`.
+        Paper to reproduce, and its settings `paper.full` or `paper.quick`.
     journal, workers, watch
         See `rig.experiments.sweep.run`; with a journal, a stopped reproduction resumes.
 
@@ -160,7 +160,7 @@ def reproduce(
 
 
 def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
-    """Return the HTML page; `pictures` are PNGs by name, and the page reports a missing one."""
+    """Return the HTML report; `pictures` has PNG data by name, and the report mentions pictures that are missing."""
     return fill(
         found.paper.template(PAGE),
         reproduction=found,
@@ -175,7 +175,7 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
 
 
 def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, bytes]:
-    """Draw every picture of the page; return PNGs by name."""
+    """Draw every picture of the report; return PNG data by name, without pictures that failed (see `draw_into`)."""
     with scratch(found.paper.name) as place:
         paths = draw_into(found, place, "png", on_failure)
         return {name: path.read_bytes() for name, path in paths.items()}
@@ -184,9 +184,10 @@ def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, 
 def draw_into(
     found: Reproduction, directory: Path, ending: str, on_failure: OnFailure | None = None
 ) -> dict[str, Path]:
-    """Draw every picture into a file PAPER-NAME of this ending; return the paths by name.
+    """Draw every picture into a file ``PAPER-PICTURE.ENDING`` of a directory; return the paths by name of the picture.
 
-    The error of a picture that fails is passed to `on_failure` with the picture's name, or raised if that is None.
+    The error of a picture that fails is passed to `on_failure` with the picture's name; it is raised without
+    `on_failure`.
     """
     paths = {}
     for name, picture in found.paper.pictures.items():
@@ -205,7 +206,7 @@ def draw_into(
 def write_report(
     found: Reproduction, directory: Path, on_failure: OnFailure | None = None
 ) -> tuple[Path, Path]:
-    """Write the page with its pictures, and the numbers, into a directory; return both paths.
+    """Write the HTML report and the JSON file with all numbers into a directory; return the paths of both.
 
     Raise `RecordingError` if a file cannot be written. For a picture that fails see `draw_into`.
     """

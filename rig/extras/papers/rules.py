@@ -1,17 +1,17 @@
-"""Judge claims: convert numbers to a ruling.
+"""Judge the claims of papers: convert computed numbers to a ruling (verdict and the numbers behind it).
 
-A claim is tested in cases: rigs, hands, criteria, readings. It is "reproduced" if it holds in all of them. It is
-"reproduced only with" a condition if it holds in every case under that condition. A condition is a setting that a user
-can choose (a cut-off, a word length, gains), and the rule names it in advance. If a claim holds only in some other
-cases, readings or random plants, it is "not reproduced", and the number of these is reported. A limit that a search
-found is known only to one of its steps: rules allow for that (`step`, the ratio of neighbouring stiffnesses).
+A claim is tested in *cases*: rigs, hands, criteria, ways to judge passivity. The claim is "reproduced" if it holds in
+all cases, and "reproduced only with" a *condition* if it holds in every case under that condition. A condition is a
+setting that a user can choose (a cut-off, a word length, gains), and the rule names it in advance. If a claim holds
+only in some other cases or random plants, it is "not reproduced", and the number of these is reported. A limit that a
+search found is known only to one of its steps: rules allow for that (`step`, the ratio of neighbouring stiffnesses).
 
-Three more verdicts keep a claim from looking stronger than its evidence. It is reproduced *in part* if only its size or
-only its direction is. It is *undecided* if it depends on a setting that the paper does not give. It *follows from the
-method* if it could not have failed, such as the same range with the same filter at the same rate.
+Three more verdicts keep a claim from looking stronger than its evidence. A claim is reproduced *in part* if only its
+size or only its direction is. It is *undecided* if it depends on a setting that the paper does not give. It *follows
+from the method* if it could not have failed, such as the same range with the same filter at the same rate.
 
-Rules know no rig and no result, so that a test can produce every verdict. A ruling contains no text but the names of
-its cases; the template of the paper's claims writes the sentence (`rig.extras.papers.claims`).
+Rules use numbers only, no rig and no typed result, so that a test can produce every verdict. A ruling contains no text
+but the names of its cases; the template of the paper's claims writes the sentence (`rig.extras.papers.claims`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST = 0.9  # of many plants or readings: so many have to agree
 
 
 class ClaimStatus(StrEnum):
-    """The verdict on a claim, without its condition."""
+    """Verdict on a claim, without the condition of "reproduced only with"."""
 
     REPRODUCED = "reproduced"
     ONLY_WITH = "reproduced only with"
@@ -40,18 +40,18 @@ class ClaimStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ruling:
-    """Result of a rule.
+    """Result of a rule that judged a claim.
 
     Attributes
     ----------
     status
-        The verdict without its condition.
+        Verdict without its condition.
     cases
-        Whether the claim held, by name of the case.
+        True if the claim held, by name of the case.
     conditions
         Settings that a user can choose, each with the names of its cases.
     numbers
-        Values for the sentence beside the verdict; in a template ``ruling.name``.
+        Values for the report's sentence, by name; ``ruling.name`` in a template.
     """
 
     status: ClaimStatus
@@ -64,48 +64,51 @@ class Ruling:
 
     @property
     def held(self) -> list[str]:
-        """Return the cases in which the claim held."""
+        """Names of the cases in which the claim held."""
         return [name for name, holds in self.cases.items() if holds]
 
     @property
     def failed(self) -> list[str]:
-        """Return the cases in which the claim did not hold."""
+        """Names of the cases in which the claim did not hold."""
         return [name for name, holds in self.cases.items() if not holds]
 
     @property
     def condition(self) -> str:
-        """Return the conditions that suffice for a claim that did not hold in all cases; else ""."""
+        """Conditions that suffice for the claim, as text; empty unless the status is "reproduced only with"."""
         return "; ".join(self.sufficient) if self.status is ClaimStatus.ONLY_WITH else ""
 
     @property
     def sufficient(self) -> list[str]:
-        """Return the conditions under which the claim held in every case."""
+        """Conditions under which the claim held in every case."""
         return [name for name, cases in self.conditions.items() if all(self.cases[case] for case in cases)]
 
     @property
     def verdict(self) -> str:
-        """Return the status with its condition, as text."""
+        """Status and condition of the claim, as text."""
         return f"{self.status} {self.condition}".rstrip()
 
     def having(self, **numbers: Any) -> Ruling:
-        """Return this ruling with more numbers."""
+        """Return this ruling with more numbers for the report's sentence."""
         return replace(self, numbers={**self.numbers, **numbers})
 
     def partly(self) -> Ruling:
-        """Return this ruling as "reproduced in part": only its size or only its direction is."""
+        """Return this ruling with the status "reproduced in part": only the claim's size or only its direction is."""
         return replace(self, status=ClaimStatus.PARTLY)
 
     def undecided(self) -> Ruling:
-        """Return this ruling as "undecided" if the claim held in some, not all, cases that the paper leaves open."""
+        """Return this ruling as "undecided" if the claim is not reproduced, but held in some of its cases.
+
+        Use this if the cases are settings that the paper does not give.
+        """
         open_ = self.status is ClaimStatus.NOT and self.held and self.failed
         return replace(self, status=ClaimStatus.UNDECIDED) if open_ else self
 
     def following(self) -> Ruling:
-        """Return this ruling as "follows from the method" if the claim held: it could not have failed."""
+        """Return this ruling as "follows from the method" if the claim was reproduced: it could not have failed."""
         return replace(self, status=ClaimStatus.FOLLOWS) if self.status is ClaimStatus.REPRODUCED else self
 
     def only(self, **numbers: Any) -> Ruling:
-        """Return this ruling as "reproduced only with" a condition that is not one of its cases."""
+        """Return this ruling as "reproduced only with" a condition, which the template writes from `numbers`."""
         return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
 
 
@@ -115,9 +118,9 @@ def judge(
     conditions: Mapping[str, Sequence[str]] | None = None,
     **numbers: Any,
 ) -> Ruling:
-    """Judge a claim that was tested in several cases; the module's docstring gives the rule.
+    """Judge a claim that was tested in several cases, by the rule in this module's docstring.
 
-    A claim without cases is not reproduced.
+    `numbers` are for the report's sentence only. A claim without cases is not reproduced.
     """
     found = Ruling(status=ClaimStatus.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
     if cases and all(cases.values()):
@@ -126,12 +129,16 @@ def judge(
 
 
 def each(cases: Iterable[str]) -> dict[str, list[str]]:
-    """Return the conditions of a claim whose cases are all user settings: each case is its own condition."""
+    """Return the conditions of a claim whose cases are all user settings: each case is a condition by itself."""
     return {case: [case] for case in cases}
 
 
 def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbers: Any) -> Ruling:
-    """Judge cases named by tuples; the words at the indices `settable` are conditions, which a user can choose."""
+    """Judge cases that are named by tuples, such as (rig, cut-off).
+
+    A user can choose the elements at the indices `settable`, so each of their values is a condition. `numbers` are for
+    the report's sentence only.
+    """
     conditions: dict[str, list[str]] = {}
     for place in settable:
         for case in cases:
@@ -141,13 +148,13 @@ def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbe
 
 
 def judge_share(count: int, total: int, **numbers: Any) -> Ruling:
-    """Judge a claim by the share of readings or plants in which it holds: `MOST` of them make it reproduced."""
+    """Judge a claim that holds in `count` of `total` results: it is reproduced if the share is at least `MOST`."""
     share = count / total if total else 0.0
     return judge({"": total > 0 and share >= MOST}, count=count, total=total, share=share, **numbers)
 
 
 def over(one: float, other: float) -> float:
-    """Return one / other; 1 for 0/0, and infinite for any other division by 0."""
+    """Return one / other of two numbers of at least zero; 1 for 0/0, infinite for another division by 0."""
     return one / other if other > 0.0 else (math.inf if one > 0.0 else 1.0)
 
 

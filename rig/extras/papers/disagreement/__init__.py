@@ -1,1 +1,1 @@
-"""Find the walls where linear theory and simulated hits differ, and the cause; predict limit cycles."""
+"""Find the walls that linear theory and simulated hits judge differently, and the cause; predict limit cycles."""

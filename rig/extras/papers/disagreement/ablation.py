@@ -3,16 +3,16 @@
 The same wall is hit on the same rig without these non-linearities:
 
 * **friction**: no Coulomb friction on either side;
-* **quantum**: `FINER` times as many counts of the encoder;
-* **saturation**: effort limits of motor and guard at what the wire carries (32767 quanta), no slew limit;
-* **contact**: a wall that holds the handle. It begins at the first contact, so that the handle arrives as before; from
-  then on it is a spring and a damper on both sides.
+* **quantum**: an encoder with `FINER` times as many counts;
+* **saturation**: effort limits of motor and guard as large as the protocol allows (32767 quanta), no slew limit;
+* **contact**: a spring and damper that holds the handle from its first contact on, so that it cannot leave the wall.
 
 **The rule.** For every wall that differs, each of the four is removed alone; if theory and hits agree in no case, all
-pairs are removed, then all triples, then all four. The sets of the first size that make them agree are the `cures`.
+pairs are removed, then all triples, then all four. A *cure* is a set whose removal makes theory and hits agree; only
+the cures of the smallest size count.
 
-* One cure with one element: this is the cause.
-* Several cures with one element: an interaction, in which each of them is needed (`EACH`).
+* One cure with one element: this element is the cause.
+* Several cures with one element: an interaction, in which each of these elements is needed (`EACH`).
 * Cures with two or more elements: no element alone is needed, because others have the same effect (`OTHERS`).
 * No cure: `NONE`. The cause is another difference between hit and theory: an end of the travel, the hand's own motion,
   thresholds, the quantum of the current.
@@ -45,7 +45,10 @@ Holds = bool | None  # None: the hit does not show it
 
 
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
-    """Return the sets of the smallest size whose removal makes theory and hits agree; empty if no set does."""
+    """Return the smallest sets of non-linearities whose removal makes theory and hits agree; empty if no set does.
+
+    `agrees` must return True if they agree after the removal of a set.
+    """
     for size in range(1, len(FOUR) + 1):
         # All sets of one first, then of two: a larger set that contains a cure cures, too, and would name too much.
         found = tuple(taken for taken in combinations(FOUR, size) if agrees(taken))
@@ -55,7 +58,7 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Return the element of `CAUSES` that the cures of a wall indicate."""
+    """Return the cause of a disagreement (one of `CAUSES`) that a wall's cures indicate."""
     if not found:
         return NONE
     # None of them is needed by itself.
@@ -66,7 +69,7 @@ def cause_of(found: Sequence[Cure]) -> str:
 
 
 def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
-    """Return the experiment without the non-linearities `taken`; for `CONTACT` `HitSimulator` gets another law."""
+    """Return the experiment without the non-linearities `taken`; `CONTACT` must be removed by the wall's law."""
     rig, homing = experiment.rig, experiment.homing
     for one in taken:
         if one == FRICTION:
@@ -89,7 +92,7 @@ def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
 
 
 class _Column:
-    """Hits of the walls of one scheme and damping, on the rig and on rigs without some non-linearities."""
+    """Simulator for the walls of one scheme and damping, on the rig and on rigs without some non-linearities."""
 
     def __init__(self, experiments: Sequence[Experiment], judged: str) -> None:
         self._experiments, self._judged = experiments, judged
@@ -97,7 +100,10 @@ class _Column:
         self.hits = self.ticks = 0
 
     def passes(self, stiffness: float, number: int, taken: Cure = ()) -> Holds:
-        """Return whether a wall passes at one offset and repeat (index `number`), without the set `taken`."""
+        """Hit a wall on the rig without the set `taken`; return True if the wall is stable, None for an invalid hit.
+
+        `number` is the index of the experiment, which has its own encoder offset and repeat.
+        """
         experiment = self._experiments[number]
         if (taken, number) not in self._rigs:
             law = clinging_law() if CONTACT in taken else None
@@ -108,7 +114,7 @@ class _Column:
         return (hit.true if self._judged == "true" else hit.recorded).passes("any")
 
     def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
-        """Return whether a wall passes at all offsets and repeats; None if that is unknown."""
+        """Return True if a wall is stable at all offsets and repeats, False if not, None if hits are invalid."""
         unknown = False
         for number in range(len(self._experiments)):
             passes = self.passes(stiffness, number, taken)
@@ -119,7 +125,7 @@ class _Column:
 
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Hit all walls of one scheme and damping, the softest first; return a row for each (a task of the sweep)."""
+    """Hit all walls of one scheme and damping, the softest first; return the row of `ComparedWall.of` for each wall."""
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = StiffnessSearch(**payload["search"]).rungs

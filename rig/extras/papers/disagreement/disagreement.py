@@ -1,14 +1,14 @@
-"""Compare linear theory and hits for all walls of a map: where they differ, why, and their shares of the plane.
+"""Compare linear theory and hits for all walls of a map: where they differ, why, and on which share of the K–B plane.
 
-Theory (`rig.analysis.theory`) calls a wall stable if the spectral radius of the linear loop is below one. Hits call
-it stable if at every offset and repeat of the map it is not unstable and has no velocity, effort or position ripple
+Theory (`rig.analysis.theory`) calls a wall stable if the spectral radius of the linear loop is below one. Hits call a
+wall stable if at every offset and repeat of the map it is not unstable and has no velocity, effort or position ripple
 above the limits. A wall *differs* if only one of both calls it stable; `rig.extras.papers.disagreement.ablation` finds
 the cause. A wall whose hits are invalid is left out and counted.
 
-Shares are areas of the K–B plane with linear axes: each wall stands for the cell around it, half-way to its neighbours
-(in K by ratio), within the map's range. Walls are all stiffnesses of the map's search at all its dampings, also above
-the first failure. As a check, every wall is also hit without all four non-linearities: a remaining difference has
-another cause than a non-linearity of the rig.
+Shares are areas of the K–B plane with linear axes. The cell of a wall ends half-way to its neighbours (in K by ratio),
+within the map's range. Walls are all stiffnesses of the map's search at all its dampings, also above the first failure.
+As a check, every wall is also hit without all four non-linearities: a remaining difference has another cause than a
+non-linearity of the rig.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class DisagreementPlan:
-    """Plan that hits all walls of a map, and again those that differ from theory."""
+    """Plan of a sweep that hits all walls of a map, and again the walls that linear theory judges differently."""
 
     map: MapPlan
 
@@ -48,7 +48,7 @@ class DisagreementPlan:
 
     @property
     def experiment(self) -> Experiment:
-        """Return the experiment of the map."""
+        """Return the experiment (rig, controller, trial) whose walls are hit."""
         return self.map.experiment
 
     def _check(self) -> None:
@@ -68,7 +68,7 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each scheme and damping.
+        """Return a sweep task for each scheme and damping of the map.
 
         Raises `PlanError` for a wall that linear theory does not cover, `NotLinearError` for a non-linear scheme.
         """
@@ -94,11 +94,11 @@ class DisagreementPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan of the map as plain values, for JSON."""
+        """Return the plan of the map as lists and numbers, for JSON."""
         return self.map.as_mapping()
 
     def found(self, results: Sequence[Any]) -> Disagreement:
-        """Return the comparison of theory and hits from the results of all tasks."""
+        """Compare theory and hits, given the results of all tasks in their order."""
         plan = self.map
         columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
         across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
@@ -115,7 +115,10 @@ class DisagreementPlan:
 
 
 def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
-    """Return the cell edges of rising values, half-way to neighbours (by ratio if asked); a single cell is 1 wide."""
+    """Return the n + 1 cell edges of n rising values: the ends, and the middles between neighbours.
+
+    The middle is the geometric mean if `by_ratio` is True. The cell of a single value is 1 wide.
+    """
     if len(values) == 1:
         return values[0] + np.array([-0.5, 0.5])
     at = np.asarray(values)
@@ -131,20 +134,19 @@ class ComparedWall:
     Attributes
     ----------
     scheme, damping, stiffness
-        Index of the scheme, damping B and stiffness K (SI).
+        Index of the scheme in the map, damping B and stiffness K (SI units).
     area
-        Area of its cell in the plane (K × B).
+        Area of the wall's cell in the K–B plane (product of the units of K and B).
     radius
-        Spectral radius of the linear loop.
+        Spectral radius of the linear loop; below 1 the loop is stable.
     holds
-        Whether the hits call it stable; None if a hit is invalid.
+        True if the hits call the wall stable; None if a hit is invalid.
     holds_without
-        Whether a hit on the rig without all four non-linearities calls it stable.
+        True if a hit on the rig without all four non-linearities calls the wall stable.
     cures
         Smallest sets whose removal makes theory and hits agree; empty if they agree anyway, or if no set does.
     cause
-        One of `rig.extras.papers.disagreement.ablation.CAUSES`; empty where theory and hits agree or the hits show
-        nothing.
+        One of `rig.extras.papers.disagreement.ablation.CAUSES`; empty where theory and hits agree or a hit is invalid.
     """
 
     scheme: int
@@ -159,7 +161,7 @@ class ComparedWall:
 
     @classmethod
     def of(cls, row: Mapping[str, Any], scheme: int, damping: float, area: float) -> ComparedWall:
-        """Return the wall of a row of `rig.extras.papers.disagreement.ablation.hit_column`."""
+        """Build a wall from a dict of `rig.extras.papers.disagreement.ablation.hit_column`."""
         found = None if row["cures"] is None else tuple(tuple(cure) for cure in row["cures"])
         return cls(
             scheme=scheme,
@@ -181,36 +183,36 @@ class ComparedWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CauseShare:
-    """Share of an area (0 to 1) that differs, and within it the share of each cause, the largest first."""
+    """Share of an area (0 to 1) where theory and hits differ, and within it the share of each cause, largest first."""
 
     share: float
     causes: dict[str, float]
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """Return the share of the area of walls `whole` that differs, and its causes."""
+        """Compute from the walls `whole` the share of their area that differs, and the causes."""
         differing = [wall for wall in whole if wall.cause]
-        return cls(share=_share(differing, whole), causes=_by(differing, lambda wall: wall.cause))
+        return cls(share=_share(differing, whole), causes=_shares_by(differing, lambda wall: wall.cause))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shares:
-    """Agreement of theory and hits for one scheme, as shares of areas (0 to 1).
+    """Agreement of theory and hits for one scheme, as shares of areas of the K–B plane (0 to 1).
 
     Attributes
     ----------
     differ
-        Differing walls as a share of the plane.
+        Differing walls, as a share of the plane.
     fails
-        Walls that fail, as a share of those that theory calls stable.
+        Walls that fail by hits, as a share of the walls that theory calls stable.
     beyond
-        Walls that theory calls unstable, as a share of those that are stable by hits.
+        Walls that theory calls unstable, as a share of the walls that are stable by hits.
     sets
-        Share of the differing area for each combination of several cures.
+        Walls with several cures, as a share of the differing area, by combination of cures.
     differ_without
-        Share of the plane that differs on the rig without all four non-linearities.
+        Walls that differ on the rig without all four non-linearities, as a share of the plane.
     stable, holding
-        Share of the plane that is stable by theory, and by hits.
+        Walls that are stable by theory, and walls that are stable by hits, as shares of the plane.
     """
 
     scheme: str
@@ -245,11 +247,11 @@ class Disagreement(Shown, Drawn):
     hits: int
 
     def of_scheme(self, number: int) -> list[ComparedWall]:
-        """Return the compared walls of one scheme, by its number."""
+        """Return the compared walls of the scheme with this index."""
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Return the shares of the plane for one scheme, by cause."""
+        """Return the shares of the K–B plane where theory and hits differ, for the scheme with this index."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
@@ -260,7 +262,7 @@ class Disagreement(Shown, Drawn):
             differ=CauseShare.of(known),
             fails=CauseShare.of(stable),
             beyond=CauseShare.of(holding),
-            sets=_by([w for w in differing if len(w.cures) > 1], _sets, of=differing),
+            sets=_shares_by([w for w in differing if len(w.cures) > 1], _join_sets, of=differing),
             differ_without=_share([w for w in known if w.holds_without is (not w.linear)], known),
             stable=_share(stable, known),
             holding=_share(holding, known),
@@ -268,16 +270,16 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def schemes(self) -> tuple[Shares, ...]:
-        """Return the shares of the plane of each scheme, in the order of the plan."""
+        """Shares of the K–B plane where theory and hits differ, for each scheme in the order of the plan."""
         return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
 
     @reported
     def unknown(self) -> int:
-        """Return the number of walls that were left out because their hits are invalid."""
+        """Number of walls that are left out because their hits are invalid."""
         return sum(wall.holds is None for wall in self.walls)
 
     def brief(self) -> list[Item]:
-        """Return the differing share of the plane and its causes, for each scheme."""
+        """Return a heading, and for each scheme the differing share of the K–B plane with its causes, as text."""
         rows = [
             Row(
                 shares.label,
@@ -292,7 +294,7 @@ class Disagreement(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return a table of the shares: of the plane, of walls stable in theory, and of walls stable by hits."""
+        """Return a heading and a table: share of the plane, of stable walls by theory and by hits that differs."""
         head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
             ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
@@ -308,18 +310,18 @@ class Disagreement(Shown, Drawn):
         return [self.brief()[0], Table(head, rows, words=2)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield every wall as a flat row."""
+        """Yield a flat dict for every wall: a row of the table file."""
         for wall in self.walls:
             row = asdict(wall) | {"scheme": self.plan.schemes[wall.scheme].text}
-            yield row | {"linear": wall.linear, "cures": _sets(wall)}
+            yield row | {"linear": wall.linear, "cures": _join_sets(wall)}
 
     def units(self) -> dict[str, str]:
-        """Return the unit of each column of the table that has one."""
+        """Return the units of the table's columns ``stiffness`` and ``damping``."""
         motion = self.plan.experiment.rig.motion
         return {name: unit_of(name, motion) for name in ("stiffness", "damping")}
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON, without the single walls."""
+        """Return settings and shares for JSON, without the results of single walls."""
         plan = self.plan
         return {
             "rig": plan.experiment.rig.name,
@@ -341,12 +343,12 @@ def _share(part: Iterable[ComparedWall], whole: Iterable[ComparedWall]) -> float
     return sum(wall.area for wall in part) / area if area else 0.0
 
 
-def _by(
+def _shares_by(
     walls: Sequence[ComparedWall],
     name: Callable[[ComparedWall], str],
     of: Sequence[ComparedWall] | None = None,
 ) -> dict[str, float]:
-    """Return the share of the area for each name of walls, the largest first."""
+    """Return the area of the walls of each name as a share of the area of `of` (None: `walls`), the largest first."""
     areas: dict[str, float] = {}
     for wall in walls:
         areas[name(wall)] = areas.get(name(wall), 0.0) + wall.area
@@ -354,7 +356,7 @@ def _by(
     return {what: areas[what] / whole for what in sorted(areas, key=lambda what: -areas[what])}
 
 
-def _sets(wall: ComparedWall) -> str:
+def _join_sets(wall: ComparedWall) -> str:
     return "; ".join("+".join(cure) for cure in wall.cures)
 
 
@@ -379,7 +381,10 @@ def compare_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> Disagreement:
-    """Compare the walls of a map with linear theory in a directory, like `maps.map_into`; write no `PLAN` of a map."""
+    """Run a plan, and write the table of walls and the summary into `directory`; a journal there resumes a stopped run.
+
+    Unlike `maps.map_into`, write no plan file, so that the directory is not taken for a map.
+    """
     make_directory(directory)
     found = maps.zwidth(
         plan, journal=directory / maps.JOURNAL, scheduler=scheduler, workers=workers, watch=watch

@@ -1,16 +1,16 @@
-"""Compare the limit cycles that describing functions predict for the encoder's quantum with simulated ones.
+"""Compare limit cycles of the encoder's quantisation that describing functions predict with simulated limit cycles.
 
 **Walls**: for each scheme, B is `DAMPINGS` times B_max and K is `STIFFNESSES` times K_max at this B, both by linear
 theory; no hand holds the handle. Each wall acts on both sides, against a push that rests `DEPTH` counts deep, half-way
-between two counts, where it oscillates most. The handle is released `AWAY` counts deeper, moves for `SETTLE_S` (s), and
-is measured for `MEASURED_S` (s): with and without friction, and with the effort limit of the wire format only.
+between two counts, where the wall oscillates most. The handle is released `AWAY` counts deeper, moves for `SETTLE_S`
+(s), and is measured for `MEASURED_S` (s): with and without friction, and with the effort limit of the wire format only.
 
 **Measured values**: amplitude, √2 times the rms of the encoder's side about its mean; frequency, half of the number of
-count changes per second; and the share of the variance within `BAND` of that frequency. They are also defined for a
+count changes per second; and the share of the variance within `BAND` of that frequency. These are also defined for a
 cycle whose phase wanders, which a fitted line would miss. A wall *rests* if its count no longer changes. **Errors** are
-predicted / measured - 1, over the walls where both have a cycle; walls where only one has a cycle are counted. If less
-than `PURE` of the variance lies in the band, the motion is not a sinusoid, and its errors are listed separately. So
-are those of walls whose predicted cycle is `alone` (`rig.analysis.theory._describing`), known before any simulation.
+predicted / measured - 1, over the walls where prediction and simulation have a cycle; other walls are counted. If less
+than `PURE` of the variance lies in the band, the motion is not a sinusoid, and its errors are listed separately. Errors
+of walls with `LimitCycle.alone` (only one predicted frequency) are also listed separately.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """A measured motion: amplitude (counts), frequency (Hz), and share of the variance near it; all 0 at rest."""
+    """A simulated limit cycle: amplitude (counts), frequency (Hz), share of the variance near it; all 0 at rest."""
 
     amplitude: float
     frequency_hz: float
@@ -51,7 +51,7 @@ class Cycle:
 
     @classmethod
     def of(cls, motion: Floats, counts: Ints, rate_hz: float) -> Cycle:
-        """Return the cycle of a motion (counts), from the motion and from its quantised counts."""
+        """Measure the limit cycle of a motion (counts) and of its quantised counts, sampled at `rate_hz`."""
         # Counted, not fitted: it is defined for a cycle whose phase wanders, as toggling between two ticks makes it,
         # where a line fitted over the whole time finds little.
         frequency = 0.5 * np.count_nonzero(np.diff(counts)) * rate_hz / len(counts)
@@ -80,12 +80,12 @@ class HeldWall:
 
     @reported
     def amplitude_error(self) -> float | None:
-        """Return predicted / simulated amplitude - 1; None if the prediction or the simulation has no cycle."""
+        """Predicted / simulated amplitude - 1; None if the prediction or the simulation has no cycle."""
         return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
 
     @reported
     def frequency_error(self) -> float | None:
-        """Return predicted / simulated frequency - 1; None if the prediction or the simulation has no cycle."""
+        """Predicted / simulated frequency - 1; None if the prediction or the simulation has no cycle."""
         return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
 
     @property
@@ -95,7 +95,7 @@ class HeldWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Relative errors of some walls: number of walls, and (median, largest) of the magnitudes."""
+    """Relative errors of the prediction: number of walls, and (median, largest) of the magnitudes of the errors."""
 
     walls: int
     amplitude: tuple[float, float]
@@ -103,7 +103,7 @@ class Errors:
 
     @classmethod
     def of(cls, walls: Sequence[HeldWall]) -> Errors:
-        """Return the errors of walls that have a predicted and a simulated cycle."""
+        """Summarise the errors of walls that have a predicted and a simulated cycle; NaN without walls."""
 
         def spread(errors: list[float]) -> tuple[float, float]:
             sizes = np.abs(errors)
@@ -120,18 +120,18 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """Summary of the prediction, with or without the rig's friction.
+    """Summary of the prediction over all walls, with or without the rig's friction.
 
     Attributes
     ----------
     sinusoids, others
-        Errors of walls whose motion is a sinusoid, and of the others.
+        Errors of walls whose motion is a sinusoid, and of the walls whose motion is not.
     alone
         Errors of walls where the loop without friction has a single predicted frequency.
     both_rest
         Number of walls that rest where no cycle is predicted or friction can hold the handle.
     only_predicted, only_simulated
-        Number of walls with a predicted cycle only (friction cannot hold the handle), and with a simulated one only.
+        Number of walls that rest although a cycle is predicted, and number that oscillate although none is predicted.
     """
 
     friction: bool
@@ -145,18 +145,18 @@ class Tally:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class LimitCycles(Shown):
-    """Results of all walls, without friction and with it."""
+    """Predicted and simulated limit cycles of all walls, without friction and with it."""
 
     rig: str
     walls: tuple[HeldWall, ...]
 
     @reported
     def tallies(self) -> tuple[Tally, ...]:
-        """Return two summaries: without friction, then with it."""
+        """Two summaries of the prediction: without friction, then with it."""
         return tuple(self.tally(friction) for friction in (False, True))
 
     def tally(self, friction: bool) -> Tally:
-        """Return the summary of the walls with or without friction."""
+        """Return the summary of the prediction over the walls with (True) or without friction."""
         walls = [wall for wall in self.walls if wall.friction is friction]
         both = [wall for wall in walls if wall.amplitude_error is not None]
         moving = [wall.simulated.amplitude > 0.0 for wall in walls]
@@ -173,14 +173,14 @@ class LimitCycles(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Return the errors of the prediction as rows of text."""
+        """Return a heading and the errors of the prediction as text, without and with friction."""
         return [
             f"limit cycles of the quantum on {self.rig}, predicted and simulated",
             *map(_row, self.tallies),
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the errors, and a table of all walls."""
+        """Return the errors of the prediction as text, and a table of all walls."""
         head = ("scheme", "B", "K", "friction", "counts", "Hz", "simulated: counts", "Hz", "in its band")
         rows = [
             (
@@ -218,9 +218,9 @@ def limit_cycles(
     schemes: Sequence[Scheme] = (),
     walls: Sequence[tuple[float, float]] | None = None,
 ) -> LimitCycles:
-    """Predict and simulate the limit cycles of walls (K, B); None: the walls of this module.
+    """Predict and simulate the limit cycles of walls, given as (K, B); None: the walls that this module describes.
 
-    Without `schemes`, the experiment's scheme and the uniform ones of its rates are used.
+    Without `schemes`, the experiment's scheme and the uniform schemes at its rates are used.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def limit_cycles(
 
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
-    """Return the walls (K, B) of this module for a scheme."""
+    """Return walls as (K, B) for a scheme: `STIFFNESSES` of K_max at `DAMPINGS` of B_max, by linear theory."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)
@@ -276,7 +276,7 @@ def _held(
 
 
 def simulated(experiment: Experiment, stiffness: float, damping: float, *, friction: bool) -> Cycle:
-    """Simulate a handle that is released in a wall, and return its limit cycle after `SETTLE_S`."""
+    """Simulate a handle that is released inside a wall, and measure its limit cycle after `SETTLE_S` seconds."""
     bare = without(experiment, (SATURATION,) if friction else (SATURATION, FRICTION))
     side, count = bare.wall.side, bare.rig.encoder.resolution
     wall = replace(experiment.wall, stiffness=stiffness, damping=damping, law="bilateral", position=0.0)

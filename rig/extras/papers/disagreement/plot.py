@@ -1,4 +1,4 @@
-"""Draw the K–B plane of each scheme, with each wall that differs in the colour of its cause."""
+"""Draw the K–B plane of each scheme: walls that theory and hits judge differently have the colour of the cause."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ POINTS = 60  # of theory's edge along each axis
 
 @style.own_style()
 def disagreement_figure(found: Disagreement) -> Any:
-    """Return the figure: a panel for each scheme."""
+    """Return a matplotlib figure with a panel of the K–B plane for each scheme."""
     plan = found.plan
     motion = plan.experiment.rig.motion
     figure = style.new_figure(4.2 * len(plan.schemes) + 0.6, 4.6)
@@ -75,14 +75,14 @@ def _draw_plane(axes: Any, found: Disagreement, number: int) -> None:
 
 
 def _rgba(cause: str) -> list[float]:
-    """Return the colour of a cause; transparent without a cause."""
+    """Return the colour of a cause as red, green, blue and opacity (0 to 1); transparent for no cause."""
     if not cause:
         return [0.0] * 4
     return [int(COLOURS[cause][place : place + 2], 16) / 255.0 for place in (1, 3, 5)] + [1.0]
 
 
 def _draw_edge(axes: Any, b: Any, k: Any, holds: Any) -> None:
-    """Draw the cell edges between walls that are stable by hits and walls that are not."""
+    """Draw the cell edges between walls that are stable by hits (`holds`, shape (K, B)) and walls that are not."""
     for row, column in zip(*np.nonzero(holds[1:] != holds[:-1]), strict=True):
         axes.plot(b[column : column + 2], [k[row + 1]] * 2, **HITS)
     for row, column in zip(*np.nonzero(holds[:, 1:] != holds[:, :-1]), strict=True):

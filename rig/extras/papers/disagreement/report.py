@@ -1,4 +1,4 @@
-"""Write the paragraph on a comparison of linear theory and hits, for a paper.
+"""Write a paragraph for a paper: where linear theory and simulated hits differ, and why.
 
 The sentences are in ``disagreement.j2``.
 """
@@ -12,7 +12,7 @@ from rig.views.report import fill_text
 
 
 def paragraph(found: Disagreement) -> str:
-    """Return a paragraph: which walls were compared, what share differs, and why."""
+    """Return one line of text: which walls were compared, on what share theory and hits differ, and why."""
     plan = found.plan
     text = fill_text(
         "extras/papers/disagreement/disagreement.j2",

@@ -1,1 +1,1 @@
-"""Reproduce Koul, Saha and Manivannan 2013: dual-rate sampling."""
+"""Reproduce the paper of Koul, Saha and Manivannan (2013) on dual-rate sampling."""

@@ -1,12 +1,13 @@
-"""Compute figures 7 and 8 of Koul et al., with the conditions that the paper does not give chosen by this project.
+"""Compute figures 7 and 8 of Koul et al.: single impacts without damping, with uniform and with dual-rate sampling.
 
-The conditions: koul-rigid without a hand, 70 g at its end; K = 40 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link,
-inside and outside the wall; start 2 mrad before the wall at 1.5 rad/s; ×4 decoding.
+This project chose the conditions that the paper does not give: koul-rigid without a hand, 70 g at its end; K = 40
+N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and outside the wall; start 2 mrad before the wall at 1.5 rad/s;
+×4 decoding.
 
 In floating point a uniform wall is damped as well as a dual-rate one. Figure 7 needs a filter whose state has few
-fractional bits and is truncated towards zero: at a high velocity rate a slow handle is then read as at rest, and the
-damping is lost. Between both cases the result depends on the position of the counts: with 4 bits at 10 kHz the peak
-of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
+fractional bits and is truncated towards zero: at a high velocity rate the estimate of a slow handle is then zero, and
+the damping is lost. Between these extremes the result depends on the position of the counts: with 4 bits at 10 kHz the
+peak of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ EARLY, LATE = (1.0, 0.25), (0.25, 0.02)  # parts of the impact, by speed over th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One panel of figure 7: no, uniform and dual-rate damping at a position rate (Hz), in one arithmetic."""
+    """One panel of figure 7: impacts with no, uniform and dual-rate damping at one position rate and arithmetic."""
 
     position_rate: int
     arithmetic: str
@@ -52,12 +53,12 @@ class Panel:
 
     @property
     def peaks(self) -> tuple[float, float, float]:
-        """Return the mean peak penetration (counts) with no, uniform and dual-rate damping."""
+        """Return the mean peak penetrations (counts) with no, uniform and dual-rate damping."""
         none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
         return none, uniform, dual
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
+        """Return rate, arithmetic and the compared impacts for JSON."""
         return {
             "position_rate": self.position_rate,
             "arithmetic": self.arithmetic,
@@ -67,7 +68,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordLength:
-    """Mean peak penetrations (counts) for one number of state bits and one cut-off of the uniform scheme."""
+    """Mean peak penetrations (counts) with one word length (fractional bits of the filter's state) and cut-off."""
 
     state_bits: int
     uniform_share: float  # cut-off over velocity rate
@@ -77,10 +78,10 @@ class WordLength:
 
     @reported
     def as_in_the_paper(self) -> bool:
-        """Return True if the peaks are ordered as in figure 7.
+        """True if the peak penetrations are ordered as in figure 7.
 
-        At 20 kHz the uniform peak is at least 95 % of the undamped one, at 10 kHz it lies between the others by 10 % or
-        more, and the dual-rate peak is at most 0.6 of the undamped one at both rates.
+        At 20 kHz the uniform peak is at least 95 % of the undamped one; at 10 kHz it lies between the dual-rate and the
+        undamped peak, 10 % away from each; and the dual-rate peak is at most 0.6 of the undamped one at both rates.
         """
         fast, slow = POSITION_RATES
         return (
@@ -91,7 +92,7 @@ class WordLength:
 
 
 def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Experiment:
-    """Return the rig, wall and dual-rate filter of figures 7 and 8, in `FLOAT` or `FIXED` point."""
+    """Return the rig, wall and dual-rate filter of figures 7 and 8; `arithmetic` is `FLOAT` or `FIXED` (point)."""
     words = {"coefficient_bits": COEFFICIENT_BITS, "state_bits": state_bits, "rounding": ROUNDING}
     parameters = {"cutoff_hz": CUTOFF_HZ, **(words if arithmetic == FIXED else {})}
     changes = {
@@ -107,7 +108,10 @@ def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Ex
 
 
 def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tuple[Entry, Entry, Entry]:
-    """Return the entries without damping, with uniform and with dual-rate damping at a position rate (Hz)."""
+    """Return three schemes to compare at a position rate (Hz): without damping, uniform and dual-rate.
+
+    `uniform_share` is the cut-off of the uniform scheme divided by its velocity rate.
+    """
     uniform = Scheme(
         position_rate=position_rate,
         velocity_rate=position_rate,
@@ -130,18 +134,18 @@ def koul_figure_7(
     position_rates: Sequence[int] = POSITION_RATES,
     offsets: Sequence[float] = OFFSETS,
 ) -> tuple[Panel, ...]:
-    """Return the penetration after the first impact, for each position rate in floating and in fixed point.
+    """Compute the penetration after the first impact, for each position rate in floating and in fixed point.
 
     Parameters
     ----------
     state_bits
         Fractional bits of the fixed-point filter's input and output.
     uniform_share
-        Cut-off of the uniform scheme divided by its velocity rate; the dual-rate one has 200 Hz at 2 kHz.
+        Cut-off of the uniform scheme divided by its velocity rate; the dual-rate scheme has 200 Hz at 2 kHz.
     position_rates
         Position rates of the panels (Hz).
     offsets
-        See `rig.experiments.hits.compare.compare`.
+        Positions of zero in its encoder cell (counts, 0 to 1), with which each impact is repeated.
     """
     return tuple(
         Panel(
@@ -165,7 +169,10 @@ def word_lengths(
     *,
     offsets: Sequence[float] = OFFSETS,
 ) -> tuple[WordLength, ...]:
-    """Return the peaks of figure 7 for each word length of the filter, and for both readings of the uniform cut-off."""
+    """Compute the peak penetrations of figure 7 for each word length of the filter and each of `uniform_shares`.
+
+    A share is the cut-off divided by the velocity rate; the paper's "10 % Nyquist" can mean either default.
+    """
     none = {rate: _peak(koul_experiment(), koul_entries(rate)[0], offsets) for rate in POSITION_RATES}
     table: list[WordLength] = []
     for bits in state_bits:
@@ -193,7 +200,7 @@ def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatorProfile:
-    """Velocity estimate of one estimator, and its deviation from the true velocity shifted by its delay.
+    """Velocity that one estimator reports after the impact, and its error against the delayed true velocity.
 
     Attributes
     ----------
@@ -207,7 +214,7 @@ class EstimatorProfile:
         Rms error (rad/s) while the handle is fast and while it is slow (`EARLY`, `LATE`); without a delay the true
         velocity is not shifted.
     reading_early, reading_late
-        Rms of the estimate divided by that of the true velocity; 0 if the estimator reads no motion.
+        Rms of the estimate divided by the rms of the true velocity; 0 if the estimator reports no motion.
     """
 
     velocity_rate: int
@@ -224,7 +231,7 @@ class EstimatorProfile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profiles:
-    """Figure 8: one motion, and the estimates of it at two rates.
+    """Figure 8: one motion, and velocities that several estimators compute from it.
 
     Attributes
     ----------
@@ -234,6 +241,8 @@ class Profiles:
         Begin and end (s) of the time when the handle is fast, and when it is slow.
     speed_early, speed_late
         Rms of the true velocity in these times (rad/s).
+    profiles
+        One profile for each velocity rate in each arithmetic.
     """
 
     time_s: Floats = field(repr=False)
@@ -246,7 +255,7 @@ class Profiles:
     profiles: tuple[EstimatorProfile, ...]
 
     def __getitem__(self, key: tuple[int, str]) -> EstimatorProfile:
-        """Return the profile at a velocity rate (Hz) in an arithmetic; raise `KeyError` if missing."""
+        """Return the profile at a velocity rate (Hz) in an arithmetic; raise `KeyError` if it is missing."""
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile
@@ -256,16 +265,18 @@ class Profiles:
 def koul_figure_8(
     *, offset: float = OFFSETS[1], state_bits: int = STATE_BITS, uniform_share: float = UNIFORM_SHARE
 ) -> Profiles:
-    """Return the velocity after the impact as estimated at 2 and 20 kHz, in floating and fixed point, and the true one.
+    """Compute the velocity after the impact as estimated at 2 and 20 kHz in both arithmetics, and the true velocity.
 
-    All estimators read the same motion, that of the wall without damping at 20 kHz; none of them affects it.
+    All estimators use the same motion, of the wall without damping at 20 kHz, so that no estimate affects the motion.
 
     Parameters
     ----------
     offset
-        Position zero in its encoder cell (counts, 0 to 1).
-    state_bits, uniform_share
-        See `koul_figure_7`.
+        Position of zero in its encoder cell (counts, 0 to 1).
+    state_bits
+        Fractional bits of the fixed-point filter's input and output.
+    uniform_share
+        Cut-off of the estimator at 20 kHz divided by its rate.
     """
     rate = POSITION_RATES[0]
     experiment = koul_entries(rate)[0].applied(koul_experiment())
@@ -312,7 +323,7 @@ def koul_figure_8(
 
 
 def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return begin and end (s) of the fast part and of the slow part; each ends at the last sample above a speed."""
+    """Return begin and end (s) of the fast and of the slow part of an impact; a part ends at its limit of the speed."""
 
     def last(share: float) -> float:
         above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))
@@ -320,7 +331,7 @@ def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple
 
     if last(LATE[1]) <= last(LATE[0]):
         raise ConfigError(
-            "the handle is still fast at the end of the impact, which has no slow part to evaluate",
+            "the simulated impact ends while the handle is still fast, so its slow part cannot be evaluated",
             remedy="increase trial.duration_s",
         )
     return (0.0, last(EARLY[1])), (last(LATE[0]), last(LATE[1]))

@@ -1,8 +1,8 @@
 """Map each idea that Koul et al. leave open, on a rig in the normal hand, and rank the ideas by their gain.
 
-Besides the paper's ideas (adaptive T2, other T2, finer encoders; T2 is the velocity period) there are first-order
-extrapolation, other cut-offs, and all other velocity estimators in the dual-rate scheme. Estimators have their
-default settings and are not tuned for this rig, so a low rank is a rank of the defaults.
+The paper's ideas are an adaptive T2, other values of T2 (the velocity period), and finer encoders. This project adds
+first-order extrapolation, other cut-offs, and all other velocity estimators in the dual-rate scheme. Estimators have
+their default settings and are not tuned for this rig, so a low rank is a rank of the defaults.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ REFERENCE = "reference"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Idea:
-    """One idea: a scheme on a rig with some changes.
+    """One idea for a larger Z-width: a sampling scheme on a rig with some changed settings.
 
     Attributes
     ----------
     key, group, label
-        Its name, its kind of idea, and its label in tables.
+        The idea's name in files, its kind, and its label in tables.
     """
 
     key: str
@@ -50,13 +50,21 @@ class Idea:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def experiment(self) -> Experiment:
-        """Return the experiment: the rig in the normal hand, with the changes."""
+        """Return the experiment that tests the idea: the rig in the normal hand, with the changed settings."""
         return HeldRig(preset=self.preset, grip="normal").experiment(self.changes)
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """Results of an idea: its map, the largest damping of the softest wall by criterion, and linear limits or None."""
+    """Results of one idea.
+
+    Attributes
+    ----------
+    ranges
+        Largest damping of the softest wall, by criterion.
+    linear
+        Peak stiffness and largest damping by linear theory; None if the scheme is not linear.
+    """
 
     idea: Idea
     map: ZWidth
@@ -64,11 +72,11 @@ class Tried:
     linear: Mapping[str, Any] | None
 
     def width(self, criterion: str) -> Width:
-        """Return the Z-width of its map by one criterion."""
+        """Return the numbers that describe the Z-width of the idea's map by one criterion."""
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
-        """Return the area under the limits of the map (K × B), up to the largest damping of the softest wall."""
+        """Return the area below the stiffness limits (N·m/rad × N·m·s/rad), up to the softest wall's damping range."""
         holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
         corners = [(b.damping, b.stiffness) for b in holds]
         end = self.ranges[criterion].damping
@@ -80,7 +88,7 @@ class Tried:
         return float(np.trapezoid(stiffnesses, dampings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
+        """Return idea, limits, areas and ranges for JSON."""
         found = self.map.as_mapping()["schemes"][0]
         return {
             "group": self.idea.group,
@@ -98,7 +106,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Ratios of an idea to another by criterion "any": K at B = 0, largest K, largest damping, and area."""
+    """Ratios of an idea's results to a reference's (criterion "any"): K at B = 0, largest K, largest B, and area."""
 
     undamped: float
     peak: float
@@ -107,7 +115,7 @@ class Change:
 
     @classmethod
     def of(cls, tried: Tried, reference: Tried) -> Change:
-        """Return the ratios of one idea's limits and area to another's."""
+        """Divide the results of one idea by those of a reference idea."""
         new, old = tried.width("any"), reference.width("any")
         return cls(
             over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
@@ -118,7 +126,7 @@ class Change:
 
 
 def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
-    """Return how all `changes` affect the area: "wider", "narrower" or "same"; "both" if they differ."""
+    """Return how all changes affect the area: "wider", "narrower" or "same" (within 5 %); "both" if they differ."""
     areas = [change.area for change in changes]
     if all(area > 1.0 + SAME for area in areas):
         return "wider"
@@ -128,7 +136,7 @@ def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same",
 
 
 def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
-    """Return the key of a scheme with an encoder of (lines, decoding)."""
+    """Return the key of the idea that uses an encoder with `lines` (lines per turn, decoding factor) in a scheme."""
     if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
         return REFERENCE
     return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
@@ -153,7 +161,7 @@ def _prediction() -> list[Idea]:
 
 
 def _adaptive() -> list[Idea]:
-    """Return schemes with the paper's adaptive T2: a high velocity rate for a fast handle, a low one for a slow."""
+    """Return ideas with the paper's adaptive T2: the velocity rate is low while the handle is slow."""
     return [
         Idea(
             key=f"adaptive-{fast}-{slow}",
@@ -205,7 +213,7 @@ def _velocity_rates() -> list[Idea]:
 
 
 def _hertz(rate: str) -> str:
-    """Return a rate of a scheme's text, such as 5k, as ``5 kHz``."""
+    """Convert a rate in a scheme's notation, such as 5k, to text, such as ``5 kHz``."""
     return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 
@@ -236,6 +244,6 @@ def _estimators() -> list[Idea]:
 
 
 def rank_ideas(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
-    """Return the ideas on the reference's rig, sorted by the area of their Z-width, largest first."""
+    """Return the ideas that use the reference's rig, sorted by the area of their Z-width, largest first."""
     on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
     return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

@@ -1,4 +1,4 @@
-"""Draw figures 7 and 8 of Koul et al. from this project's results."""
+"""Draw figures 7 and 8 of Koul et al. (impacts, and estimated velocities) from this project's results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ STRETCH = 1.8  # times the largest true speed: noise is the point of figure 8
 
 @style.own_style()
 def draw_figure_7(panels: Sequence[Panel], picture: str | Path, *, offset: int = 1) -> Path:
-    """Draw figure 7: a row for each arithmetic, a column for each rate; `offset` is the index of the encoder offset."""
+    """Draw the penetrations of figure 7, with a row for each arithmetic and a column for each rate; return the path.
+
+    `offset` is the index of the encoder offset that is drawn.
+    """
     rows = list(dict.fromkeys(panel.arithmetic for panel in panels))
     columns = list(dict.fromkeys(panel.position_rate for panel in panels))
     figure = style.new_figure(width=10.0, height=1.0 + 3.0 * len(rows))
@@ -38,7 +41,7 @@ def draw_figure_7(panels: Sequence[Panel], picture: str | Path, *, offset: int =
 
 @style.own_style()
 def draw_figure_8(profiles: Profiles, picture: str | Path) -> Path:
-    """Draw figure 8, the early and late part of the impact in each arithmetic; return its path."""
+    """Draw the velocities of figure 8, early and late in the impact, a row for each arithmetic; return the path."""
     rows = list(dict.fromkeys(profile.arithmetic for profile in profiles.profiles))
     figure = style.new_figure(width=10.0, height=1.0 + 3.0 * len(rows))
     grid = figure.subplots(len(rows), 2, sharey="col", squeeze=False)

@@ -1,6 +1,7 @@
-"""Tasks of the reproduction of Koul et al. beside maps and pictures.
+"""Compute ranges of damping, linear limits, random plants and velocity noise for the paper of Koul et al.
 
-Each function does the work of a task of `rig.extras.papers.parts`: plain data in, plain data out, without side effects.
+Each public function with a `payload` is the work of one task of the sweep that runs the reproduction
+(`rig.extras.papers.parts`): it takes and returns values that JSON can store, and has no side effects.
 """
 
 from __future__ import annotations
@@ -41,16 +42,17 @@ PASSIVE_POINTS = 12  # of the curve below which walls are passive
 
 # --- a series of a map -----------------------------------------------------------------------------------------
 
+# Columns that the report shows; the journal of the sweep stores every result.
 _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion in CRITERIA))
 
 
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Run a series of a map (`rig.experiments.mapping.zwidth.run_series`); return only the values that are shown."""
+    """Run a series of hits of a map (`rig.experiments.mapping.zwidth.run_series`); return only the columns `_KEPT`."""
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 
 def map_part(plan: MapPlan) -> Part:
-    """Return the tasks of a map, with weights in hits of a 20 kHz rig."""
+    """Return the tasks of a map, with weights in hits of a 20 kHz rig, which other parts use, too."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
@@ -68,7 +70,7 @@ def range_tasks(
     search: StiffnessSearch,
     weight: float,
 ) -> Part:
-    """Return the tasks that search the largest damping of a wall of one stiffness, by scheme and encoder offset."""
+    """Return tasks that search the largest damping of a wall with one stiffness, for each scheme and encoder offset."""
     applied = [scheme.applied(experiment) for scheme in schemes]
     return tuple(
         Task(
@@ -89,7 +91,11 @@ def range_tasks(
 
 
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the largest stable damping at one stiffness by criterion, with the search that maps use for stiffness."""
+    """Search the largest damping (N·m·s/rad) at which a wall with one stiffness is stable, by criterion.
+
+    The result has ``damping`` and ``capped`` (True: the search ended before a wall failed) for each criterion, and
+    ``hits``, their number. The search is the one that maps use for the stiffness.
+    """
     simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
 
@@ -109,7 +115,10 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class DampingRange:
-    """Largest damping of a soft wall by one criterion: mean, least, largest over offsets; if a search was capped."""
+    """Largest damping (N·m·s/rad) of a soft wall by one criterion: mean, least and largest over the encoder offsets.
+
+    `capped` is True if a search ended before a wall failed, so that the true damping is larger.
+    """
 
     damping: float
     lowest: float
@@ -118,7 +127,10 @@ class DampingRange:
 
 
 def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
-    """Return a summary of the results of `range_tasks`: for each scheme a range by criterion."""
+    """Summarise the results of `range_tasks`: return, for each scheme, the largest damping by criterion.
+
+    `offsets` is the number of encoder offsets.
+    """
     found = []
     for first in range(0, len(results), offsets):
         some = results[first : first + offsets]
@@ -139,7 +151,7 @@ _ISLAND_DAMPINGS, _ISLAND_REACH = 40, 4.0  # times the connected range
 
 
 def linear_range(lifted: theory.Lifted) -> float:
-    """Return the largest damping up to which the softest wall of a scan is stable; islands beyond are ignored."""
+    """Return the damping (N·m·s/rad) up to which the softest wall of a scan is stable; islands above it are ignored."""
     loop = lifted.loop
     lowest = float(stiffnesses(lifted, 0.0)[0])
     top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -156,7 +168,7 @@ def linear_range(lifted: theory.Lifted) -> float:
 
 
 def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
-    """Return the largest damping at which any wall of a coarse grid is stable; at least the connected range."""
+    """Return the largest damping (N·m·s/rad) at which any wall of a coarse grid is stable; at least `connected`."""
     k = np.geomspace(float(stiffnesses(lifted, 0.0)[0]), _ISLAND_HIGHEST, _ISLAND_STIFFNESSES)
     b = np.geomspace(1.0, _ISLAND_REACH, _ISLAND_DAMPINGS) * connected
     some = np.flatnonzero(lifted.stable(k, b[:, None]).any(axis=1))
@@ -164,10 +176,11 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
 
 
 def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the limits of a scheme by exact linear theory: K_max over dampings, and the largest damping.
+    """Compute the limits of a scheme by exact linear theory: largest stable stiffness at each damping, largest damping.
 
-    ``islands`` adds the largest damping beyond gaps, ``passivity`` the passive limits. A payload with ``rates`` returns
-    K_max at B = 0 for each uniform rate instead. For a scheme that is not linear the result is ``not_linear``.
+    ``islands`` in the payload adds the largest damping beyond unstable gaps, ``passivity`` the limits of passive walls.
+    For a payload with ``rates`` (Hz) the result is K_max at B = 0 for each uniform rate instead. For a scheme that is
+    not linear the result is the reason, as ``not_linear``.
     """
     experiment = config.restore_experiment(payload["experiment"])
     if "rates" in payload:
@@ -194,7 +207,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
-    """Return the passive limits of the walls; they do not depend on the hand."""
+    """Return the limits of passive walls, which do not depend on the hand, for the result of `linear_limits`."""
     passive = theory.passivity_bound(lifted)
     dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     return {
@@ -220,7 +233,10 @@ LAGS_S = (3e-5, 3e-4)
 
 
 def random_plants(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the largest dampings by linear theory of schemes on random plants (two masses and a lag), held or not."""
+    """Draw random plants (two masses, an amplifier lag, a hand or none); return the largest damping of each scheme.
+
+    The dampings (N·m·s/rad) are those of the softest wall by linear theory.
+    """
     schemes = [Scheme.parse(text) for text in payload["schemes"]]
     base = config.rig_model(presets.load("koul-compliant").rig)
     return [_plant(base, schemes, payload, number) for number in payload["numbers"]]
@@ -249,10 +265,10 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return figures 7 and 8 for one number of state bits, at both readings of the uniform cut-off.
+    """Compute figures 7 and 8 for one word length of the filter, at both possible cut-offs of the uniform scheme.
 
-    The peaks of figure 7 come from `rig.extras.papers.koul.compare.word_lengths`. ``read`` is the share of the true
-    velocity that the estimate of figure 8 contains: early and late in the impact, at 2 and at 20 kHz.
+    Each row has the peaks of `rig.extras.papers.koul.compare.word_lengths`. ``read`` is the rms of the estimated
+    velocity of figure 8 divided by the rms of the true one: early and late in the impact, at 2 and at 20 kHz.
     """
     rows = []
     for word in compare_koul.word_lengths([payload["bits"]], offsets=payload["offsets"]):
@@ -273,11 +289,11 @@ FINER = 1024  # times the encoder's resolution: next to no quantiser
 
 
 def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Return the velocity noise of one encoder count early in the impact of Fig. 8 (rad/s rms), in floating point.
+    """Return the velocity noise of the encoder's quantisation early in the impact of Fig. 8 (rad/s rms), by estimator.
 
-    Each estimator reads the same motion in counts and in counts a thousand times finer. It is linear, so the difference
-    of its outputs is noise alone, without delay or filtering of the motion. The result is the root mean square
-    over the encoder offsets; by velocity rate, at 20 kHz with its cut-off over the rate.
+    Each estimator gets the same motion in counts and in counts a thousand times finer. It is linear, so the difference
+    of its outputs is noise alone, without delay or filtering of the motion. The result is the root mean square over the
+    encoder offsets. Keys are the velocity rate, and at 20 kHz also the cut-off, such as "20 kHz, fs/20".
     """
     offsets = payload["offsets"]
     fast, slow = compare_koul.POSITION_RATES[0], compare_koul.VELOCITY_RATE
@@ -293,7 +309,7 @@ def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """Counts of a motion at 20 kHz, also a thousand times finer, the resolution (rad), and the early samples."""
+    """A motion at 20 kHz in counts and in `FINER` times finer counts, the resolution (rad), and its early samples."""
 
     counts: Any
     fine: Any

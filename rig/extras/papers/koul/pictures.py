@@ -1,4 +1,4 @@
-"""Draw the pictures of the reproduction of Koul et al.; `PICTURES` maps the report's names to functions."""
+"""Draw the pictures of the reproduction of Koul et al.; `PICTURES` has a drawing function for each picture's name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Reproduce Koul, Manivannan and Saha's dual-rate sampling: every figure, every claim, and its open ideas.
+"""Reproduce the dual-rate sampling of Koul, Manivannan and Saha: every figure, every claim, and the paper's open ideas.
 
-Some hundred searches, ranges and computations of theory run as one sweep. Rules compute verdicts from the numbers, and
+Some hundred searches and computations of theory run as one sweep. Rules compute verdicts from the numbers, and
 templates write the sentences. Nothing is tuned here: the rigs are two presets, one of them fitted to the paper.
 
 Source: Koul, Manivannan, Saha, "Enhanced Z-width of a haptic interface by dual-rate sampling" (2013), Figs. 5 to 8.
@@ -43,7 +43,7 @@ from rig.extras.papers.reproduction import Paper
 
 
 class KoulPlan:
-    """All tasks of the reproduction, and the conversion of their results."""
+    """Tasks that compute everything for the paper of Koul et al., and the conversion of their results to `Koul`."""
 
     def __init__(self, scale: rigs.KoulScale) -> None:
         self._scale = scale
@@ -59,7 +59,7 @@ class KoulPlan:
         self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
 
     def parts(self) -> dict[str, Part]:
-        """Return all tasks, by name of their part."""
+        """Return all sweep tasks, grouped by the name of the result that they compute."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
             parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)
@@ -107,7 +107,7 @@ class KoulPlan:
         return parts
 
     def results(self, done: Parts) -> Koul:
-        """Return the typed results from the results of all tasks."""
+        """Convert the raw results of all tasks to one typed object."""
         scale = self._scale
         maps = {name: ZWidth.of(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
         kmax = {
@@ -234,7 +234,10 @@ def _search(experiment: Experiment, way: Way, ratio: float) -> StiffnessSearch:
 
 
 def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
-    """Return dampings at even steps to beyond each scheme's linear range (similar ranges once), and the paper's."""
+    """Return the dampings (N·m·s/rad) of a map: equal steps to 15 % beyond each scheme's linear range, and the paper's.
+
+    Ranges that differ by less than 20 % count once.
+    """
     widest: list[float] = []
     for scheme in rigs.SCHEMES.values():
         own = koul_parts.linear_range(theory.as_lifted(experiment, scheme))
@@ -248,7 +251,7 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
 
 
 def words(koul: Koul) -> dict[str, Any]:
-    """Return the names and values that the templates use."""
+    """Return the values that the templates of the report use, by name."""
     return {
         "koul": koul,
         "rigs": rigs,

@@ -1,4 +1,4 @@
-"""Typed results of the reproduction of Koul et al., numbers that its page derives from them, and plain values."""
+"""Types of the results of the reproduction of Koul et al., and numbers that the report derives from them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Limits of the walls of Fig. 6 with some of the effects that linear theory leaves out, by scheme."""
+    """Simulated limits of the walls of Fig. 6 with only some of friction and quantisation, by scheme."""
 
     undamped: Mapping[str, float]  # K at B = 0, stable in any sense
     ranges: Mapping[str, dict[str, DampingRange]]
@@ -41,7 +41,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class OverLinear:
-    """Limits with an effect divided by those of linear theory, by scheme."""
+    """Simulated limits with friction or quantisation divided by the limits of linear theory, by scheme."""
 
     undamped: Mapping[str, float]
     range: Mapping[str, float]
@@ -49,7 +49,7 @@ class OverLinear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Best:
-    """The best of some ideas, compared with the paper's dual-rate wall."""
+    """The idea of a group with the largest Z-width, compared with the paper's dual-rate wall (the reference)."""
 
     tried: int  # without the reference
     wider: int  # number that widen the Z-width by more than `SAME`
@@ -67,7 +67,7 @@ class Koul:
     kmax, kmax_theory
         Fig. 5: largest K at B = 0 over the rate, simulated and by theory, by preset and name in `LAGS`.
     maps
-        Fig. 6 and its variants, by name of the `HeldRig`, with the schemes in the order of `SCHEMES`.
+        Fig. 6 and its variants, by name of the `HeldRig` (rig and hand), with the schemes in the order of `SCHEMES`.
     ranges
         Largest damping (N·m·s/rad) of the softest wall, by name of the `HeldRig`, scheme, and criterion.
     linear
@@ -75,9 +75,9 @@ class Koul:
     effects
         Limits with each of `EFFECTS` by name, on the fitted preset in the normal hand.
     figure_7, words, figure_8
-        See `rig.extras.papers.koul.compare`.
+        Impacts, their peaks by word length, and estimated velocities; see `rig.extras.papers.koul.compare`.
     noise
-        Velocity noise of one count (rad/s rms), by velocity rate and cut-off.
+        Velocity noise of the encoder's quantisation (rad/s rms), by velocity rate and cut-off.
     plants
         Random plants with their largest dampings by linear theory, in the order of `SCHEMES`.
     ideas
@@ -100,22 +100,22 @@ class Koul:
     hits: int
 
     def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
-        """Return the widths of a map of Fig. 6 for a scheme, given by its key in `SCHEMES`."""
+        """Return the numbers that describe the Z-width of a scheme (key in `SCHEMES`) on one rig in one hand."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
-        """Return K_max at the highest rate divided by that at 20 kHz, by lag: simulated, and by linear theory."""
+        """Return K_max at the highest rate divided by K_max at 20 kHz for each of `LAGS`: simulated, and by theory."""
         fast = self.scale.rates.index(rules.FAST_HZ)
         linear = [self.kmax_theory[preset, lag] for lag in rigs.LAGS]
         simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
         return simulated, [stiffness[-1] / stiffness[fast] for stiffness in linear]
 
     def by_preset(self) -> list[rigs.HeldRig]:
-        """Return every rig in every hand, sorted by rig."""
+        """Return every combination of rig and hand, sorted by rig."""
         return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 
     def spread_of_hands(self) -> list[tuple[str, float, float]]:
-        """Return, by preset, the least and the largest peak K of the dual-rate wall over all hands."""
+        """Return (preset, least, largest) peak K (N·m/rad) of the dual-rate wall over all hands."""
         peaks = {
             p: [self.width(held, rigs.DUAL).stiffness_peak for held in rigs.HELD if held.preset == p]
             for p in rigs.PRESETS
@@ -123,7 +123,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Return the comparisons of ladder, bisection and grid for the map that contains every wall."""
+        """Compare the searches (ladder, bisection, grid) on the map of the grid, by scheme and criterion."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
@@ -132,13 +132,16 @@ class Koul:
         ]
 
     def null_readings(self) -> tuple[int, float]:
-        """Return how many word lengths read no velocity late at 20 kHz, and the largest share of it read early."""
+        """Count the word lengths with which the velocity estimated at 20 kHz is null late in the impact.
+
+        Also return the largest share of the true velocity that these word lengths still report early.
+        """
         read = [word["read"][str(rules.FAST_HZ)] for word in self.words]
         null = [one["early"] for one in read if one["late"] <= rules.NULL]
         return len(null), max(null, default=0.0)
 
     def effect_ratios(self) -> list[OverLinear]:
-        """Return limits divided by linear theory: without friction and quantiser, with one of them, and with both."""
+        """Return simulated limits divided by linear theory, for each of `EFFECTS` (with or without friction)."""
         linear = self.linear[rigs.MAIN[0].name]
         return [
             OverLinear(
@@ -149,7 +152,11 @@ class Koul:
         ]
 
     def plant_shares(self) -> dict[str, Any]:
-        """Return the range of fast uniform over dual-rate walls on random plants, and where dual-rate equals slow."""
+        """Return statistics of the largest damping on random plants.
+
+        ``quartiles`` of fast uniform over dual-rate; ``larger``: share of plants where this ratio exceeds 1; ``same``
+        and ``same_with_islands``: share of plants where dual-rate and slow uniform are equal.
+        """
         ranges = np.array([plant["ranges"] for plant in self.plants])
         dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
         ratios = fast / np.maximum(dual, 1e-9)
@@ -162,24 +169,24 @@ class Koul:
         }
 
     def against(self, key: str) -> Change:
-        """Return the ratios of an idea to the paper's dual-rate wall."""
+        """Return the ratios of an idea's results to those of the paper's dual-rate wall."""
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
-        """Return an idea's peak and range by linear theory, divided by the paper's wall's; empty if not linear."""
+        """Return an idea's ``peak`` and ``range`` of linear theory over the paper's wall's; empty if not linear."""
         new, old = self.ideas[key].linear, self.ideas[REFERENCE].linear
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
     def group(self, group: str) -> list[Tried]:
-        """Return the tried ideas of one group."""
+        """Return the results of all ideas of one group."""
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
-        """Return the ratios of the ideas of one group to the paper's wall, by label."""
+        """Return the ratios of each idea of a group to the paper's dual-rate wall, by the idea's label."""
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
-        """Return the idea of one group, or the paper's wall, with the largest area of its Z-width."""
+        """Return the idea of one group, or the paper's dual-rate wall, with the largest area of its Z-width."""
         tried, reference = self.group(group), self.ideas[REFERENCE]
         best = max([*tried, reference], key=lambda one: one.area("any"))
         return Best(
@@ -191,7 +198,10 @@ class Koul:
         )
 
     def finest_encoder(self) -> list[tuple[str, Change, float]]:
-        """Return, by rig, the change by the finest encoder for dual-rate, and the area of uniform 20 kHz over dual."""
+        """Return what the finest encoder changes: (preset, change of the dual-rate wall, ratio of areas) by rig.
+
+        The ratio is the area of the uniform 20 kHz wall divided by that of the dual-rate wall, with the finest encoder.
+        """
         found = []
         for preset in rigs.PRESETS:
             dual, fast, usual = (
@@ -206,32 +216,32 @@ class Koul:
         return found
 
     def ranked(self) -> list[Tried]:
-        """Return the ideas sorted by the area of their Z-width, and then the ideas on another rig."""
+        """Return the ideas sorted by the area of their Z-width, followed by the ideas on another rig."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
         return [*rank_ideas(self.ideas), *elsewhere]
 
     def highest_search(self) -> float:
-        """Return the highest stiffness (N·m/rad) in the search of any idea."""
+        """Return the highest stiffness (N·m/rad) that the search of any idea could reach."""
         return max(tried.map.plan.search.highest for tried in self.ideas.values())
 
 
 def cutoff(word: Mapping[str, Any]) -> str:
-    """Return the cut-off of the uniform wall of a row, as text like ``fs/20``."""
+    """Return the cut-off of the uniform wall in a row of `Koul.words`, as text like ``fs/20``."""
     return f"fs/{1 / word['uniform_share']:g}"
 
 
 def word_name(word: Mapping[str, Any]) -> str:
-    """Return the word length and cut-off of the uniform wall of a row, as text."""
+    """Return word length and cut-off of a row of `Koul.words`, as text like ``4 bits, fs/20``."""
     return f"{word['state_bits']} bits, {cutoff(word)}"
 
 
 def _share_of_ones(ratios: Sequence[float]) -> float:
-    """Return the share of ratios that are 1 within `rules.SAME_LINEAR`."""
+    """Return the share of ratios that are within a factor of `rules.SAME_LINEAR` of 1."""
     return float(np.mean([within(ratio, 1.0, rules.SAME_LINEAR) for ratio in ratios]))
 
 
 def numbers(koul: Koul) -> dict[str, Any]:
-    """Return every number of the reproduction as plain values, for JSON."""
+    """Return every computed number of the reproduction, for the JSON file."""
     return {
         "kmax": {
             f"{preset}, {lag}": {**found.as_mapping(), "linear_theory": koul.kmax_theory[preset, lag]}
@@ -251,7 +261,7 @@ def numbers(koul: Koul) -> dict[str, Any]:
 
 
 def provenance(koul: Koul) -> dict[str, Any]:
-    """Return the sources of the numbers: code, scale, seed, presets; they do not depend on the machine."""
+    """Return what the numbers were computed from: code version, scale, seed, settings; independent of the machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
         "haptic-rig": code_version(),

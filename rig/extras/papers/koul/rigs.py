@@ -1,4 +1,4 @@
-"""Settings of the reproduction of Koul et al.: rigs, hands and pushes, sampling schemes, and their fineness."""
+"""Settings of the reproduction of Koul et al.: rigs, hands and pushes, sampling schemes, sizes of the grids."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KoulScale:
-    """Grids and numbers of repetitions of the reproduction, which decide how long it takes."""
+    """Sizes of the grids and numbers of repetitions; they decide how long the reproduction takes."""
 
     name: str
     rates: tuple[int, ...]  # Hz, of Fig. 5
@@ -101,23 +101,23 @@ QUICK = KoulScale(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldRig:
-    """A rig held in a hand, or pushed by its motor."""
+    """A rig whose handle is held by a simulated hand with `grip`; None: pushed by its motor with constant effort."""
 
     preset: str
     grip: str | None
 
     @property
     def name(self) -> str:
-        """Return the name of this rig and hand in the results."""
+        """Name of this combination of rig and hand in the results, such as "koul-rigid, firm hand"."""
         return f"{self.preset}, {self.push}"
 
     @property
     def push(self) -> str:
-        """Return who pushes the handle: the motor, or a hand of this grip."""
+        """What pushes the handle into the wall, as text: "automated" (the motor) or a hand, such as "firm hand"."""
         return "automated" if self.grip is None else f"{self.grip} hand"
 
     def experiment(self, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return the preset's experiment, held or pushed, with some changes."""
+        """Return the preset's experiment with this hand or push, and with `changes` of settings."""
         # As in the paper, whose amplifier gives the stall torque: the limits for people would bound the walls instead.
         held = (
             PUSH

@@ -1,7 +1,8 @@
-"""Rules that judge the claims of Koul et al., with their thresholds: they convert plain numbers to rulings.
+"""Rules that judge the claims of Koul et al.: each turns numbers into a ruling (verdict and numbers).
 
 A claim is "reproduced" if it holds in all cases. A user can set cut-off and arithmetic of a wall, word length and hand,
-so they can be conditions; rig and criterion cannot.
+so these can be conditions of "reproduced only with"; rig and criterion cannot. `step` is everywhere the ratio of
+neighbouring values of a search, below which a difference is not significant.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ NULL, SEEN = 0.2, 0.5  # of the true velocity
 
 
 def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: float = 1.0) -> Ruling:
-    """Judge that K_max rises with the rate, from K_max at `rates` (Hz), by rig."""
+    """Judge the claim that K_max rises with the sampling rate; `curves` has K_max at each of `rates` (Hz), by rig."""
     cases, ends = {}, []
     for name, stiffness in curves.items():
         by_rate = dict(zip(rates, stiffness, strict=True))
@@ -62,14 +63,18 @@ def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: flo
 
 
 def _rising(stiffnesses: Sequence[float], step: float) -> bool:
-    """Return True if each stiffness is at least `DROP` times the one before."""
+    """Return True if each stiffness is at least `DROP` times the one before, up to the resolution of the search."""
     return all(high >= DROP / step * low for low, high in pairwise(stiffnesses))
 
 
 def levels_off(
     with_lag: Mapping[str, float | None], without_lag: Mapping[str, float | None], step: float = 1.0
 ) -> Ruling:
-    """Judge that K levels off, from K at 50 kHz over K at 20 kHz, with and without lag; None: a search hit its cap."""
+    """Judge the claim that K levels off, from K at 50 kHz divided by K at 20 kHz, by rig, with and without lag.
+
+    None means that a search reached its highest stiffness. If K still rises without the amplifier's lag, the claim is
+    reproduced only with lag.
+    """
     found = judge(
         {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
         ratios=[(name, ratio, without_lag[name]) for name, ratio in with_lag.items()],
@@ -80,13 +85,13 @@ def levels_off(
 
 
 def near(values: Mapping[str, float], target: float, factor: float) -> Ruling:
-    """Judge that numbers are within a factor of the paper's `target`."""
+    """Judge the claim that numbers are near the paper's `target`: at most by `factor` smaller or larger."""
     cases = {name: within(value, target, factor) for name, value in values.items()}
     return judge(cases, found=list(values.items()))
 
 
 def level(values: Mapping[str, float], target: float, step: float = 1.0) -> Ruling:
-    """Judge that stiffnesses are within `NUMBER` of the paper's on every rig; in part if within `LEVEL_FACTOR`."""
+    """Judge the claim that stiffnesses are within a factor of 1.15 of `target` on every rig; in part if within 1.65."""
     close, far = near(values, target, NUMBER * step), near(values, target, LEVEL_FACTOR * step)
     if close.status is ClaimStatus.NOT and far.status is ClaimStatus.REPRODUCED:
         return close.partly()
@@ -96,7 +101,7 @@ def level(values: Mapping[str, float], target: float, step: float = 1.0) -> Ruli
 def peaks(
     found: Mapping[tuple[str, str], Sequence[float]], wanted: Sequence[float], step: float = 1.0
 ) -> Ruling:
-    """Judge that several stiffnesses have the paper's sizes and order, by rig and cut-off.
+    """Judge the claim that several peak stiffnesses have the paper's sizes `wanted` and its order, by rig and cut-off.
 
     If only the sizes agree, the claim is reproduced in part.
     """
@@ -116,34 +121,49 @@ def peaks(
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Judge that dual-rate and slow uniform walls have the same range of damping, from ratios simulated and linear."""
+    """Judge the claim that dual-rate and slow uniform walls have the same range of damping, from the ratios of ranges.
+
+    `ratios` are simulated, `linear` are those of linear theory.
+    """
     cases = {name: within(ratio, 1.0, SAME_RANGE * step) for name, ratio in ratios.items()}
     cases |= {f"theory, {name}": within(ratio, 1.0, SAME_LINEAR) for name, ratio in linear.items()}
     return judge(cases, simulated=list(ratios.values()), linear=list(linear.values()))
 
 
 def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Judge that dual-rate and slow uniform walls have the same range of damping on most random plants."""
+    """Judge on random plants the claim that dual-rate and slow uniform walls have the same range of damping.
+
+    `ranges` are (dual-rate, slow uniform) for each plant (N·m·s/rad).
+    """
     return judge_share(
         sum(within(over(dual, slow), 1.0, SAME_LINEAR) for dual, slow in ranges), total=len(ranges)
     ).following()
 
 
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
-    """Judge that the fast uniform wall has half the range of dual-rate, from ratios by rig, cut-off and reading."""
+    """Judge the claim that the fast uniform wall has half the range of damping of the dual-rate wall.
+
+    `ratios` are the ratios of ranges by rig, cut-off, and criterion (or theory).
+    """
     cases = {case: HALF_LOW / step <= ratio <= HALF_HIGH * step for case, ratio in ratios.items()}
     return judge_settable(cases, [1], ratios=list(ratios.values())).undecided()
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Judge that the fast uniform wall has at most about half the range of the dual-rate one on most random plants."""
+    """Judge on random plants the claim that the fast uniform wall has at most half the range of the dual-rate wall.
+
+    `ranges` are (fast uniform, dual-rate) for each plant (N·m·s/rad).
+    """
     ratios = [over(fast, dual) for fast, dual in ranges]
     about = sum(HALF_LOW <= ratio <= HALF_HIGH for ratio in ratios) / len(ratios)
     return judge_share(sum(ratio <= HALF_HIGH for ratio in ratios), len(ratios), about=about)
 
 
 def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float = 1.0) -> Ruling:
-    """Judge that the dual-rate wall has the higher peak K, from ratios by rig, hand, cut-off and criterion."""
+    """Judge the claim that the dual-rate wall has the higher peak K, by rig, hand, cut-off and criterion.
+
+    A value of `ratios` is the peak K of the dual-rate wall divided by that of the fast uniform wall.
+    """
     cases = {case: ratio >= HIGHER * step**0.5 for case, ratio in ratios.items()}
     groups: dict[str, list[bool]] = {}
     for (rig, _, cutoff, _), held in cases.items():
@@ -153,7 +173,10 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge that K of the fast uniform wall falls as soon as damping is added, by rig, cut-off and reading."""
+    """Judge the claim that K of the fast uniform wall falls as soon as damping is added.
+
+    The keys of `curves` are (rig, cut-off, criterion or theory).
+    """
     cases: dict[tuple[str, str, str], bool] = {}
     most: dict[tuple[str, str, str], float] = {}
     for case, curve in curves.items():
@@ -166,7 +189,7 @@ def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ru
 
 
 def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge that K of the slow uniform wall first rises with damping to a higher peak, by rig and reading."""
+    """Judge the claim that K of the slow uniform wall first rises with damping to a peak, by rig and criterion."""
     cases, peaks = {}, []
     for case, curve in curves.items():
         stiffnesses = [stiffness for _, stiffness in curve]
@@ -178,7 +201,10 @@ def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> R
 
 
 def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Judge that dual-rate has the lowest peak penetration, from peaks with no, uniform and dual-rate damping."""
+    """Judge the claim that dual-rate damping gives the lowest peak penetration.
+
+    A value of `peaks` has the penetrations (counts) with no, uniform and dual-rate damping.
+    """
     cases = {
         name: dual <= LESS * none and dual <= LESS * uniform for name, (none, uniform, dual) in peaks.items()
     }
@@ -189,14 +215,17 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
 
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Judge that the uniform wall is penetrated as deep as the undamped one, from peaks as in `lower_penetration`."""
+    """Judge the claim that the uniform wall is penetrated as deep as the undamped wall.
+
+    A value of `peaks` has the penetrations (counts) with no, uniform and dual-rate damping.
+    """
     ratios = {name: over(uniform, none) for name, (none, uniform, _) in peaks.items()}
     cases = {name: ratio >= LIKE_NONE for name, ratio in ratios.items()}
     return judge(cases, conditions=each(cases), ratios=ratios)
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
-    """Judge that the velocity at 20 kHz (by cut-off) is noisier than at 2 kHz, by the noise of a count (rad/s rms)."""
+    """Judge the claim that the velocity at 20 kHz (`fast`, by cut-off) is noisier than at 2 kHz (rad/s rms)."""
     ratios = {name: over(noise, slow) for name, noise in fast.items()}
     return judge(
         {name: ratio >= NOISIER for name, ratio in ratios.items()},
@@ -207,16 +236,20 @@ def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
 
 
 def null_late(readings: Mapping[str, tuple[float, float]]) -> Ruling:
-    """Judge that no velocity is read late in the impact at 20 kHz, from the read shares at (20, 2) kHz, by case.
+    """Judge the claim that the velocity estimated at 20 kHz is null late in the impact.
 
-    The claim fails if no velocity is read at 2 kHz either, because this would show nothing about the rate.
+    A value of `readings` is the estimated over the true velocity at (20, 2) kHz. The claim fails if the estimate at 2
+    kHz is null, too, because this would show nothing about the rate.
     """
     cases = {name: fast <= NULL < slow for name, (fast, slow) in readings.items()}
     return judge(cases, conditions=each(cases), late=[fast for fast, _ in readings.values()])
 
 
 def null_late_only(readings: Mapping[str, tuple[float, float]]) -> Ruling:
-    """Judge that the velocity at 20 kHz is read early but not late in the impact, from the (early, late) shares."""
+    """Judge the claim that the velocity estimated at 20 kHz is null late in the impact, but not early.
+
+    A value of `readings` is the estimated over the true velocity (early, late).
+    """
     cases = {name: late <= NULL and early >= SEEN for name, (early, late) in readings.items()}
     return judge(
         cases,

@@ -1,6 +1,6 @@
-"""Compare ladder, bisection and grid searches: what each would have found, from the hits of one grid.
+"""Compare ladder, bisection and grid searches for the stiffness limit: what each would have found on one grid of hits.
 
-A ladder is the part of a grid below its first failure. A bisection visits few of the stiffnesses and assumes that all
+A ladder tries rising stiffnesses up to the first failure. A bisection tries few of the stiffnesses and assumes that all
 walls above a failure fail, so its result shows whether stability is monotone in K.
 """
 
@@ -19,7 +19,7 @@ class GridColumn:
     Attributes
     ----------
     tried
-        Whether the wall of each stiffness (N·m/rad) passed; None if unknown.
+        True if the wall of a stiffness (N·m/rad) passed; None if unknown.
     ladder, bisection, highest
         Limits by a ladder and by a bisection, and the stiffest stable wall of all (N·m/rad; 0: no wall).
     islands
@@ -37,13 +37,13 @@ class GridColumn:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Comparison of ladder, bisection and grid over the columns of one scheme by one criterion.
+    """Comparison of ladder, bisection and grid for one scheme and criterion, over all columns (dampings and offsets).
 
     Attributes
     ----------
     columns, islands, higher
-        Number of columns; of those with stable walls above one that fails; and of those in which a bisection ends above
-        the ladder.
+        Number of columns; number with stable walls above one that fails; number in which a bisection ends above the
+        ladder.
     damping_ladder, damping_grid
         Largest damping (N·m·s/rad) at which the ladder finds a wall, and at which any wall is stable.
     """
@@ -58,7 +58,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Return the comparison of the searches for one scheme, over all encoder offsets of a grid."""
+    """Compare the searches for the scheme with index `scheme` and name `key`, over all encoder offsets of a grid."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
@@ -74,7 +74,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return the columns of one scheme by one criterion and damping, at the given or the first encoder offset."""
+    """Return the results of one scheme at each damping, by one criterion and encoder offset (None: the first)."""
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
     made = []
@@ -99,7 +99,7 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
 
 
 def _bisect(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
-    """Return the stiffnesses that a bisection would have visited, with their results."""
+    """Return the stiffnesses that a bisection would have tried, with their results on the grid."""
     walk = replace(found.plan.search, way="bisection").walk([criterion])
     visited: dict[float, Passes] = {}
     try:
