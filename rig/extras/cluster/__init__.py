@@ -1,1 +1,1 @@
-"""Run sweeps on the machines of a Dask cluster."""
+"""Run sweeps (many independent simulations) on the machines of a Dask cluster."""

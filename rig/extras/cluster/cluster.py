@@ -1,7 +1,7 @@
-"""Executor of sweeps on the workers of a Dask scheduler. Needs the package distributed (extra ``cluster``).
+"""Executor that runs the tasks of a sweep on the workers of a Dask scheduler. Needs the extra ``cluster``.
 
-If a worker dies, the scheduler gives its tasks to other workers, and computes results that are lost with it again. A
-worker with other code is refused by `perform` whenever it joins.
+If a worker dies, the scheduler gives its tasks to other workers, and computes results that are lost with the worker
+again. `perform` refuses a worker with another version of the code whenever it joins.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ CENSUS_S = 1.0  # how often the workers are counted
 
 
 class Cluster:
-    """Executor on the workers of one scheduler. Workers may join and leave; without workers no task is sent."""
+    """Executor for sweeps on the workers of one Dask scheduler.
+
+    Workers may join and leave while a sweep runs; without workers no task is sent.
+    """
 
     ahead = 2  # the next task waits at the worker: sending one takes some 10 ms
 
@@ -39,12 +42,12 @@ class Cluster:
         self._threads, self._counted_s = 0, -math.inf
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Send a call to the scheduler; return its future."""
+        """Send the call ``function(*arguments)`` to the scheduler; return the future of its result."""
         future: Future[Any] = self._pool.submit(function, *arguments)
         return future
 
     def workers(self) -> int:
-        """Return the number of threads of all workers; 0 without workers."""
+        """Return how many tasks can run at once: the number of threads of all workers; 0 without workers."""
         if time.monotonic() - self._counted_s >= CENSUS_S:
             try:
                 self._threads = sum(self._client.nthreads().values())
@@ -54,7 +57,7 @@ class Cluster:
         return self._threads
 
     def explain(self, error: BaseException) -> Failure:
-        """Return the failure that an exception of a future means; raise `RigError` if the scheduler is gone."""
+        """Convert the exception of a future to a `Failure`; raise `RigError` if the scheduler is gone."""
         if isinstance(error, CancelledError):
             raise self._lost() from error
         if isinstance(error, self._dask.KilledWorker):

@@ -1,4 +1,7 @@
-"""Start a process of a console: ``python -P -m rig.extras.console job`` runs a job, ``… errands`` runs errands."""
+"""Start a process of a console: ``python -P -m rig.extras.console job`` runs a job, ``… errands`` runs errands.
+
+A job is a run, a session or a map; an errand reads, draws or computes something for a page.
+"""
 
 import sys
 

@@ -53,13 +53,13 @@ class Access:
         self.url = f"http://127.0.0.1:{port}/#{self._token}"
 
     def host_allowed(self, headers: Headers) -> bool:
-        """Return True if the request has exactly one Host header, and it is an allowed name of this page."""
+        """Return True if the request has exactly one Host header, and its value is an allowed name of this server."""
         # The Host as well as the Origin: a foreign DNS name that points at this computer (DNS rebinding) makes the two
         # agree.
         return _only(headers, "Host") in self._hosts
 
     def origin_allowed(self, headers: Headers) -> bool:
-        """Return True if this page opened the socket. Browsers always send an Origin; without it, return False."""
+        """Return True if the Origin header names this server, so that its page opened the socket; else False."""
         origin = _only(headers, "Origin")
         return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
 
@@ -68,7 +68,7 @@ class Access:
         return _same(token, self._token)
 
     def participants_right(self, token: object) -> bool:
-        """Return True if `token` is that of participants' screens, compared in constant time."""
+        """Return True if `token` is the token of participants' screens; compare in constant time."""
         return _same(token, self.participants)
 
     def bearer_right(self, headers: Headers) -> bool:
@@ -77,7 +77,7 @@ class Access:
         return kind == "Bearer" and self.token_right(token)
 
     def guest(self, request: HttpRequest) -> str | None:
-        """Return the name that a page gives itself when it opens a socket; None if its token or name is not valid."""
+        """Return the name that a page chose for itself in its socket request; None if token or name are not valid."""
         path, _, query = request.path.partition("?")
         # The second subprotocol: the only header that a page can add to the opening of a socket.
         token = _only(request.headers, "Sec-WebSocket-Protocol").partition(SHOWN)[2]
@@ -88,7 +88,7 @@ class Access:
 
 
 def _only(headers: Headers, name: str) -> str:
-    """Return the value of a header; "" if the header is missing or was sent more than once."""
+    """Return the value of a header; empty if the header is missing or was sent more than once."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 

@@ -1,10 +1,9 @@
-"""Limit what a connection may use of the server: before its token is checked, and then in sockets and messages.
+"""Limit connections and messages, before and after the token of a connection was checked.
 
-Before its token is checked, a connection may send only the head of one HTTP request, of at most `MOST_HEAD_BYTES`. It
-holds one of `MOST_AT_DOOR` places for at most `DOOR_S`; if all are taken, the newest connection replaces the oldest.
-Frames are parsed only after the token was checked. Connections are accepted one at a time, between turns of the
-sockets of pages, so that a flood of connections blocks no page and delays no STOP
-(`tests/benchmarks/console_flood.py`).
+Before its token is checked, a connection may send only the head of one HTTP request, of at most `MOST_HEAD_BYTES`. At
+most `MOST_AT_DOOR` such connections exist, each for at most `DOOR_S` (s); one more replaces the oldest. Frames are
+parsed only after the token was checked. Connections are accepted one at a time, between turns of the sockets of pages,
+so that a flood of connections blocks no page and delays no STOP (`tests/benchmarks/console_flood.py`).
 """
 
 from __future__ import annotations
@@ -27,14 +26,14 @@ MOST_A_SECOND = 200.0  # messages of a socket
 
 
 class Places(Generic[One]):
-    """A limited number of members; if there are too many, the one that was silent longest is dropped.
+    """A set of at most `most` members, such as connections; one more replaces the member that was silent longest.
 
     Parameters
     ----------
     most
         Greatest number of members.
     lose
-        Called with the member that is dropped.
+        Called with the member that is removed.
     """
 
     def __init__(self, most: int, lose: Callable[[One], None]) -> None:
@@ -51,26 +50,26 @@ class Places(Generic[One]):
             self._lose(lost)
 
     def leave(self, one: One) -> None:
-        """Remove the member `one`, if it is a member."""
+        """Remove `one` from the members, if it is a member."""
         self._taken.pop(one, None)
 
 
 class Allowance:
-    """Rate limit of one socket: `MOST_A_SECOND` messages a second, and as many in one burst."""
+    """Rate limit of one socket: `MOST_A_SECOND` messages a second on average, and as many in one burst."""
 
     def __init__(self) -> None:
-        self._left, self._counted = MOST_A_SECOND, time.monotonic()
+        self._tokens, self._counted = MOST_A_SECOND, time.monotonic()
 
     def take(self) -> bool:
-        """Count a message. Return False if it exceeds the rate limit."""
+        """Count a message; return False if the message exceeds the rate limit."""
         now = time.monotonic()
-        self._left = min(MOST_A_SECOND, self._left + (now - self._counted) * MOST_A_SECOND) - 1.0
+        self._tokens = min(MOST_A_SECOND, self._tokens + (now - self._counted) * MOST_A_SECOND) - 1.0
         self._counted = now
-        return self._left >= 0.0
+        return self._tokens >= 0.0
 
 
 class Knocking(ServerConnection):
-    """A connection whose token is not checked yet. It is aborted after `DOOR_S` unless `let_in` is called."""
+    """A connection whose token is not checked yet; the server aborts it after `DOOR_S` (s) unless it calls `let_in`."""
 
     def __init__(self, door: Places[Knocking], *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -78,13 +77,13 @@ class Knocking(ServerConnection):
         self._head: bytearray | None = bytearray()  # None: it has been let in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """See `asyncio.Protocol.connection_made`."""
+        """Start the timeout of the connection; asyncio calls this when the connection is open."""
         super().connection_made(transport)
         self._due = self.loop.call_later(DOOR_S, self.transport.abort)
         self._door.hear(self)
 
     def data_received(self, data: bytes) -> None:
-        """Pass one complete HTTP head to the library; abort a connection that sends more before it has been let in."""
+        """Pass one complete HTTP head to websockets; abort a connection that sends more before its token is checked."""
         if self._head is not None:
             self._head += data
             end = self._head.find(HEAD_END)
@@ -97,27 +96,27 @@ class Knocking(ServerConnection):
         super().data_received(data)
 
     def let_in(self) -> None:
-        """Remove the limits of this connection: its token was right."""
+        """Remove the limits of this connection, because its token is valid."""
         self._head = None
         self.leave_door()
 
     def leave_door(self) -> None:
-        """Free the connection's place, and cancel its timeout."""
+        """Cancel the connection's timeout, and stop counting it among the connections without a checked token."""
         self._due.cancel()
         self._door.leave(self)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """See `asyncio.Protocol.connection_lost`."""
+        """Stop the timeout of the connection; asyncio calls this when the connection is closed."""
         self.leave_door()
         super().connection_lost(error)
 
 
 def let_in(socket: ServerConnection) -> None:
-    """Remove the limits of a connection that `door` made: its token was right."""
+    """Remove the limits of a connection of class `Knocking`, because its token is valid."""
     assert isinstance(socket, Knocking)
     socket.let_in()
 
 
 def door() -> Any:
-    """Return a constructor of connections that share `MOST_AT_DOOR` places; `serve` uses it for `ServerConnection`."""
+    """Return the class argument of `websockets.serve`: it creates connections that share the `MOST_AT_DOOR` limit."""
     return partial(Knocking, Places[Knocking](MOST_AT_DOOR, lambda socket: socket.transport.abort()))

@@ -1,4 +1,4 @@
-"""``rig console``."""
+"""Command ``rig console``: operate a rig in the browser."""
 
 from __future__ import annotations
 

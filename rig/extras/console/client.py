@@ -1,4 +1,4 @@
-"""The queue of messages to one page: bounded in memory, however slowly the page reads.
+"""The queue of messages to one page: limited in memory, even if the page reads slowly.
 
 A page that reads slowly receives the newest state and few long frames of its scope. It delays no other page.
 """
@@ -22,18 +22,18 @@ MOST_REPLIES = 200  # that wait for a page: more, and it is cut off
 
 
 class Client:
-    """A page that has shown the token.
+    """A connected page whose token was valid, with its queue of messages.
 
     Attributes
     ----------
     name
         Random name that the page chose; its two sockets give the same name.
     participant
-        Whether it is a participant's screen, which shows and requests only what a participant may know.
+        True for a participant's screen, which shows and requests only what a participant may know.
     shown, paused
-        Columns, window and trigger of its scope, and whether the scope is paused.
+        Columns, window and trigger of the page's scope, and True if the scope is paused.
     allowance
-        Rate limit of the messages that it sends.
+        Rate limit of the messages that the page sends.
     """
 
     def __init__(self, socket: ServerConnection, name: str, *, participant: bool = False) -> None:
@@ -47,7 +47,7 @@ class Client:
         self.allowance = Allowance()
 
     def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
-        """Queue the result or the error of a numbered request."""
+        """Queue the result or the error of the request that the page numbered `number`."""
         answer = {"say": "answer", "to": number}
         answer |= {"result": plain(result)} if error is None else {"error": error.as_mapping()}
         self.put(json.dumps(answer))
@@ -61,24 +61,24 @@ class Client:
         self._wake.set()
 
     def put_newest(self, message: Mapping[str, Any]) -> None:
-        """Queue a message. It replaces an unsent message with the same value of "say"."""
+        """Queue a message that replaces an unsent message with the same value of the key "say"."""
         self._newest[str(message["say"])] = json.dumps(plain(message))
         self._wake.set()
 
     def compiles(self, busy: bool) -> None:
-        """Report to the page that machine code for its reply is being compiled (`busy`), or that it is ready."""
+        """Report to the page that machine code for its request is being compiled (`busy`), or is ready."""
         self.put_newest({"say": "compiling", "busy": busy})
 
     def show(
         self, followed: Followed | None, shown: ViewRequest | None = None, *, paused: bool | None = None
     ) -> None:
-        """Set the loop, the columns or the pause of the page's scope; None leaves `shown` or `paused` unchanged."""
+        """Set the control loop, columns or pause of the page's scope; None leaves `shown` or `paused` unchanged."""
         self.shown = shown or self.shown
         self.paused = self.paused if paused is None else paused
         self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
 
     def wake(self) -> None:
-        """Wake `send`, so that it sends new rows of the history."""
+        """Wake the task `send`, so that it sends new rows of the history."""
         self._wake.set()
 
     async def send(self) -> None:
@@ -94,7 +94,7 @@ class Client:
                 await self._socket.send(frame)
 
     def _frames(self) -> list[bytes]:
-        """Return the scope's unsent frames. An error here disables only this page's scope."""
+        """Return the scope's unsent frames; an error disables only this page's scope."""
         if self._view is None or self.paused:
             return []
         try:
@@ -106,11 +106,11 @@ class Client:
 
 
 def trouble(error: RigError) -> str:
-    """Return the message that reports an error to a page outside of any request."""
+    """Return the JSON message that reports an error to a page outside of any request."""
     return json.dumps({"say": "trouble", "message": str(error)})
 
 
 def defect(do: str, error: BaseException) -> RigError:
-    """Return the error that a page shows for a defect of this program; print its traceback in the terminal."""
+    """Return the error that a page shows for a bug in the action `do`; print the traceback in the terminal."""
     traceback.print_exception(error)
     return RigError(f"{do}: {error!r}", remedy="report it with the traceback in the console's terminal")

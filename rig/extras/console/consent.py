@@ -1,7 +1,7 @@
-"""The lines that a person at the rig confirms: the terminal and the page that requests the run show the same lines.
+"""The lines that a person at the rig confirms before it is armed; the terminal and the requesting page show the same.
 
 One line is a digest of all settings that decide what the rig does, so that the person and the operator can check that
-both mean the same run. The job refuses to start if the digest has changed, for example because a file was edited.
+they mean the same run. The job refuses to start if the digest has changed, for example because a file was edited.
 """
 
 from __future__ import annotations

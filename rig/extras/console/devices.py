@@ -22,12 +22,12 @@ from rig.extras.console.talk import Talk
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskDevices(Request):
-    """Request the connected devices, and the faults that a device can report."""
+    """Request the list of connected devices, and of the faults that a device can report."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Examine(Request):
-    """Request an examination of this computer and, if `url` is not empty, of that device; nothing moves."""
+    """Request an examination of this computer and, if `url` is not empty, of the device at `url`; nothing moves."""
 
     rig: Name = "koul-compliant"
     url: Name = ""
@@ -35,13 +35,13 @@ class Examine(Request):
 
 
 class Devices(Service):
-    """See the module."""
+    """Service for requests about devices."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of requests about devices; see `Service.handlers`."""
         return {"devices": (AskDevices, self._devices), "examine": (Examine, self._examine)}
 
     async def _devices(self, client: Client, request: AskDevices) -> Any:
@@ -57,7 +57,7 @@ class Devices(Service):
 
 
 def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run the examination job; return its items for the page, and its error, or None."""
+    """Examine computer and device as a job; return ``items`` for the page, and ``error``, a text or None."""
     url = str(content["url"])
     question = ExaminationRequest(
         experiment=experiment_of(content),

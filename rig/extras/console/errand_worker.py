@@ -1,4 +1,4 @@
-"""The process that runs errands (`rig.extras.console.errands`).
+"""The process that runs errands: it reads, draws and computes for a page (`rig.extras.console.errands`).
 
 ``python -P -m rig.extras.console errands``: each line of standard input is an errand. Its reply is one line, with the
 result and the number of bytes that follow, or with the error. The process ends when its input ends.
@@ -39,7 +39,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 
 
 def main() -> None:
-    """Run the errands from standard input until it ends."""
+    """Run the errands that arrive on standard input, one a line, until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     compiling.listen(lambda busy: _write_message(answers, {"compiling": busy}))

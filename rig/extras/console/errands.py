@@ -1,7 +1,8 @@
-"""Errands: reading, drawing and computing for a page in other processes, so that a STOP never waits for the server.
+"""Run errands (reading, drawing and computing for a page) in other processes, so that a STOP never waits for them.
 
 At most `MOST` processes (`rig.extras.console.errand_worker`) are started when they are needed. Each runs one errand at
-a time and caches the files that it has read. They end with the server, also if it is killed, because their input ends.
+a time and caches the files that it has read. The processes end with the server, also if the server is killed, because
+their input ends.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ END_S = 2.0
 
 
 class Errands:
-    """Run errands in a pool of processes; the server closes it."""
+    """Pool of processes that run errands; the server must close it."""
 
     def __init__(self) -> None:
-        self._room = asyncio.Semaphore(MOST)
+        self._free_processes = asyncio.Semaphore(MOST)
         self._idle: list[asyncio.subprocess.Process] = []
         self._all: set[asyncio.subprocess.Process] = set()
 
     async def run(
         self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
     ) -> tuple[Any, bytes]:
-        """Run one of `rig.extras.console.errand_worker.ERRANDS`; return its result and its bytes, which may be empty.
+        """Run an errand, one of `rig.extras.console.errand_worker.ERRANDS`, with the arguments `content`.
 
-        `compiling` is called with True when a compilation begins, and with False when it ends. Raises `RigError` if
-        the errand fails or its process dies.
+        Return its result and its bytes, which may be empty. `compiling` is called with True when a compilation begins,
+        and with False when it ends. Raises `RigError` if the errand fails or its process dies.
         """
-        async with self._room:
+        async with self._free_processes:
             process = self._idle.pop() if self._idle else await self._start()
             try:
                 answer, data = await _request(process, {"errand": errand, "content": content}, compiling)
@@ -50,7 +51,7 @@ class Errands:
         return answer["result"], data
 
     async def close(self) -> None:
-        """Kill all background processes; none holds unsaved data."""
+        """Kill all processes of the pool; none has unsaved data."""
         for process in tuple(self._all):
             await self._end(process)
 

@@ -1,4 +1,4 @@
-"""Find the control loops that run on this computer, and read the rows of one of them."""
+"""Find the control loops that run on this computer, and read the rows (one for each tick) of one loop."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COUNTERS = {
 
 
 class Followed:
-    """A control loop whose rows are read; of its shared memory only the stop word is ever written.
+    """A control loop whose rows are read from shared memory; only its stop word is ever written.
 
     Attributes
     ----------
@@ -56,21 +56,21 @@ class Followed:
         self.ended = False
 
     def poll(self) -> None:
-        """Read the new rows into the history, and check whether the loop has ended."""
+        """Read the loop's new rows into the history, and check whether the loop has ended."""
         done = self._ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self.history.add(self._reader.new())
         self.ended = done
 
     def stop(self) -> None:
-        """Set the loop's stop word: the effort becomes zero within one tick."""
+        """Write the loop's stop word: the effort becomes zero within one tick."""
         self._ring.put(STOP, -os.getpid())
 
     def changed(self) -> bool:
-        """Return True if the loop's info has changed since the last call."""
+        """Return True if the facts that the loop publishes have changed since the last call."""
         return self._look_at_info()
 
     def state(self) -> dict[str, Any]:
-        """Return phase, counters, end reason and newest values of the loop, as plain values."""
+        """Return phase, counters, end reason and newest values (SI) of the loop, for JSON."""
         ring, newest = self._ring, self.history.raw(self.history.rows - 1, self.history.rows)
         state = {
             "pid": self.pid,
@@ -95,7 +95,7 @@ class Followed:
         return state
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the run (process, rate, experiment, recording) as plain values."""
+        """Return the facts about the run (process, rate, experiment, recording), for JSON."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -119,25 +119,27 @@ class Followed:
 
 
 def attach(loop: RunningLoop, history: History) -> Followed | None:
-    """Begin to read a loop. Return None if it has just ended, or was started by another version of this package."""
+    """Begin to read a loop; return None if the loop has just ended, or has another version of the memory layout."""
     with suppress(OSError, RigError):
         return Followed(loop, history) if loop.version == LAYOUT_VERSION else None
     return None
 
 
 def _rate_of(info: Mapping[str, Any]) -> float:
-    """Return the rows a second (Hz). Raise `RigError` if the loop's info contains no valid rate."""
+    """Return the rate of the rows (Hz) from a loop's facts; raise `RigError` if it is not valid."""
     try:
         rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
     except (AttributeError, TypeError, ValueError):
         rate = math.nan
     if not 0.0 < rate < math.inf:
-        raise RigError("a running loop reports no valid position rate", remedy="stop it: rig stop")
+        raise RigError(
+            "a running control loop reports no valid position rate (Hz)", remedy="stop it: rig stop"
+        )
     return rate
 
 
 def newest(pid: int | None = None) -> RunningLoop | None:
-    """Return the loop that began last, of all processes or of process `pid`; None if no loop is running."""
+    """Return the loop that started last, of all processes or of process `pid`; None if no loop runs."""
     found = [loop for loop in running() if pid in (None, loop.pid)]
     return found[-1] if found else None
 

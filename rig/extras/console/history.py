@@ -1,7 +1,8 @@
-"""The last minute or more of a loop in a memory of fixed size: the newest rows completely, older rows in buckets.
+"""The last minute or more of a control loop in a memory of fixed size.
 
-A bucket stores the least and the greatest value of each column over `BUCKET` rows, so that no spike is lost when a
-minute at 20 kHz is drawn as a thousand points.
+The newest rows (one for each tick) are stored completely, older rows in buckets. A bucket stores the least and the
+greatest value of each column over `BUCKET` rows, so that no spike is lost when a minute at 20 kHz is drawn as a
+thousand points.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _PLACES = {name: place for place, name in enumerate(NAMES)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HistoryExcerpt:
-    """Points of some columns over a range of rows.
+    """Points of some columns over a range of rows, for a scope.
 
     Attributes
     ----------
@@ -46,12 +47,12 @@ class HistoryExcerpt:
 
 
 class History:
-    """Rows of one loop, numbered from 0 in the order of arrival.
+    """Rows of one control loop, numbered from 0 in the order of arrival.
 
     Attributes
     ----------
     rows
-        Number of rows so far.
+        Number of rows that have arrived.
     start_ns
         Time of the first row (ns, device clock).
     """
@@ -64,7 +65,7 @@ class History:
         self.clear()
 
     def clear(self) -> None:
-        """Discard all rows; call it before another loop is followed."""
+        """Discard all rows; call this before the rows of another loop are added."""
         self.rows = 0
         self._buckets = 0
         self.start_ns = 0
@@ -92,15 +93,15 @@ class History:
 
     @property
     def oldest_row(self) -> int:
-        """Return the number of the oldest row that is stored completely, not only in a bucket."""
+        """Number of the oldest row that is stored completely, not only in a bucket."""
         return max(0, self.rows - len(self._raw))
 
     def raw(self, first: int, last: int) -> NDArray[np.void]:
-        """Return a copy of rows `first` to `last` - 1, without those that are no longer stored completely."""
+        """Return a copy of the rows from `first` to `last` - 1 that are still stored completely."""
         return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
 
     def row_at(self, seconds: float) -> int:
-        """Return the number of the row at `seconds` (s since the first row); the nearest stored one, to a bucket."""
+        """Return the row at `seconds` (s since the first row), rounded up to a stored bucket; at most `rows`."""
         if self._buckets == 0 or seconds >= self._newest_s():
             return self.rows
         kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)
@@ -111,7 +112,7 @@ class History:
         return float(self._seconds(self._raw[row % len(self._raw)][np.newaxis])[0])
 
     def received_at(self, row: int) -> float | None:
-        """Return the time at which the host received a row (ms since 1970); None if no such row was received yet."""
+        """Return the time at which the host received a row (ms since 1970); None if the row has not arrived."""
         if not 0 <= row < self.rows:
             return None
         age_ns = time.monotonic_ns() - int(self._raw["received_at"][row % len(self._raw)])
@@ -125,7 +126,7 @@ class History:
         return self.seconds_at(self.rows - 1)
 
     def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
-        """Return points of some columns from row `first` to `last` - 1, each over `step` rows.
+        """Return points of some columns from row `first` to `last` - 1, each point over `step` rows.
 
         Only complete points are returned. If rows are stored only in buckets, `step` is rounded up to whole buckets.
         Rows that are in no bucket any more are left out.

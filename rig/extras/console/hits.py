@@ -1,4 +1,4 @@
-"""Jobs that hit a wall: by the motor, or by a person who drags the handle of a simulated rig."""
+"""Jobs that hit a wall with a rig: pushed by the motor, or by a person who drags the handle of a simulated rig."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ SIMULATED = "sim://"
 
 
 def experiment_of(content: Mapping[str, Any]) -> Experiment:
-    """Return the experiment of the rig that a page names: a built-in rig or a file."""
+    """Return the experiment named by ``content["rig"]``: a built-in rig or a file."""
     return presets.load_named(str(content.get("rig") or "koul-compliant"))
 
 
 def apply_changes(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """Return the experiment in real time with a page's changes; raise `RigError` if a key or value is wrong."""
+    """Return the experiment in real time with a page's changes; raise `RigError` if a key or value is not valid."""
     found = config.with_realtime(experiment, changes)
     for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
     return found
 
 
 def describe_rig(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the experiment with a page's changes as a mapping, and its digest."""
+    """Return ``experiment`` (all settings, with a page's changes) and its ``digest``, for JSON."""
     experiment = apply_changes(experiment_of({"rig": rig}), changes)
     return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
 
@@ -60,7 +60,10 @@ def short(data: bytes) -> str:
 
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run a hit in real time. Raise `ConfigError` if the experiment is not the one that was agreed to."""
+    """Run a hit in real time as a job; return its results.
+
+    Raise `ConfigError` if the experiment has changed since a person at the rig confirmed it.
+    """
     experiment, changes = experiment_of(content), dict(content.get("changes") or {})
     agreed = content.get("digest")
     if agreed is not None and agreed != digest_of(apply_changes(experiment, changes)):
@@ -72,7 +75,7 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
 
 
 def play(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run a simulated rig whose handle a person drags; the page writes the motion to the file `hand`."""
+    """Run a simulated rig whose handle a person drags; the page writes the hand's position to a shared file."""
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
         raise ConfigError(

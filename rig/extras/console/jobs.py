@@ -1,4 +1,4 @@
-"""Jobs of a console: one at a time, each in a process (`rig.extras.console.worker`) that ends with the console."""
+"""Jobs of a console (runs, sessions, maps): one at a time, each in a process that ends with the console."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
 
 
 class Job:
-    """A running job.
+    """A running job and its process (`rig.extras.console.worker`).
 
     Attributes
     ----------
     name, content
-        Name of the job (`rig.extras.console.worker.JOBS`), and its arguments.
+        Name of the job, a key of `rig.extras.console.worker.JOBS`, and its arguments.
     is_detached
-        Whether the job continues after its operator has left.
+        True if the job continues after its operator has left.
     asks
-        Whether the job asks the operator after a STOP how to continue, instead of ending.
+        True if the job asks the operator after a STOP how to continue, instead of ending.
     """
 
     def __init__(
@@ -46,17 +46,17 @@ class Job:
         self._process = process
         self._interrupted = False
         # Read from the start: a full pipe stops its writer.
-        self._complaint = asyncio.create_task(self._complaints())
+        self._last_error_line = asyncio.create_task(self._read_last_error_line())
 
     @property
     def pid(self) -> int:
-        """Return the id of the job's process, which runs its loops."""
+        """Id of the job's process, which runs its control loops."""
         return self._process.pid
 
     def end(self) -> None:
-        """Set the stop word of the job's loops, or interrupt the job if no loop runs yet. Never waits.
+        """Set the stop word of the job's control loops, or interrupt the job if no loop runs yet. Never waits.
 
-        A job that `asks` receives a stop message instead of the interrupt, and continues as the operator then decides.
+        A job that `asks` receives a stop message instead of the interrupt, and continues as the operator decides.
         """
         loops = ask_to_stop(self.pid)
         if self.asks:
@@ -67,18 +67,18 @@ class Job:
                 self._process.send_signal(signal.SIGINT)
 
     def answer(self, value: Any) -> None:
-        """Send a message, such as an answer, to the job's standard input."""
+        """Send a message, such as the operator's answer to a question, to the job's standard input."""
         assert self._process.stdin is not None
         if not self._process.stdin.is_closing():
             self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
     def beat(self) -> None:
-        """Send a heartbeat: the console still runs."""
+        """Send a heartbeat to the job, which reports that the console still runs."""
         if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
             self._process.stdin.write(b"\n")
 
     async def follow(self, tell: Callable[[Mapping[str, Any]], None]) -> int:
-        """Pass the job's messages to `tell` until its process has ended; return the exit code."""
+        """Call `tell` with each message of the job until its process has ended; return the exit code."""
         assert self._process.stdout is not None
         has_ended = False
         async for line in self._process.stdout:
@@ -87,7 +87,7 @@ class Job:
                 tell(message)
         code = await self._process.wait()
         if not has_ended:
-            why = await self._complaint
+            why = await self._last_error_line
             if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
                 error: RigError = StoppedError("stopped before anything moved")
             else:
@@ -96,7 +96,7 @@ class Job:
         return code
 
     async def close(self) -> None:
-        """End the job; kill its process if it has not ended after `END_S`."""
+        """End the job; kill its process if it has not ended after `END_S` (s)."""
         if self._process.returncode is None:
             self.end()
             if self.asks and self._process.stdin is not None:
@@ -108,8 +108,8 @@ class Job:
                 self._process.kill()
                 await self._process.wait()
 
-    async def _complaints(self) -> str:
-        """Return the last line that the process prints on standard error, once it has ended."""
+    async def _read_last_error_line(self) -> str:
+        """Read standard error until the process ends; return its last line, which is the reason of a crash."""
         assert self._process.stderr is not None
         kept = b""
         while data := await self._process.stderr.read(TAIL_BYTES):
@@ -119,7 +119,7 @@ class Job:
 
 
 def _message(line: bytes) -> dict[str, Any] | None:
-    """Return the message in a line of output; None for other output, such as that of a library."""
+    """Return the message in a line of the job's output; None if the line is other output, such as a library's."""
     try:
         found = json.loads(line)
     # Lists within lists, a few kilobytes of brackets, exhaust the parser's recursion.
@@ -129,12 +129,12 @@ def _message(line: bytes) -> dict[str, Any] | None:
 
 
 class Jobs:
-    """Start jobs; only one runs at a time.
+    """Starter of jobs; only one job runs at a time.
 
     Parameters
     ----------
     tell
-        Called with the job and each of its messages; the last one reports its end.
+        Called with the job and each of its messages; the last message reports its end.
     """
 
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
@@ -148,7 +148,7 @@ class Jobs:
     async def start(
         self, name: str, content: Mapping[str, Any], *, is_detached: bool = False, asks: bool = False
     ) -> Job:
-        """Start the job `name`, one of `rig.extras.console.worker.JOBS`.
+        """Start the job `name`, one of `rig.extras.console.worker.JOBS`; the flags are those of `Job`.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class Jobs:
         return job
 
     def end(self) -> None:
-        """End the running job, or the job that is just being started; see `Job.end`."""
+        """End the running job, or the job whose process is just being started; see `Job.end`."""
         self._stops += 1
         if self.running is not None:
             self.running.end()
@@ -200,7 +200,7 @@ class Jobs:
             self.running.beat()
 
     async def close(self) -> None:
-        """End the running job, unless it is detached, and refuse to start another."""
+        """End the running job, unless it is detached, and refuse to start further jobs."""
         self._closed = True
         self._stops += 1
         if self.running is not None and not self.running.is_detached:

@@ -1,7 +1,7 @@
-"""Decide which page operates: one page, while its heartbeats arrive; the other pages only watch.
+"""Decide which page operates the rig: one page, while its heartbeats arrive; the other pages only watch.
 
-The server calls `expire` every `LOOK_S`. A web worker of the page sends the heartbeats, because browsers throttle the
-timers of hidden pages. It sends them only while the page itself replies to the worker.
+The server calls `Lease.expire` every `LOOK_S` (s). A web worker of the page sends the heartbeats, because browsers
+throttle the timers of hidden pages. The worker sends them only while the page itself replies to the worker.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ LOOK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class LeaseState:
-    """The page that operates (None: no page), and whether its heartbeat is overdue."""
+    """Name of the page that operates (None: no page), and True if its heartbeat is overdue."""
 
     by: str | None
     overdue: bool
 
 
 class Lease:
-    """The right to operate, which one page has at a time.
+    """The right to operate the rig, which one page has at a time.
 
     Parameters
     ----------
@@ -36,19 +36,19 @@ class Lease:
         self._now = now
         self._by: str | None = None
         self._last_beat_s = 0.0
-        self._looked = now()
-        self._doubted = False  # a late look has found it silent
+        self._last_call_s = now()
+        self._found_silent_late = False  # a late call of `expire` found the page silent
 
     def take(self, client: str) -> bool:
         """Make `client` the operator if no page operates. Return True if `client` operates now."""
         if self._by is None:
-            self._by, self._last_beat_s, self._doubted = client, self._now(), False
+            self._by, self._last_beat_s, self._found_silent_late = client, self._now(), False
         return self._by == client
 
     def beat(self, client: str) -> None:
-        """Note a heartbeat of `client`; it is ignored unless `client` operates."""
+        """Note a heartbeat of `client`; ignore it if `client` does not operate."""
         if client == self._by:
-            self._last_beat_s, self._doubted = self._now(), False
+            self._last_beat_s, self._found_silent_late = self._now(), False
 
     def release(self, client: str) -> None:
         """End the lease of `client`, if it operates."""
@@ -60,18 +60,19 @@ class Lease:
         return LeaseState(self._by, self._by is not None and self._now() - self._last_beat_s > BEAT_S)
 
     def expire(self) -> str | None:
-        """End the lease of a page that was silent for more than `LOST_S`; return the page's name once, else None.
+        """End the lease of a page that was silent for more than `LOST_S` (s); return the page's name once, else None.
 
-        Call it every `LOOK_S`. After a late call the lease ends one call later, so that waiting heartbeats can be read.
+        Call this every `LOOK_S`. After a late call the lease ends one call later, so that waiting heartbeats can be
+        read.
         """
         now = self._now()
-        late, self._looked = now - self._looked > 2.0 * LOOK_S, now
+        late, self._last_call_s = now - self._last_call_s > 2.0 * LOOK_S, now
         if self._by is None or now - self._last_beat_s <= LOST_S:
             return None
         # A server that looks late did not listen either, and beats may wait in its socket: look once more. One that is
         # later than `rig.extras.console.talk.SILENT_S` is taken to hang by the job itself.
-        if late and not self._doubted:
-            self._doubted = True
+        if late and not self._found_silent_late:
+            self._found_silent_late = True
             return None
         gone, self._by = self._by, None
         return gone

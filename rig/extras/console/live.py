@@ -1,4 +1,4 @@
-"""The live view: the control loop that is followed, and what each page's scope shows of it."""
+"""The live view: choose the control loop that the pages follow, and send its rows and state to the pages' scopes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DEFECT_S = 10.0  # between two words on the same defect
 
 
 class Live(Service):
-    """See the module.
+    """Service for the live view, and owner of the followed control loop.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Live(Service):
         self._defects: dict[str, float] = {}  # when each was last reported (s)
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of the live view's requests; see `Service.handlers`."""
         return {
             "stop": (asked.Stop, self._stop),
             "show": (asked.Show, self._show),
@@ -59,7 +59,7 @@ class Live(Service):
         }
 
     def greet(self, client: Client) -> None:
-        """See `Service.greet`."""
+        """Send the followed loop to a newly connected page."""
         client.show(self._followed)
         self._send_loop(client)
 
@@ -69,7 +69,10 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every loop of this user, first of the followed loop and the job, without a search."""
+        """Set the stop word of every control loop of this user.
+
+        The followed loop and the job are stopped first, because finding all other loops takes time.
+        """
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
         self._shared.jobs.end()
@@ -91,7 +94,7 @@ class Live(Service):
         )
 
     async def _cut(self, client: Client, request: asked.Cut) -> object:
-        """Save a time span from the recording file, since the history does not contain all rows at full rate."""
+        """Save a time span of the recording file; the history does not contain all rows at full rate."""
         self._shared.must_operate(client)
         followed = self._followed
         recorded = None if followed is None else followed.info.get("recording")
@@ -114,19 +117,19 @@ class Live(Service):
         await self.search()
 
     def looked_at(self) -> Followed:
-        """Return the loop that is followed. Raise `ConfigError` if no loop is running."""
+        """Return the control loop that is followed; raise `ConfigError` if no loop runs."""
         if self._followed is None or self._followed.ended:
-            raise ConfigError("no loop is running", remedy="start a run first")
+            raise ConfigError("no control loop is running", remedy="start a run first")
         return self._followed
 
     def look_at_newest(self) -> None:
-        """Follow whichever loop begins next."""
+        """Forget the page's choice of a control loop, so that the loop that started last is followed."""
         self._pid = None
 
     # Periodic tasks.
 
     async def every_frame(self) -> None:
-        """Read new rows and wake the pages' senders, sixty times a second."""
+        """Read new rows and wake the pages' senders sixty times a second; runs as a task until cancelled."""
         due = 0.0
         while True:
             with self._surviving("reading the followed loop"):
@@ -155,7 +158,7 @@ class Live(Service):
             raise
 
     async def every_search(self) -> None:
-        """Search for a loop to follow every `SEARCH_S`."""
+        """Search for a control loop to follow every `SEARCH_S` (s); runs as a task until cancelled."""
         while True:
             with self._surviving("searching for loops"), suppress(OSError):
                 await self.search()  # out of descriptors, perhaps because of another program: try again
@@ -163,7 +166,10 @@ class Live(Service):
 
     @contextmanager
     def _surviving(self, what: str) -> Iterator[None]:
-        """Report an exception to the pages, at most once per `DEFECT_S`; the server must survive to receive a STOP."""
+        """Report an exception to the pages, at most once per `DEFECT_S` (s), without raising it.
+
+        The server must survive a bug in the live view, because it must receive a STOP.
+        """
         try:
             yield
         except Exception as error:
@@ -173,7 +179,7 @@ class Live(Service):
                 self._shared.report_trouble(defect(what, error))
 
     async def search(self) -> None:
-        """Follow the loop that the page or the job wants. Follow no loop while the operator must not see the wall."""
+        """Follow the loop of the job, or the loop that a page chose; none while the operator must not see the wall."""
         if self._shared.blinded:
             self._withhold()
             return
@@ -248,7 +254,7 @@ class Live(Service):
                 client.put(message)
 
     async def close(self) -> None:
-        """See `Service.close`."""
+        """Release the followed loop and cancel the service's tasks."""
         self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()

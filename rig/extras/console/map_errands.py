@@ -1,4 +1,4 @@
-"""Errands about maps: the list, the plan of one, new cells of its journal, theory, and recordings of single hits."""
+"""Errands about stiffness maps: list maps, describe one, read new results and theory, find a hit's recording."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def describe_map(directory: str) -> dict[str, Any]:
-    """Return the axes and schemes of a map, and the number and weight of its tasks."""
+    """Return axes, schemes and units of a map, with the relative cost of each scheme."""
     path = Path(directory)
     plan, _ = _plan(path)
     experiment = plan.experiment
@@ -108,7 +108,10 @@ def describe_map(directory: str) -> dict[str, Any]:
 
 
 def growth(directory: str, place: int) -> dict[str, Any]:
-    """Return the columns since byte offset `place` of the journal, the new offset, and the state of the map."""
+    """Read the map's journal (one line per finished column) from the byte offset `place` on.
+
+    Return the new columns, the new offset, and the state of the map: "running", "finished" or "stopped".
+    """
     path = Path(directory)
     plan, _ = _plan(path)
     state = _state(path)  # before the journal: of a finished map all is read
@@ -142,7 +145,7 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """Return the index in `KINDS` of a hit by one criterion: stable, limit cycle, unstable or invalid."""
+    """Return the index in `KINDS` (stable, limit cycle, unstable, invalid) of a hit by one criterion."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -167,7 +170,7 @@ def _impedances(plan: FrequencyPlan, key: str, rows: list[dict[str, Any]]) -> di
 
 
 def theory(directory: str) -> list[dict[str, Any]]:
-    """Return curves of linear theory: index of the scheme, name, dampings and stiffnesses (SI)."""
+    """Return the curves of linear theory for a map: index of the scheme, name, dampings and stiffnesses (SI)."""
     plan, _ = _plan(Path(directory))
     if isinstance(plan, FrequencyPlan):
         return [
@@ -182,17 +185,21 @@ def theory(directory: str) -> list[dict[str, Any]]:
 
 
 def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
-    """Return the recording of one hit: the stored one of a device's map; for a simulated map the hit is repeated.
+    """Return name and map of the recording of one hit; a hit of a simulated map is repeated and recorded in `output`.
+
+    `key` names the series of the hit.
 
     Raises
     ------
     ConfigError
-        The map has no such hit, or only impedances.
+        The map has no such hit, or contains impedances instead of hits.
     """
     path = Path(directory)
     plan, device = _plan(path)
     if isinstance(plan, FrequencyPlan):
-        raise ConfigError("a map in frequency has no hits", remedy="measure a single wall: rig impedance")
+        raise ConfigError(
+            "this map has impedances and no hits", remedy="measure a single wall: rig impedance"
+        )
     row = next(
         (
             row

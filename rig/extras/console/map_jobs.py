@@ -1,4 +1,4 @@
-"""Job that maps a simulated rig like ``rig zwidth``; the page reads the results in the directory of the map."""
+"""The job that maps a simulated rig like ``rig zwidth``; the page reads the results in the directory of the map."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rig.extras.console.talk import Talk
 
 
 def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Map hits or impedances (`rig.extras.console.maps.RunMap`); return the name of the map."""
+    """Map hits or impedances of a simulated rig as `rig.extras.console.maps.RunMap` requests; return the map's name."""
     experiment = config.override(experiment_of(content), content["changes"], "the page")
     frequency = content["domain"] == "frequency"
     plan = _impedances(experiment, content) if frequency else MapRequest(**_fields(content)).plan(experiment)

@@ -1,8 +1,7 @@
-"""The page's view of maps: it shows the maps of a directory, from any program, and updates them from their journals.
+"""The page's view of stiffness maps: show maps that any program wrote, and update them from their journals.
 
-A map that a page starts is a job like others (`rig.extras.console.map_jobs`), whose cells are also read from the
-directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each
-hit.
+A map that a page starts is a job like others (`rig.extras.console.map_jobs`), whose results are also read from the
+directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each hit.
 """
 
 from __future__ import annotations
@@ -47,12 +46,12 @@ class RunMap(Request, MapRequest):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EndMap(Request):
-    """Request the end of the running map. Finished cells are kept, and a repeated request continues after them."""
+    """Request the end of the running map. Finished results are stored, and a repeated request continues the map."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WatchMap(Request):
-    """Request a map and its updates while it grows; an empty name ends the updates."""
+    """Request a map and updates while it is being measured; an empty name ends the updates."""
 
     map: Name
 
@@ -66,7 +65,7 @@ class AskTheory(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskHit(Request):
-    """Request the recording of one hit of a map: `key` of its series, and its stiffness (N/m or N·m/rad)."""
+    """Request the recording of one hit of a map, by `key` of its series and stiffness (N/m or N·m/rad)."""
 
     map: Name
     key: Name
@@ -76,6 +75,8 @@ class AskHit(Request):
 @dataclass(slots=True)
 class Watched:
     """A map that at least one page shows.
+
+    A *column* has the results of all stiffnesses at one damping, for one scheme, encoder offset and repeat.
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ class Watched:
 
     @property
     def total(self) -> int:
-        """Return the number of columns of the complete map, over all schemes."""
+        """Number of columns of the complete map, over all schemes, encoder offsets and repeats."""
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
@@ -111,7 +112,7 @@ class Watched:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
     def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
-        """Return a message with `columns` and the map's progress; `anew`: they replace all columns of the page."""
+        """Return a JSON message with `columns` and the map's progress; `anew`: the page must discard older columns."""
         return json.dumps(
             {
                 "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,
@@ -124,7 +125,7 @@ class Watched:
         return float(sum(schemes[column["scheme"]]["weight"] for column in self.columns))
 
     def _left_s(self, now_s: float) -> float | None:
-        """Return the remaining time (s) at the mean speed so far; None if the map is not running or no column came."""
+        """Return the remaining time (s) at the mean speed so far; None if the map does not run, or is too new."""
         came, each = (
             self._weight() - self.begun_weight,
             len(self.facts["dampings"]) * len(self.facts["stripes"]),
@@ -136,7 +137,7 @@ class Watched:
 
 
 class MapService(Service):
-    """See the module."""
+    """Service for requests about stiffness maps."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
@@ -144,7 +145,7 @@ class MapService(Service):
         self._watched: dict[str, Watched] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of requests about maps; see `Service.handlers`."""
         return {
             "maps": (AskMaps, self._list),
             "map-run": (RunMap, self._run),

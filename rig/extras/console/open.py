@@ -31,7 +31,9 @@ def open_console(
     output: str | Path = "recordings",
     announce: Callable[[str], None] = print,
 ) -> None:
-    """Serve the page on loopback until Ctrl-C; for the arguments see `rig.extras.console.server.ConsoleSettings`.
+    """Serve the page on this computer until Ctrl-C.
+
+    The arguments are those of `rig.extras.console.server.ConsoleSettings`.
 
     Raises
     ------
@@ -52,10 +54,11 @@ def open_console(
 
 
 def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
-    """Serve until a signal sets the event. Exit the process if it has not ended `END_S` after the signal.
+    """Run `serve` with an event, and set the event on a signal such as Ctrl-C.
 
-    Otherwise a thread that waits for a missing disk would keep the process running for ever. By then every loop has
-    received its stop word, and each job's process completes its own recording.
+    Exit the process if it has not ended `END_S` (s) after the signal: otherwise a thread that waits for a missing disk
+    would keep it running for ever. By then every control loop has received its stop word, and each job's process
+    completes its own recording.
     """
     late = threading.Timer(END_S, _leave)
     late.daemon = True

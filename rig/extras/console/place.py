@@ -1,4 +1,4 @@
-"""Convert names that a page sends to paths: only of entries of one directory, never of anything outside it."""
+"""Convert names that a page sends to paths, and reject every name that leads outside of a directory."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rig.core.errors import ConfigError
 
 
 def file_in(directory: Path, name: str) -> Path:
-    """Return the path of a regular file of a directory; raise `ConfigError` for a path, a link, or a hidden file."""
+    """Return the path of a regular file in `directory`; raise `ConfigError` for other paths, links and hidden files."""
     return _entry(directory, name, stat.S_ISREG, "file")
 
 
 def directory_in(directory: Path, name: str) -> Path:
-    """Return the path of a subdirectory; raise `ConfigError` for a path, a link, or a hidden directory."""
+    """Return the path of a subdirectory; raise `ConfigError` for other paths, links and hidden directories."""
     return _entry(directory, name, stat.S_ISDIR, "directory")
 
 

@@ -1,4 +1,4 @@
-"""Errands about recordings: the list, a time span of one, its replay, its picture, and its exports."""
+"""Errands about recordings: list recordings, cut a time span of one, replay, draw and export it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,10 @@ MIME = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 
 
 def list_recordings(directory: str, search: str, first: int) -> dict[str, Any]:
-    """Return up to `PAGE` recordings that contain every word of `search`, newest first, from number `first`."""
+    """Return up to `PAGE` recordings that match every word of `search`, newest first, skipping the `first` ones.
+
+    ``more`` is True if further recordings match.
+    """
     entries = (_entry(path, changed_ns) for path, changed_ns in _newest(Path(directory)))
     words = search.lower().split()
     if words:
@@ -71,7 +74,10 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
     try:
         path.name.encode()
         if path.is_symlink():
-            raise ConfigError("a symbolic link is not read", remedy="replace the link by the recording file")
+            raise ConfigError(
+                "the recording is a symbolic link, which is not read",
+                remedy="replace the link by the recording file",
+            )
         return {**facts, **_settings(open_facts(path))}
     except UnicodeEncodeError:
         # JSON carries no lone surrogates: the page shows such a name with escapes, and cannot ask for it.
@@ -82,7 +88,7 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
 
 
 def _settings(facts: Recording) -> dict[str, Any]:
-    """Return a recording's facts for the list; a fact is None where the header has no valid value for it."""
+    """Return a recording's settings and verdict for the list; None for each value that the header lacks."""
     header, trailer = facts.header, facts.trailer or {}
     parts = {name: part for name, part in facts.experiment.items() if isinstance(part, dict)}
     wall, rates, trial, operator = (
@@ -119,7 +125,7 @@ def _number(value: Any) -> float | None:
 
 
 def _text(entry: Mapping[str, Any]) -> str:
-    """Return the text that is searched: every value of the entry, and stiffness and damping as k=100 and b=5."""
+    """Return the text that a search examines: all facts of a recording, and stiffness and damping as k=100 and b=5."""
     words = [str(value) for value in entry.values()]
     numbers = {"k": entry.get("stiffness"), "b": entry.get("damping")}
     words += [f"{sign}={value:g}" for sign, value in numbers.items() if value is not None]
@@ -144,7 +150,7 @@ def _open(path: str) -> Recording:
 
 
 def describe_recording(path: str) -> dict[str, Any]:
-    """Return the facts that a scope needs before it draws: columns with units, wall, length (s) and lost samples."""
+    """Return what a scope needs to draw a recording: columns with units, wall, length (s) and lost samples."""
     recording = _open(path)
     times = recording.time_s
     trial = recording.rows["penetration"] > 0.0
@@ -168,7 +174,7 @@ def cut(
 ) -> tuple[None, bytes]:
     """Return columns between `first_s` and `last_s` (s since the first row), packed by `rig.extras.console.view.pack`.
 
-    With `changes`, replay the recording with them and return the columns `COMPARED` of the replay. Errors as
+    With `changes` of settings, replay the recording and return the columns `COMPARED` of the replay. Errors as
     `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
     """
     recording = _open(path)
@@ -189,7 +195,10 @@ def cut(
 def save_cut(
     path: str, first_s: float, last_s: float, output: str, zero_ns: int | None = None
 ) -> dict[str, Any]:
-    """Save a time span as a recording; return its name, its rows, and why it cannot be replayed, or None."""
+    """Save a time span (s) as a new recording; return its name, number of rows, and why it cannot be replayed, or None.
+
+    The times count from `zero_ns` (ns, device clock; None: from the first row).
+    """
     made = cut_recording(path, first_s, last_s, output=output, zero_ns=zero_ns)
     return {"name": made.path.name, "rows": made.rows, "no_replay": made.no_replay}
 
@@ -202,7 +211,7 @@ def _replay(path: str, changed_ns: int, changes: tuple[tuple[str, Any], ...]) ->
 def _cut(
     times: NDArray[np.float64], rows: NDArray[np.void], columns: Sequence[str], first_s: float, last_s: float
 ) -> HistoryExcerpt:
-    """Return the least and greatest value of each group of rows; all groups but the last have the same size."""
+    """Return points for a scope: least and greatest value of groups of rows; only the last group may be smaller."""
     first = int(np.searchsorted(times, first_s, "left"))
     last = int(np.searchsorted(times, last_s, "right"))
     step = max(1, -(-(last - first) // POINTS))
@@ -215,7 +224,7 @@ def _cut(
 
 
 def picture(path: str, draw: bool) -> tuple[str, bytes]:
-    """Return type and bytes of a recording's picture; if it is missing, draw it (`draw`) or raise `ConfigError`."""
+    """Return media type and bytes of a recording's picture; if it is missing, draw it, or raise `ConfigError`."""
     found = _picture(Path(path))
     if found is None:
         if not draw:
@@ -225,7 +234,7 @@ def picture(path: str, draw: bool) -> tuple[str, bytes]:
 
 
 def export_recording(path: str, form: str) -> tuple[str, bytes]:
-    """Return type and bytes of an export (`rig.recording.export`); ``json`` is the description of a CSV export."""
+    """Return media type and bytes of a recording in the format `form`; ``json`` is the description of a CSV export."""
     if form not in (*EXPORTERS, "json"):
         raise ConfigError(
             f"{form!r} is not an export format", remedy=f"choose one of {', '.join((*EXPORTERS, 'json'))}"

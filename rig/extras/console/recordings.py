@@ -1,7 +1,7 @@
 """The page's view of recordings: list and search, show one in a scope, replay, export; no recording is deleted.
 
-Files are downloads that require the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. For a recording of a
-device's map the request also contains the name of the map; such a recording cannot be moved to the trash.
+Downloads require the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. For a recording of a device's map the
+request also contains the name of the map; such a recording cannot be moved to the trash.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TRASH = "trash"  # directory inside that of the recordings
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRecordings(Request):
-    """Request recordings that contain every word of `search`, newest first, from number `first`; or the trash."""
+    """Request recordings that match every word of `search`, newest first, skipping the `first` ones; or the trash."""
 
     search: Name = ""
     first: Annotated[int, Ge(0), Le(2**31)] = 0
@@ -41,7 +41,7 @@ class AskRecordings(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRecording(Request):
-    """Request the facts that a scope needs of one recording, and the estimators with which it can be replayed."""
+    """Request what a scope needs to draw one recording, and the estimators with which it can be replayed."""
 
     name: Name
     map: Name = ""
@@ -72,13 +72,13 @@ class Restore(Request):
 
 
 class Recordings(Service):
-    """See the module."""
+    """Service for requests about recordings."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of requests about recordings; see `Service.handlers`."""
         return {
             "recordings": (AskRecordings, self._list),
             "recording": (AskRecording, self._describe),
@@ -126,7 +126,7 @@ class Recordings(Service):
         restore(_recording_in(self._shared.output / TRASH, request.name), self._shared.output)
 
     async def download(self, path: str) -> Download | None:
-        """See `Service.download`."""
+        """Return a cut, picture or export of a recording for a path below ``/recordings``; None for another path."""
         parts, _, query = path.partition("?")
         match [unquote(part) for part in parts.split("/")]:
             case ["", "recordings", name, what]:
@@ -164,7 +164,7 @@ class Recordings(Service):
 
 
 def _recording_in(directory: Path, name: str) -> Path:
-    """Return the path of a recording, readable or not; raise `ConfigError` for any other file."""
+    """Return the path of a recording in `directory`, readable or not; raise `ConfigError` for any other file."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
         raise ConfigError(

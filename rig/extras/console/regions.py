@@ -16,7 +16,7 @@ from rig.extras.console.hits import apply_changes, experiment_of
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """Stiffness limits (SI) at one damping, for the rates, estimator and delay of an experiment.
+    """Stiffness limits of linear theory (SI) at one damping, for the rates, estimator and delay of an experiment.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Regions:
     stable_own
         Largest stiffness that is stable with the experiment's own hand, or without a hand.
     hand
-        Hand with the smallest limit, which is `stable`.
+        Hand that limits `stable`, as text.
     note
         What the limits do not include, or why they are missing.
     """
@@ -43,12 +43,12 @@ class Regions:
 
 
 def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
-    """Return the limits for a rig with a page's changes (`rig.extras.console.hits.apply_changes`)."""
+    """Compute the stiffness limits for a rig with a page's changes (`rig.extras.console.hits.apply_changes`)."""
     return regions(apply_changes(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:
-    """Compute the limits; if theory gives none, they are None and `note` contains the reason.
+    """Compute the stiffness limits at one damping; if theory gives none, they are None and `note` has the reason.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
 
 
 def _passive(late: LateLoops, dampings: Sequence[float]) -> list[float]:
-    """Return the largest passive stiffness at each damping: the smallest over the velocity rates, without a hand."""
+    """Return the largest passive stiffness (SI) at each damping without a hand, the least of all velocity rates."""
     return [
         min(curve)
         for curve in zip(*(passive_curve(loop, dampings) for loop in late.by_hand["none"]), strict=True)

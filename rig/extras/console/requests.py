@@ -1,6 +1,7 @@
-"""Requests of a page: JSON objects. `do` names the request, `number` is chosen by the page and comes back in the reply.
+"""Requests of a page: JSON objects, converted to dataclasses.
 
-Every field is checked by type and range before anything is done; an unknown field is an error.
+`do` names the request; `number` is chosen by the page and repeated in the reply. Every field is checked by type and
+range before anything is done; an unknown field is an error.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ MOST_BYTES = 1 << 16  # of a message
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Request:
-    """Fields of every request."""
+    """Fields of every request: its name, and a number for the reply (0: no reply)."""
 
     do: Name
     number: Annotated[int, Ge(0), Le(2**53)] = 0
@@ -38,19 +39,19 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Operate(Request):
-    """Request to operate (`take`), or to stop operating; only one page operates at a time."""
+    """Request the right to operate the rig (`take`), or give it back; only one page operates at a time."""
 
     take: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stop(Request):
-    """Request zero effort of every loop of this user; any page may send it."""
+    """Request zero effort of every control loop of this user; any page may send it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Run(Request):
-    """Request a run on a rig, built-in or of a file; with `is_detached` it continues without a page."""
+    """Request a run on a rig (built-in name or file); with `is_detached` the run continues without a page."""
 
     job: Literal["hit", "play"]
     rig: Name = "koul-compliant"
@@ -104,14 +105,14 @@ class Cut(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Look(Request):
-    """Request to follow the loop of process `pid`; 0: the loop that began last."""
+    """Request to follow the control loop of process `pid`; 0: the loop that started last."""
 
     pid: Annotated[int, Ge(0), Le(2**31)]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRegions(Request):
-    """Request the largest passive and stable stiffness at a damping (SI), for a rig with changes, in real time."""
+    """Request the largest passive and stable stiffness (SI) at a damping, for a rig with changed settings."""
 
     damping: Annotated[float, Ge(0), Le(1e9)]
     rig: Name = "koul-compliant"
@@ -121,7 +122,7 @@ class AskRegions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskExperiment(Request):
-    """Request the experiment as it would run in real time with the changes."""
+    """Request the experiment as it would run in real time with changed settings."""
 
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)
@@ -131,12 +132,12 @@ _adapters: dict[type[Request], Any] = {}
 
 
 def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request:
-    """Return the checked request in a message; `kinds` gives the class for each value of `do`.
+    """Return the checked request in a JSON message; `kinds` has the class for each value of the field `do`.
 
     Raises
     ------
     ConfigError
-        The message is not a request, or one of its fields is wrong.
+        The message is not a request, or one of its fields is not valid.
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:
@@ -151,18 +152,19 @@ def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request
         where = ".".join(str(part) for part in first["loc"])
         given = "" if first["type"] == "missing" else f" = {shown(first['input'])}"
         remedy = f"send {where or 'a request'} as defined by {kind.__name__}"
-        raise ConfigError(f"{do}: {where}{given}: {first['msg']}", remedy=remedy) from None
+        problem = f"request {do}: field {where}{given} is not valid: {first['msg']}"
+        raise ConfigError(problem, remedy=remedy) from None
     return found
 
 
 def number_of(text: str | bytes) -> int:
-    """Return the number of a message, also of an invalid one; 0 if it has none."""
+    """Return the field `number` of a JSON message, even if the message is no valid request; 0 if it is missing."""
     number = json_of(text).get("number")
     return number if isinstance(number, int) and not isinstance(number, bool) else 0
 
 
 def refuse_reserved(changes: Mapping[str, Any]) -> None:
-    """Raise `ConfigError` for a key that no page may change."""
+    """Raise `ConfigError` if `changes` contain a setting that no page may change (`RESERVED`)."""
     for key in RESERVED:
         if key in changes:
             raise ConfigError(

@@ -1,6 +1,6 @@
 """Runs that a page starts, changes of the followed loop's wall, the dragged handle, and the right to operate.
 
-A run ends when no page operates any more, unless it was started as detached.
+A run ends when no page operates the rig any more, unless it was started as detached.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ PLAY = "play"  # the job whose hand is dragged
 
 
 class Runs(Service):
-    """See the module.
+    """Service for requests that start and change runs.
 
     Parameters
     ----------
     live
-        The live view, whose followed loop is changed.
+        The live view, whose followed control loop is changed.
     verified
-        See `rig.extras.console.server.ConsoleSettings`.
+        True if the operator has checked the polarity of encoder and motor, with the handle at position zero.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Runs(Service):
         self._regions = asyncio.Lock()
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of requests about runs; see `Service.handlers`."""
         return {
             "operate": (asked.Operate, self._operate),
             "run": (asked.Run, self._run),
@@ -69,7 +69,7 @@ class Runs(Service):
         return await self._start(request)
 
     async def _run_agreed(self, client: Client, request: asked.Run) -> dict[str, Any]:
-        """Start the run after a person at the rig has agreed; other requests are answered while the person decides."""
+        """Start a run on a real rig after a person at the rig has agreed; meanwhile other requests are handled."""
         found = await self._described(request.rig, request.changes)
         digest = str(found["digest"])
         lines = consent.describe_run(
@@ -126,7 +126,7 @@ class Runs(Service):
         return found
 
     async def every_beat(self) -> None:
-        """End the running job when no page operates: its operator has left, or released the lease.
+        """End the running job when no page operates: its operator has left, or has given back the right to operate.
 
         An exception in this task ends the job, even a detached one, and then the console, because no other task would
         end the job later.

@@ -1,8 +1,8 @@
 """The server of the page: it accepts sockets and downloads, and starts the services that handle their requests.
 
-It runs in a process of its own, because it would delay the ticks of a control loop. A page opens two sockets:
-``/live`` for everything, and ``/hold`` for heartbeats and STOP alone, which therefore never wait for other messages.
-A participant's screen opens ``/participant`` instead of ``/live``; it can send only the requests of `PARTICIPANTS`.
+It runs in a process of its own, because it would delay the ticks of a control loop. A page opens two sockets: ``/live``
+for everything, and ``/hold`` for heartbeats and STOP alone, which therefore never wait for other messages. A
+participant's screen opens ``/participant`` instead of ``/live``; it can send only the requests of `PARTICIPANTS`.
 """
 
 from __future__ import annotations
@@ -68,13 +68,13 @@ class ConsoleSettings:
     Attributes
     ----------
     port
-        Port on loopback; 0: any free port.
+        Port on loopback (this computer only); 0: any free port.
     hosts
         Further names NAME:PORT under which a browser may reach the page.
     output
         Directory of the recordings.
     verified
-        Whether the operator has checked the polarity of encoder and motor, with the handle at position zero.
+        True if the operator has checked the polarity of encoder and motor, with the handle at position zero.
     own
         Show only runs that this console started.
     announce
@@ -90,10 +90,10 @@ class ConsoleSettings:
 
 
 class Console:
-    """The services and the state that all pages share."""
+    """The services of a running server, and the state that all pages share."""
 
     def __init__(self, settings: ConsoleSettings, hand: SharedHand, terminal: Terminal) -> None:
-        self._shared = ServiceContext(set(), Lease(), Jobs(self._job_says), settings.output)
+        self._shared = ServiceContext(set(), Lease(), Jobs(self._handle_job_message), settings.output)
         self.live = Live(self._shared, hand, terminal, own=settings.own)
         self.runs = Runs(self._shared, self.live, hand, terminal, verified=settings.verified)
         self._sessions = Sessions(self._shared, hand, terminal, verified=settings.verified)
@@ -113,7 +113,7 @@ class Console:
     access: Access
 
     async def attend(self, socket: ServerConnection) -> None:
-        """Serve one socket until it closes."""
+        """Serve one socket of a page until it closes."""
         assert socket.request is not None
         path = socket.request.path.partition("?")[0]
         with suppress(ConnectionClosed):
@@ -127,7 +127,7 @@ class Console:
                 await self._live(socket, Client(socket, name, participant=path == "/participant"))
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:
-        """Receive heartbeats and STOP on a socket; a STOP is carried out before the rate limit is checked."""
+        """Receive heartbeats and STOP on a socket; carry out a STOP before checking the rate limit."""
         allowance = Allowance()
         try:
             self._holds.hear(socket)
@@ -184,7 +184,7 @@ class Console:
             if number and result is not LATER:
                 client.reply(number, result)
 
-    def _job_says(self, job: Job, message: Mapping[str, Any]) -> None:
+    def _handle_job_message(self, job: Job, message: Mapping[str, Any]) -> None:
         kept = [service.handle_job_message(job, message) for service in self.services]
         if any(kept):
             return
@@ -196,7 +196,7 @@ class Console:
                 client.put(json.dumps(envelope))
 
     async def download(self, path: str) -> Download | None:
-        """Return the file at a path from the first service that has it, or None."""
+        """Return the file for a URL path from the first service that has one; None if no service has."""
         for service in self.services:
             if (found := await service.download(path)) is not None:
                 return found
@@ -211,7 +211,7 @@ class Console:
 
 
 def _facts() -> dict[str, Any]:
-    """Return constants that a page receives once."""
+    """Return what a page receives once when it connects: columns with units, rigs, estimators."""
     return {
         "columns": [
             {
@@ -228,7 +228,7 @@ def _facts() -> dict[str, Any]:
 
 
 def _estimator(name: str) -> dict[str, Any]:
-    """Return name and settings of an estimator; `problem` is not empty if it cannot be used."""
+    """Return name and settings of an estimator; `problem` is the reason if it cannot be used, else empty."""
     if problem := estimators.broken(name):
         return {"name": name, "settings": [], "problem": problem}
     settings = estimators.get(name).settings
@@ -241,14 +241,14 @@ def _setting(setting: Setting | Choice) -> dict[str, Any]:
 
 
 async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Event) -> None:
-    """Serve until `ended` is set.
+    """Serve the page until the event `ended` is set.
 
     Raises
     ------
     ConfigError
         The port is in use.
     RigError
-        A defect of this program; the runs were ended before.
+        The server has a bug; it has ended all runs before.
     """
     static = _page()
     async with AsyncExitStack() as stack:
@@ -317,7 +317,7 @@ def _page() -> dict[str, tuple[str, bytes]]:
 async def _respond(
     console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
 ) -> Response | None:
-    """Return the response to a request, or None if the request may open a socket."""
+    """Return the HTTP response to a request, or None if the request may open a socket."""
     access, headers = console.access, request.headers
     if not access.host_allowed(headers):
         return _response(

@@ -1,4 +1,4 @@
-"""Base class of the server's services: each handles the requests, job messages and downloads of one view."""
+"""Base class of the server's services: each service handles the requests, job messages and downloads of one view."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class ServiceContext:
     participants
         Open participants' screens.
     lease, jobs
-        The right to operate, and the job that the operator has started.
+        The right to operate the rig, and the running job.
     output
         Directory of the recordings.
     errands
         Processes that read, draw and compute for a page.
     blinded
-        Whether the operator must not know the wall of the current run: no page then shows its loop.
+        True if the operator must not know the wall of the current run: no page then shows its control loop.
     """
 
     clients: set[Client]
@@ -57,12 +57,15 @@ class ServiceContext:
     blinded: bool = False
 
     def must_operate(self, client: Client) -> None:
-        """Raise `ConfigError` if another page operates; make `client` the operator if none does."""
+        """Raise `ConfigError` if another page operates the rig; make `client` the operator if no page does."""
         if not self.lease.take(client.name):
             raise ConfigError("another page operates the rig", remedy="close that page first")
 
     async def save_cut(self, path: Path, first_s: float, last_s: float, zero_ns: int | None = None) -> Any:
-        """Save a time span (s since the first row) of a recording as a new recording; return its name and facts."""
+        """Save a time span (s) of a recording as a new recording; return its name and facts.
+
+        The times count from `zero_ns` (ns, device clock; None: from the first row).
+        """
         saved, _ = await self.errands.run(
             "save cut",
             path=str(path),
@@ -83,14 +86,17 @@ LATER = object()  # what a handler returns that will answer by itself
 
 
 class Service(ABC):
-    """The server's part of one view of the page."""
+    """Base class: the server's part of one view of the page, such as maps or recordings."""
 
     @cached_property
     def _working(self) -> set[asyncio.Task[None]]:
         return set()
 
     def answer_later(self, client: Client, request: Request, work: Coroutine[Any, Any, Any]) -> object:
-        """Reply to a request when `work` is done, and handle the page's next requests meanwhile; return `LATER`."""
+        """Reply to a request when the coroutine `work` is done, and handle the page's next requests meanwhile.
+
+        Return `LATER`, which a handler must return.
+        """
 
         async def answered() -> None:
             try:
@@ -104,7 +110,7 @@ class Service(ABC):
         return LATER
 
     def run_beside(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run `work` as a task; `close` cancels it if it still runs."""
+        """Run the coroutine `work` as a task, which `close` cancels if it still runs."""
         task = asyncio.create_task(work)
         self._working.add(task)
         task.add_done_callback(self._working.discard)
@@ -112,7 +118,10 @@ class Service(ABC):
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return request class and handler for each value of ``do``. A handler raises `RigError` to refuse."""
+        """Return request class and handler for each value of a request's field ``do``.
+
+        A handler raises `RigError` to refuse a request.
+        """
 
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
         """Send a newly connected page its initial messages."""
@@ -122,11 +131,11 @@ class Service(ABC):
         return False
 
     async def download(self, path: str) -> Download | None:
-        """Return the file at a path, or None if this service does not serve the path."""
+        """Return the file for a URL path, or None if this service does not serve the path."""
         return None
 
     async def close(self) -> None:
-        """Cancel the tasks that still run, and wait for their end."""
+        """Cancel the service's tasks that still run, and wait for their end."""
         for task in self._working:
             task.cancel()
         await asyncio.gather(*self._working, return_exceptions=True)

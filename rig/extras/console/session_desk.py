@@ -1,12 +1,12 @@
 """The job `session`: a participant's session, or a rehearsal, that is operated from a page.
 
-The session engine and its desk run in the job's process. The server (`rig.extras.console.sessions`) renders the pages
-and interprets keys. Besides the messages of every job (`rig.extras.console.worker`) the two processes exchange:
+The session engine runs in the job's process, with a *desk*, which exchanges questions and answers with the operator.
+The server (`rig.extras.console.sessions`) renders the pages and interprets keys. Besides the messages of every job
+(`rig.extras.console.worker`) the two processes exchange:
 
-======  ===========================================================================
-server  ``setup`` process, keys, hand; ``view``; ``ask`` number, question
-job     ``reply`` number, action, value, shown_s; ``stop``
-======  ===========================================================================
+======  =========================================================================== server  ``setup`` process, keys,
+hand; ``view``; ``ask`` number, question job     ``reply`` number, action, value, shown_s; ``stop`` ======
+===========================================================================
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ REMEDY = "continue with `rig session resume`, or on the page"
 
 
 class PageDesk(AskingDesk):
-    """The desk of a session whose operator uses a page of the console.
+    """Connection of a session to its operator, who uses a page of the console.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ class PageDesk(AskingDesk):
     keymap
         Keys of the protocol.
     hand
-        Device that moves the simulated hand on the page (mouse or keyboard), and its press (N); None if the hand plays
-        its script.
+        Device that moves the simulated hand on the page (mouse or keyboard), and its press (N); None if the hand moves
+        by itself.
     silence_s
         Longest time without a message from the console during a hit (s).
     """
@@ -75,7 +75,10 @@ class PageDesk(AskingDesk):
 
 
 def digest_of(protocol: str, directory: str) -> str:
-    """Return a short digest of protocol and experiment: of a protocol file or, if `directory` is given, of its log."""
+    """Return a short digest of a session's protocol and experiment, from the protocol's name or file.
+
+    If `directory` is not empty, return the digest of the session that its log began with.
+    """
     if directory:
         began = read(Path(directory) / LOG)[0].content
         return short(canonical_json([began["protocol"], began["experiment"]]))
@@ -84,7 +87,10 @@ def digest_of(protocol: str, directory: str) -> str:
 
 
 def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
-    """Run or resume a session. `content` comes from `rig.extras.console.sessions`; `digest` is what was agreed to."""
+    """Run or resume a session as a job; `content` comes from `rig.extras.console.sessions`.
+
+    Raise `ConfigError` if protocol or experiment have changed since a person at the rig confirmed their ``digest``.
+    """
     agreed = content["digest"]
     if agreed is not None and agreed != digest_of(content["protocol"], content["directory"]):
         raise ConfigError(

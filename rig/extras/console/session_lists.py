@@ -16,12 +16,12 @@ MOST = 100  # protocol files, and sessions that may be resumed, in one list
 
 
 def list_sessions() -> dict[str, Any]:
-    """Return the protocols that a page may begin and the sessions that it may resume."""
+    """Return the ``protocols`` that a page may begin, and the ``resumable`` sessions."""
     return {"protocols": protocols(), "resumable": resumable()}
 
 
 def describe_resumption(directory: str) -> dict[str, Any]:
-    """Return facts from a session's log for resuming it: whether it is a rehearsal, its device, and real time."""
+    """Return from a session's log what is needed to resume it: rehearsal or not, the device's URL, real time or not."""
     place = took_place(Path(directory))
     return {
         "rehearsed": read_person(Path(directory)) is not None,
@@ -31,7 +31,7 @@ def describe_resumption(directory: str) -> dict[str, Any]:
 
 
 def protocols() -> list[dict[str, str]]:
-    """Return name and title of each protocol file in the working directory and of each template."""
+    """Return name and title of each protocol file in the working directory and of each protocol template."""
     found = []
     for path in sorted(Path().glob("*.toml"))[:MOST]:
         with suppress(RigError):
@@ -48,7 +48,7 @@ def resumable() -> list[dict[str, Any]]:
 
 
 def protocol_file(name: str) -> Path:
-    """Return the path of a template if `name` is a template's name, else `name` as a path."""
+    """Return the path of the protocol template `name`, or `name` as a path if there is no such template."""
     if name in template_names():
         return template_path(name)
     return Path(name)
@@ -65,7 +65,7 @@ def _logs() -> list[Path]:
 
 
 def _describe_unfinished(log: Path) -> dict[str, Any] | None:
-    """Return the facts of an unfinished session; None if it is finished or its log cannot be read."""
+    """Return what a list shows of an unfinished session; None if the session is finished or its log is unreadable."""
     with suppress(RigError):
         state, events = session_state(log.parent)
         if state.ended is None:

@@ -1,4 +1,4 @@
-"""Requests of a page about sessions; checked like those of `rig.extras.console.requests`."""
+"""Requests of a page about sessions: JSON objects, checked like the requests of `rig.extras.console.requests`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ListSessions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SessionPerson:
-    """The simulated participant of a rehearsal (`rig.session.engine._rehearsal.Person`)."""
+    """Settings of the simulated participant of a rehearsal (`rig.session.engine._rehearsal.Person`)."""
 
     __pydantic_config__ = STRICT
 
@@ -32,7 +32,7 @@ class SessionPerson:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginSession(Request):
-    """Begin a session of `protocol`, or resume that of `directory`; see `rig session run` and `rig session resume`.
+    """Begin a session of `protocol`, or resume that in `directory`, like `rig session run` or `rig session resume`.
 
     `study` is the directory that contains all participants, or empty.
     """
@@ -75,7 +75,7 @@ class TypeLine(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reach(Request):
-    """How far the dragged hand reaches, as a share (0 to 1) of its range, and whether it presses with full force."""
+    """Position of the dragged hand as a share (0 to 1) of its range, and `held`: True if it presses with full force."""
 
     share: Annotated[float, Ge(0), Le(1)]
     held: bool = False

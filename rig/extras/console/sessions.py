@@ -1,9 +1,9 @@
-"""The page's view of sessions: begin and resume sessions, and operate one as at a terminal.
+"""The page's view of sessions: begin and resume sessions, and operate a session as at a terminal.
 
 The server sends texts (`rig.session.terminal._words`) and receives keys and lines, so that a page follows the same
 rules as a terminal. A key is sent with the number of the question that was open when it was pressed; a key for an
-earlier question is ignored. A participant's screen shows only what a participant may see, and can answer only
-verdicts and items.
+earlier question is ignored. A participant's screen shows only what a participant may see, and can answer only verdicts
+and questionnaire items.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ ROUND_S = 0.08  # between two looks at a loop that runs
 
 
 class Sessions(Service):
-    """See the module."""
+    """Service for sessions: it starts the job, renders its state for the pages, and sends the operator's keys to it."""
 
     def __init__(
         self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, verified: bool
@@ -61,7 +61,7 @@ class Sessions(Service):
         self._sent: dict[str, Any] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """See `Service.handlers`."""
+        """Return the handlers of requests about sessions; see `Service.handlers`."""
         return {
             "sessions": (ListSessions, self._list),
             "session": (BeginSession, self._begin),
@@ -71,7 +71,7 @@ class Sessions(Service):
         }
 
     def greet(self, client: Client) -> None:
-        """Send a page that connects the present state of the session."""
+        """Send the state of the running session to a page that connects."""
         for pages, message in self._messages():
             if client.participant == (pages is self._shared.participants):
                 client.put_newest(message)
@@ -109,7 +109,7 @@ class Sessions(Service):
     async def _begin_agreed(
         self, client: Client, request: BeginSession, content: dict[str, Any], *, asks: bool
     ) -> dict[str, Any]:
-        """Begin the session after a person at the rig has agreed; other requests are answered meanwhile."""
+        """Begin a session on a real rig after a person at the rig has agreed; meanwhile other requests are handled."""
         url = content["url"]
         content["digest"], _ = await self._shared.errands.run(
             "session digest", protocol=request.protocol, directory=request.directory
@@ -135,7 +135,7 @@ class Sessions(Service):
             return
         now_s = time.monotonic()
         if request.key != STOP:  # which any page may say, whatever is asked
-            if not self._may(client, seat, request, "verdict"):
+            if not self._may_send(client, seat, request, "verdict"):
                 seat.talk.held.arrive(request.key, now_s)  # before the question that the page shows next
                 return
             if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
@@ -145,7 +145,7 @@ class Sessions(Service):
 
     async def _line(self, client: Client, request: TypeLine) -> None:
         seat = self._seat
-        if seat is None or self._job is None or not self._may(client, seat, request, "item"):
+        if seat is None or self._job is None or not self._may_send(client, seat, request, "item"):
             return
         seat.do(seat.talk.line(request.text), request.shown_s)
         self._update_pages()
@@ -155,8 +155,8 @@ class Sessions(Service):
         if self._seat is not None and self._seat.hand is not None:
             self._seat.hand.pointer.point(request.share, held=request.held)
 
-    def _may(self, client: Client, seat: Seat, request: PressKey | TypeLine, kind: str) -> bool:
-        """Return True if a page may send this request now; a participant may only answer the open question."""
+    def _may_send(self, client: Client, seat: Seat, request: PressKey | TypeLine, kind: str) -> bool:
+        """Return True if a page may send this key or line now; a participant may only answer the open question."""
         talk = seat.talk
         if request.asked != talk.asked:
             return False
@@ -174,13 +174,13 @@ class Sessions(Service):
     # Messages of the session, and what a page is sent.
 
     def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """See `Service.handle_job_message`."""
+        """Update the session's state from a message of its job; return True if pages must not receive the message."""
         if job.name != JOB:
             return False
         kind = message["say"]
         match kind:
             case "setup":
-                self._seat = Seat(message, partial(_send, job), self._seat_hand(message["hand"]))
+                self._seat = Seat(message, partial(_send, job), self._create_hand(message["hand"]))
             case "view" | "ask":
                 assert self._seat is not None
                 self._rings += self._seat.receive(kind, message, time.monotonic())
@@ -199,7 +199,7 @@ class Sessions(Service):
         self._update_pages()
         return kind not in ("compiling", "ended")
 
-    def _seat_hand(self, hand: Mapping[str, Any] | None) -> SeatHand | None:
+    def _create_hand(self, hand: Mapping[str, Any] | None) -> SeatHand | None:
         return None if hand is None else SeatHand(hand["kind"], float(hand["press"]), self._hand)
 
     def _leave(self) -> None:
@@ -212,7 +212,7 @@ class Sessions(Service):
             self._rounds = None
 
     async def _every_round(self, job: Job) -> None:
-        """Update the session's state and the pages every `ROUND_S`. An error ends the session, which can be resumed."""
+        """Update the session's state and the pages every `ROUND_S` (s); an error ends the session."""
         try:
             while True:
                 if self._seat is not None:
@@ -231,7 +231,7 @@ class Sessions(Service):
                     client.put_newest(message)
 
     def _messages(self) -> list[tuple[set[Client], dict[str, Any]]]:
-        """Return the messages for operators' pages and participants' screens, with their clients."""
+        """Return the two messages with the session's state, for operators' pages and for participants' screens."""
         runs, seat = self._job is not None, self._seat
         desk: dict[str, Any] = {
             "say": "session",
@@ -274,7 +274,7 @@ class Sessions(Service):
         }
 
     async def close(self) -> None:
-        """See `Service.close`."""
+        """End the updates of the pages, and cancel the service's tasks."""
         self._leave()
         await super().close()
 
@@ -288,7 +288,7 @@ def _item(talk: Conversation) -> Mapping[str, Any] | None:
 
 
 def _participant(seat: Seat) -> dict[str, Any]:
-    """Return what a participant may see: the cue, the instruction and the open question."""
+    """Return what a participant's screen shows: the cue, the instruction and the open question."""
     talk, view = seat.talk, seat.talk.view
     verdict = talk.question is not None and talk.question.kind == "verdict"
     item = _item(talk)

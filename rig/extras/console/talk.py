@@ -1,4 +1,4 @@
-"""Messages between a job and its console; `rig.extras.console.worker` lists them."""
+"""Messages between a job and its console, on the side of the job; `rig.extras.console.worker` lists them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times 
 
 
 class Talk:
-    """See the module.
+    """A job's connection to its console, through standard input and output.
 
     Parameters
     ----------
     is_detached
-        Whether the job continues without its console.
+        True if the job continues without its console.
     """
 
     def __init__(self, is_detached: bool) -> None:
@@ -33,7 +33,7 @@ class Talk:
         self._last_line_s = time.monotonic()
 
     def tell(self, say: str, /, **content: Any) -> None:
-        """Send a message; without effect if the console is gone."""
+        """Send a message with the name `say`; without effect if the console has ended."""
         line = json.dumps({"say": say, **plain(content)}).encode() + b"\n"
         try:
             with self._lock:
@@ -43,9 +43,9 @@ class Talk:
             self._gone.set()
 
     def progress(self, **content: Any) -> None:
-        """Send the progress of the job.
+        """Send the progress of the job to the console.
 
-        Raises `StoppedError` if the console is gone or silent for `SILENT_S`, unless the job is detached.
+        Raises `StoppedError` if the console has ended or is silent for `SILENT_S` (s), unless the job is detached.
         """
         if time.monotonic() - self._last_line_s > SILENT_S:  # the console hangs: a STOP could not arrive
             self._gone.set()
@@ -54,7 +54,7 @@ class Talk:
         self.tell("progress", **content)
 
     def ask(self, **content: Any) -> Any:
-        """Send a question to the operator and return the answer. Raise `StoppedError` if the console is gone."""
+        """Send a question to the operator, wait, and return the answer; raise `StoppedError` without a console."""
         self.tell("asks", **content)
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
@@ -64,7 +64,7 @@ class Talk:
         return answer
 
     def hear(self, patience_s: float) -> Any:
-        """Return the console's next message, or None after `patience_s` (s). Raise `StoppedError` if it is gone."""
+        """Return the console's next message, None after `patience_s` (s); raise `StoppedError` without a console."""
         try:
             message = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
         except Empty:
@@ -80,7 +80,7 @@ class Talk:
         return time.monotonic() - self._last_line_s
 
     def listen(self) -> None:
-        """Read the console's lines until it is gone; an empty line is its heartbeat."""
+        """Read lines from the console until it ends; runs in a thread. An empty line is the console's heartbeat."""
         for line in sys.stdin:
             self._last_line_s = time.monotonic()
             if line.strip():

@@ -1,4 +1,4 @@
-"""Ask the person at the rig to confirm, on the terminal that runs the console, what a page may not decide.
+"""Ask a person at the rig, on the terminal that runs the console, to confirm what a page may not decide alone.
 
 Through a tunnel every page looks local, and the person at the browser may be unable to see the handle.
 """
@@ -24,7 +24,7 @@ LONGEST = 2000  # characters that a person can be expected to read
 
 
 class Terminal:
-    """Ask on standard input, if it is a terminal."""
+    """The console's terminal, on which one question at a time can be asked; nothing can be asked without a terminal."""
 
     def __init__(self) -> None:
         # On Windows no question can be asked: a loop of asyncio does not watch a terminal there.
@@ -32,7 +32,7 @@ class Terminal:
         self._asked: asyncio.Future[str] | None = None
 
     async def insist(self, url: str, lines: Sequence[str]) -> None:
-        """Show `lines` on the terminal, and raise `ConfigError` unless the person at it types the word to arm."""
+        """Show `lines` on the terminal; raise `ConfigError` unless the person at the terminal types the word "arm"."""
         if not self.there:
             raise _refusal(
                 url,
@@ -93,5 +93,5 @@ def _refusal(url: str, why: str, remedy: str) -> ConfigError:
 
 
 def _printable(text: str) -> str:
-    """Return a page's text without characters that control a terminal: escapes, new lines, changes of direction."""
+    """Return a page's text with each character that controls a terminal (escape, new line, direction) replaced."""
     return "".join(one if one.isprintable() else "�" for one in text)

@@ -1,4 +1,4 @@
-"""Move recordings and their pictures to the trash and back; never delete or overwrite a file."""
+"""Move recordings and their pictures to the trash directory and back; never delete or overwrite a file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.views.plots.style import FORMATS
 
 
 def throw_away(recording: Path, trash: Path) -> None:
-    """Move a recording and its pictures into the directory `trash`, under a free name.
+    """Move a recording and its pictures into the directory `trash`, with a number added to the name if it is taken.
 
     Raises `ConfigError` if `trash` is a symbolic link, `RecordingError` if a file cannot be moved.
     """
@@ -21,6 +21,7 @@ def throw_away(recording: Path, trash: Path) -> None:
     while any((trash / f"{stem}{path.suffix}").exists() for path in moved):
         number += 1
         stem = f"{recording.stem}-{number}"
+    # The recording is moved last, so that an interrupted move can be repeated: pictures are found by its name.
     for path in moved:
         _move(path, trash / f"{stem}{path.suffix}")
 
@@ -28,7 +29,7 @@ def throw_away(recording: Path, trash: Path) -> None:
 def refuse_link(trash: Path) -> None:
     """Raise `ConfigError` if `trash` is a symbolic link, so that no file is moved through a link."""
     if trash.is_symlink():
-        raise ConfigError(f"{trash} is a symbolic link", remedy="replace it by a directory")
+        raise ConfigError(f"the trash {trash} is a symbolic link", remedy="replace it by a directory")
 
 
 def restore(recording: Path, directory: Path) -> None:
@@ -45,7 +46,7 @@ def restore(recording: Path, directory: Path) -> None:
 
 
 def _with_pictures(recording: Path) -> list[Path]:
-    """Return the pictures, then the recording, which is moved last so that an interrupted move can be repeated."""
+    """Return the paths of a recording's pictures, then of the recording."""
     pictures = [recording.with_suffix(f".{ending}") for ending in FORMATS]
     return [*(path for path in pictures if path.is_file()), recording]
 

@@ -1,4 +1,4 @@
-"""The trigger of a scope: a sweep starts at a contact, or where a column crosses a level."""
+"""The trigger of a scope: a sweep starts at a contact with the wall, or where a column crosses a level."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ CONTACT = "contact"
 
 @dataclass(frozen=True, slots=True)
 class Trigger:
-    """Condition that starts a sweep.
+    """Condition that starts a sweep of a scope.
 
     Attributes
     ----------
     on
-        ``contact``, the first sample inside the wall, or a column of the row.
+        ``contact``, the first sample inside the wall, or the name of a column.
     level, edge
         Threshold of the column (in its unit) and direction; for a contact, ``falling`` is the first sample outside.
     before

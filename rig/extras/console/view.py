@@ -1,4 +1,4 @@
-"""One page's scope: its columns, window and trigger, and the points that it has not received yet."""
+"""One page's scope: its columns, window and trigger, and the points that the page has not received yet."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ViewRequest:
 
 
 class View:
-    """Reader of a history for one page's scope.
+    """Reader of a control loop's history for one page's scope.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class View:
         self._done = False
 
     def frames(self) -> Iterator[bytes]:
-        """Yield the frames to send now: new points or, with a trigger, complete sweeps."""
+        """Yield the packed frames to send now: new points or, with a trigger, complete sweeps."""
         trigger = self._shown.trigger
         if trigger is None:
             last = self._history.rows // self._step * self._step
@@ -106,9 +106,9 @@ class View:
 
 
 def pack(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
-    """Return an excerpt as one message: header length, JSON header, then float64 times, low, and high unless step is 1.
+    """Pack an excerpt as bytes: length of the header, JSON header, float64 times, low, and high unless step is 1.
 
-    The numbers begin at a multiple of 8 bytes.
+    The length is a uint32; the numbers begin at a multiple of 8 bytes.
     """
     header_fields = {
         **header,

@@ -1,20 +1,17 @@
-"""The process of a job, so that no control loop shares a process with the page's server.
+"""The process of a job (a run, a session or a map), so that no control loop shares a process with the page's server.
 
 ``python -P -m rig.extras.console job``: the first line of standard input is the job. Each further line is an answer to
 a question of the job, or an empty line, the heartbeat. The end of input means that the console has ended, and 2 s of
-silence that it hangs. Each line of standard output is one message:
+silence that the console hangs. Each line of standard output is one message:
 
-=========  =======================================================================================
-say        content
-=========  =======================================================================================
-compiling  whether machine code is being compiled
-progress   state of the job while it runs
-asks       a question to the operator; the next line of input answers it
-done       its result; the process ends
-failed     why it ended early (`RigError.as_mapping`); the process ends
-=========  =======================================================================================
+=========  ======================================================================================= say        content
+=========  ======================================================================================= compiling  true while
+machine code is being compiled progress   state of the job while it runs asks       a question to the operator; the next
+line of input answers it done       result of the job; the process ends failed     why the job ended early
+(`RigError.as_mapping`); the process ends =========
+=======================================================================================
 
-If its console is gone, a job ends as after a STOP, unless it was started as detached.
+If its console has ended, a job ends as after a STOP, unless it was started as detached.
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ JOBS: Mapping[str, Work] = {
 
 
 def main() -> int:
-    """Run the job on standard input and return its exit code."""
+    """Run the job that arrives on standard input; return the exit code of the process."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     job: Mapping[str, Any] = json.loads(sys.stdin.readline())
     talk = Talk(bool(job.get("is_detached")))

@@ -23,38 +23,38 @@ _LARGEST_ID, _LARGEST_PREFIX, _LARGEST_NODE = 127, 0x1FFF, 62
 
 
 class DriveFacts(Protocol):
-    """Facts that a drive of any kind reports about itself."""
+    """Protocol of the facts that a drive of any kind reports about itself."""
 
     @property
     def id(self) -> int:
-        """Return the drive's id on its bus."""
+        """Id of the drive on its bus."""
         ...
 
     @property
     def firmware(self) -> str:
-        """Return the version of the drive's firmware."""
+        """Version of the drive's firmware, such as "1.1.0"."""
         ...
 
     @property
     def output(self) -> Output:
-        """Return the drive's encoder, torque constant and limits."""
+        """Encoder, torque constant and limits at the drive's output shaft."""
         ...
 
 
 class Address(Protocol):
-    """Address of a drive, with the settings that the URL contains."""
+    """Protocol of a drive's address, with the settings that the URL contains."""
 
     def look(self, bus: Bus) -> DriveFacts:
         """Identify the drive without changing it; raise `RigError` if it would not execute commands as sent."""
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Identify the drive and compare it with a rig; raise `RigError` as `look`, or if it does not match the rig."""
+        """Identify the drive and compare it with a rig; raise `RigError` as `look`, or if they do not match."""
         ...
 
 
 def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
-    """Return a whole number from the options of a URL; raise `ConfigError` if it is not from 0 to `largest`."""
+    """Return the URL option `name` as a whole number; raise `ConfigError` if it is not from 0 to `largest`."""
     text = url.options.get(name, str(default))
     try:
         value = int(text, 0)
@@ -69,7 +69,7 @@ def number(url: DeviceUrl, name: str, default: int, largest: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class MoteusAddress:
-    """Address of a moteus: its id, the prefix of its bus, and the switches on its pins."""
+    """Address of a moteus: its id, the prefix of its CAN ids, and the switches on its pins."""
 
     drive: int
     prefix: int
@@ -77,7 +77,7 @@ class MoteusAddress:
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Read the address of a drive from a URL; raise `ConfigError` for an invalid one."""
+        """Read the address of a moteus from a URL; raise `ConfigError` if an option is not valid."""
         url.allow((*OPTIONS, "id", "prefix", *SWITCHES))
         return cls(
             number(url, "id", 1, _LARGEST_ID),
@@ -86,24 +86,24 @@ class MoteusAddress:
         )
 
     def look(self, bus: Bus) -> moteus.MoteusFacts:
-        """See `Address.look`."""
+        """Identify the moteus without changing it; errors as `Address.look`."""
         return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """See `Address.find`."""
+        """Identify the moteus and compare it with a rig; errors as `Address.find`."""
         return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
 
 
 @dataclass(frozen=True, slots=True)
 class OdriveAddress:
-    """Address of an ODrive: its node, and the endpoints of its firmware."""
+    """Address of an ODrive: its node id on the CAN bus, and the parameter numbers (endpoints) of its firmware."""
 
     node: int
     endpoints: odrive.Endpoints
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Read the address of a drive from a URL; raise `ConfigError` for an invalid one."""
+        """Read the address of an ODrive from a URL; raise `ConfigError` if an option is missing or not valid."""
         url.allow(("id", "endpoints"))
         place = url.options.get("endpoints")
         if place is None:
@@ -114,11 +114,11 @@ class OdriveAddress:
         return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))
 
     def look(self, bus: Bus) -> odrive.OdriveFacts:
-        """See `Address.look`."""
+        """Identify the ODrive without changing it; errors as `Address.look`."""
         return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """See `Address.find`."""
+        """Identify the ODrive and compare it with a rig; errors as `Address.find`."""
         return odrive.fit(self.look(bus), model)
 
 

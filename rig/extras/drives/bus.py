@@ -1,4 +1,4 @@
-"""Send and receive frames on a bus with drives, before a bridge runs: by a serial adapter, or a CAN interface of Linux.
+"""Send and receive CAN frames before a bridge runs, through a serial adapter or a CAN interface of Linux.
 
 The bridge's own C code converts between bytes and frames.
 """
@@ -38,7 +38,7 @@ _FRAME_KIND = 1  # SOCKETCAN_FRAME of socketcan.h
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """A CAN frame with up to 64 bytes; a `classic` frame has at most eight, a `remote` one requests such a frame."""
+    """A CAN frame with up to 64 bytes; a `classic` frame has at most 8, a `remote` frame requests such a frame."""
 
     id: int
     data: bytes
@@ -46,25 +46,25 @@ class CanFrame:
     remote: bool = False
 
     def as_struct(self) -> CanFrameBytes:
-        """Return the frame as a struct of the C code."""
+        """Convert the frame to the struct of the C code."""
         return CanFrameBytes(
             self.id, len(self.data), (ctypes.c_uint8 * 64)(*self.data), self.classic, self.remote
         )
 
 
 class Bus(Protocol):
-    """A bus that Python uses to find the drive; afterwards the bridge uses its descriptor.
+    """Protocol of a bus on which Python finds the drive; afterwards the bridge uses its file descriptor.
 
     Attributes
     ----------
     place
         Name of the bus in URLs and messages.
     descriptor
-        Descriptor of the open port or socket; no call on it blocks.
+        File descriptor of the open port or socket, in non-blocking mode.
     checksum, is_socket
-        Whether frames contain a checksum, and whether the descriptor is a socket: settings of a bridge.
+        True if frames contain a checksum, and if the descriptor is a socket: settings of a bridge.
     messages
-        Settings that could not be obtained, one sentence each with its remedy.
+        Settings that could not be applied, one sentence each with its remedy.
     """
 
     place: str
@@ -78,7 +78,7 @@ class Bus(Protocol):
         ...
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """Return the next frame from any sender, None after the timeout; raise `LinkLostError` if the bus failed."""
+        """Return the next frame from any sender, or None after the timeout; raise `LinkLostError` if the bus failed."""
         ...
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ def open_bus(url: DeviceUrl) -> Bus:
     Raises
     ------
     ConfigError
-        The URL names no bus, or an option is wrong.
+        The URL names no bus, or an option is not valid.
     DeviceNotFoundError
         The port or interface does not exist, or another program uses it.
     """
@@ -125,7 +125,7 @@ def _connect(place: str) -> socket.socket:
 
 
 class AdapterBus:
-    """A bus at a serial adapter: fdcanusb, mjcanfd-usb-1x, or one with the same protocol."""
+    """A CAN bus behind a serial adapter: fdcanusb, mjcanfd-usb-1x, or an adapter with the same protocol."""
 
     is_socket = False
 
@@ -141,7 +141,7 @@ class AdapterBus:
 
     @classmethod
     def open(cls, url: DeviceUrl) -> Self:
-        """Open the serial port of a URL."""
+        """Open the serial port that a URL names."""
         baud = {name: text for name, text in url.options.items() if name == "baud"}
         link = open_serial(DeviceUrl("serial", url.place, baud, url.text))
         wanted = url.choice(
@@ -151,17 +151,17 @@ class AdapterBus:
 
     @property
     def refused(self) -> int:
-        """Return the number of lines that the adapter refused."""
+        """Number of lines that the adapter refused."""
         return int(self._adapter.refused)
 
     def send(self, frame: CanFrame) -> None:
-        """Send one CAN frame; see `Bus.send`."""
+        """Send one CAN frame through the adapter; raise `LinkLostError` if the port has failed."""
         line = ctypes.create_string_buffer(256)
         count = self._library.fdcanusb_make(ctypes.byref(self._adapter), frame.as_struct(), line)
         self._link.write(line.raw[:count])
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """See `Bus.receive`."""
+        """Return the next CAN frame from the adapter, or None after the timeout."""
         deadline = time.monotonic() + timeout_s
         frame = CanFrameBytes()
         while not self._waiting and (left := deadline - time.monotonic()) > 0:
@@ -171,7 +171,7 @@ class AdapterBus:
         return self._waiting.popleft() if self._waiting else None
 
     def close(self) -> None:
-        """See `Bus.close`."""
+        """Close the serial port."""
         self._link.close()
 
 
@@ -212,7 +212,7 @@ class CanBus:
         return end
 
     def send(self, frame: CanFrame) -> None:
-        """See `Bus.send`."""
+        """Send one CAN frame; raise `LinkLostError` if the interface has failed."""
         packed = ctypes.create_string_buffer(72)
         count = self._library.socketcan_make(frame.as_struct(), packed)
         try:
@@ -221,7 +221,7 @@ class CanBus:
             raise self._lost(error) from None
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        """See `Bus.receive`."""
+        """Return the next CAN frame, or None after the timeout; raise `LinkLostError` if the interface failed."""
         deadline = time.monotonic() + timeout_s
         frame = CanFrameBytes()
         while (left := deadline - time.monotonic()) > 0:
@@ -236,7 +236,7 @@ class CanBus:
         return None
 
     def close(self) -> None:
-        """See `Bus.close`."""
+        """Close the socket of the interface."""
         self._socket.close()
 
     def _lost(self, error: OSError) -> LinkLostError:

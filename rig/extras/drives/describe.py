@@ -79,7 +79,7 @@ lowpass_hz = 400.0
 
 
 def text(found: DriveFacts, url: str) -> str:
-    """Return the text of the experiment file, for a drive at `url`."""
+    """Return the text of an experiment file (TOML) for a drive at `url`."""
     output = found.output
     decoding = DECODING if output.counts % DECODING == 0 else 1
     most = output.torque_constant * output.most_current
@@ -109,12 +109,12 @@ def text(found: DriveFacts, url: str) -> str:
 
 
 def _down(value: float) -> float:
-    """Round down to four digits, so that the value does not exceed the drive's limit."""
+    """Round down to four significant digits, so that the value does not exceed the drive's limit."""
     step = 10.0 ** (math.floor(math.log10(value)) - 3)
     return math.floor(value / step) * step
 
 
 def _align(line: str) -> str:
-    """Align the comment behind a value with the other comments."""
+    """Return a line of the file with its comment in the column of the other comments."""
     value, mark, comment = line.partition(" #")
     return f"{value.rstrip():36}{mark}{comment}" if mark and value.strip() else line

@@ -19,18 +19,18 @@ MOST_HZ = 30_000.0  # of its control cycles: with a faster PWM they come every s
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveLaw:
-    """Settings that decide how a moteus renders a wall.
+    """Settings that decide how a moteus renders a wall by itself.
 
     Attributes
     ----------
     kp, kd
-        Gains at its output (N·m/turn, N·m·s/turn).
+        Gains at the drive's output (N·m/turn, N·m·s/turn).
     pwm_rate_hz
         Frequency of the PWM; the law runs once in each period, or in every second one above 30 kHz.
     filter_hz
         3 dB frequency of the tracking loop (Hz) that computes position and velocity from the encoder.
     sign
-        Sign of its controller, which must be 1.
+        Sign of the drive's controller, which must be 1.
     threshold
         Velocity below which there is no damping (turns/s).
     position_slip, velocity_slip
@@ -48,7 +48,7 @@ class DriveLaw:
 
     @classmethod
     def read(cls, setting: Callable[[str], float], source: str) -> Self:
-        """Read the settings from the drive; `source` is the group of settings of the output's encoder."""
+        """Read the settings with the function `setting`; `source` is the group of settings of the output's encoder."""
         pid = "servo.pid_position"
         return cls(
             kp=setting(f"{pid}.kp"),
@@ -63,12 +63,12 @@ class DriveLaw:
 
     @property
     def rate_hz(self) -> float:
-        """Return the rate of the drive's control cycles (Hz)."""
+        """Rate of the drive's control cycles (Hz)."""
         return self.pwm_rate_hz if self.pwm_rate_hz <= MOST_HZ else self.pwm_rate_hz / 2.0
 
     @property
     def objection(self) -> str:
-        """Return why the drive would render another wall than the commanded one; empty if it renders that wall."""
+        """Reason why the drive would not render the commanded wall; empty if it would."""
         if not (self.kp > 0.0 and self.kd > 0.0):
             return (
                 f"servo.pid_position.kp = {self.kp:g} and kd = {self.kd:g}; both must be above 0, "
@@ -88,11 +88,14 @@ class DriveLaw:
 
     @property
     def gains(self) -> tuple[float, float] | None:
-        """Return stiffness and damping (N·m/turn, N·m·s/turn) for a scale of 1; None if there is an objection."""
+        """Stiffness and damping (N·m/turn, N·m·s/turn) of the largest wall; None if there is an objection."""
         return None if self.objection else (self.kp, self.kd)
 
     def describe(self, transmission: float) -> dict[str, int | float | str]:
-        """Return entries for the device's dictionary; `transmission`: output angle (rad) per rad or m of the rig."""
+        """Return the settings that the device reports to a host.
+
+        `transmission` is the angle of the output (rad) for 1 rad or 1 m of the rig.
+        """
         scale = transmission**2 / (2.0 * math.pi)
         facts: dict[str, int | float | str] = {"drive_kp": self.kp, "drive_kd": self.kd}
         facts |= {"drive_law_hz": self.rate_hz, "drive_filter_hz": self.filter_hz}

@@ -15,7 +15,7 @@ AGAIN = "then clear the fault"
 
 
 class DriveFault(IntEnum):
-    """Fault codes of a bridge, after those of the firmware."""
+    """Fault codes of a bridge; they follow the codes of the firmware."""
 
     DRIVE_SILENT = 20
     OTHER_MASTER = 21
@@ -139,5 +139,5 @@ TEXTS = {"moteus": MOTEUS, "odrive": ODRIVE}
 
 
 def explain_faults(kind: str) -> tuple[CodeInfo, ...]:
-    """Return the explanations of all faults, for the dictionary of a kind of drive."""
+    """Return code, name, meaning and remedy of each fault, for a kind of drive ("moteus" or "odrive")."""
     return tuple(CodeInfo(int(code), code.name, text, remedy) for code, (text, remedy) in TEXTS[kind].items())

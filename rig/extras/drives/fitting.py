@@ -1,4 +1,4 @@
-"""Compare a drive with the rig of an experiment: values in which they must agree, and limits that the drive sets."""
+"""Compare a drive with the rig of an experiment: values that must agree, and limits that the drive sets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Difference = tuple[str, str]  # what is otherwise, and its remedy
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Output:
-    """Properties of a drive's output, as the drive reports them.
+    """Properties of a drive's output shaft, as the drive reports them.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Output:
     kind
         Kind of drive, "moteus" or "odrive".
     encoder_setting, scale_setting, current_setting
-        Settings of the drive for the encoder, the torque constant and the largest current.
+        Names of the drive's settings for the encoder, the torque constant and the largest current.
     scale_remedy
-        Remedy for a wrong torque constant.
+        What to do about a wrong torque constant.
     """
 
     kind: str
@@ -59,7 +59,7 @@ class Output:
         return 2.0 * math.pi / (self.counts_per_turn * model.encoder.resolution)
 
     def ranges(self, model: RigModel) -> dict[str, tuple[int, int]]:
-        """Return the ranges of the device's parameters that the drive limits, by name."""
+        """Return the range (lowest, highest) of each device parameter that the drive limits, by parameter name."""
         effort = self.most_current * self.torque_constant * self.transmission(model)
         most = min(peak_current(model), math.floor(effort / model.amplifier.effort_quantum * (1.0 + 1e-6)))
         low, high = (
@@ -80,7 +80,7 @@ class Output:
         return default if math.isnan(turns) else round(max(-EXACT_COUNTS, min(EXACT_COUNTS, counts)))
 
     def differences(self, model: RigModel) -> Iterator[Difference]:
-        """Yield each difference between the drive and the rig, with its remedy."""
+        """Yield each difference between the drive and the rig, as (difference, remedy)."""
         encoder, amplifier = model.encoder, model.amplifier
         if encoder.counts_per_revolution is not None:
             counts = encoder.counts_per_revolution * encoder.decoding
@@ -119,7 +119,7 @@ class Output:
 
 
 def refuse(differences: Iterable[Difference]) -> None:
-    """Raise `DeviceRefusedError` with one sentence for each difference; return if the sequence is empty."""
+    """Raise `DeviceRefusedError` with one sentence for each of `differences`; return if there are none."""
     wrong = list(differences)
     if wrong:
         raise DeviceRefusedError(

@@ -39,7 +39,7 @@ _INDEX = {parameter.name: index for index, parameter in enumerate(PARAMETERS)}
 
 
 class CanFrameBytes(ctypes.Structure):
-    """A CAN frame: struct can_frame_bytes of can_frame.h."""
+    """A CAN frame for the C code: ``struct can_frame_bytes`` of can_frame.h."""
 
     _fields_ = [
         ("id", ctypes.c_uint32),
@@ -50,12 +50,12 @@ class CanFrameBytes(ctypes.Structure):
 
     @property
     def data(self) -> bytes:
-        """Return the bytes of the frame's data."""
+        """Data of the frame, up to 64 bytes."""
         return bytes(self.bytes[: self.count])
 
 
 class Adapter(ctypes.Structure):
-    """State of a serial adapter: struct fdcanusb of fdcanusb.h."""
+    """State of a serial CAN adapter for the C code: ``struct fdcanusb`` of fdcanusb.h."""
 
     _fields_ = [
         ("checksum", ctypes.c_bool),
@@ -67,7 +67,7 @@ class Adapter(ctypes.Structure):
 
 
 class Setup(ctypes.Structure):
-    """Settings of a bridge: struct bridge_setup of bridge.h."""
+    """Settings of a bridge for the C code: ``struct bridge_setup`` of bridge.h."""
 
     _fields_ = [
         ("board", BoardSetup),
@@ -84,16 +84,13 @@ class Setup(ctypes.Structure):
 
 
 class Ends(ctypes.Structure):
-    """Descriptors of a bridge's loop: struct bridge_ends of loop.h."""
+    """File descriptors that a running bridge uses: ``struct bridge_ends`` of loop.h."""
 
-    _fields_ = [
-        *((name, ctypes.c_int) for name in ("host", "bus", "wake")),
-        ("host_stays", ctypes.c_bool),
-    ]
+    _fields_ = [*((name, ctypes.c_int) for name in ("host", "bus", "wake")), ("host_stays", ctypes.c_bool)]
 
 
 class BridgeFacts(ctypes.Structure):
-    """Statistics of the bus: struct bridge_facts of bridge.h. Times in µs, temperatures in °C."""
+    """Statistics of a bridge's bus, times in µs, temperatures in °C: ``struct bridge_facts`` of bridge.h."""
 
     _fields_ = [
         *(
@@ -107,7 +104,10 @@ class BridgeFacts(ctypes.Structure):
     ]  # fmt: skip
 
     def quantile_us(self, share: float) -> float:
-        """Return the round-trip time to the drive (µs, rounded up to a bin) at this quantile; 0 without replies."""
+        """Return a quantile of the round-trip time to the drive (µs, rounded up to a bin); 0 without replies.
+
+        `share` is the share of shorter round trips, 0 to 1.
+        """
         counted = list(self.round_trips)
         left = share * sum(counted)
         for number, count in enumerate(counted):
@@ -117,7 +117,7 @@ class BridgeFacts(ctypes.Structure):
         return 0.0
 
     def as_mapping(self) -> dict[str, float]:
-        """Return the facts as plain numbers for a recording; add median and 99.9 % quantile of the round trip (µs)."""
+        """Return all statistics by name, with median and 99.9 % quantile of the round-trip time (µs)."""
         names = [str(field[0]) for field in self._fields_ if field[1] is ctypes.c_int64]
         return {
             **{name: int(getattr(self, name)) for name in names},
@@ -156,7 +156,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: Path) -> ctypes.CDLL:
-    """Open a compiled library, and set the signatures of its functions."""
+    """Open a compiled library, and declare the signatures of its functions."""
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
@@ -166,13 +166,13 @@ def load(path: Path) -> ctypes.CDLL:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Open the library; compile it first if needed. Raise `ConfigError` if that fails."""
+    """Return the bridge's library, compiled on first use; raise `ConfigError` if it cannot be compiled."""
     return BRIDGE.opened(CACHE_DIRECTORY, load)
 
 
 @dataclass(frozen=True, slots=True)
 class Switches:
-    """Input pins of a drive: their register (0: no switches), and the bits that are 1 while the rig may run."""
+    """Input pins of a drive: the register that reads them (0: none), and the bits that are 1 while the rig may run."""
 
     register: int = 0
     hold: int = 0
@@ -181,32 +181,32 @@ class Switches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedDrive:
-    """A drive that matches a rig, described by the settings of a bridge.
+    """A drive that matches a rig, and what a bridge must know about it.
 
     Attributes
     ----------
     kind
         Kind of drive, one of `DRIVES`.
     firmware
-        Name and version of its firmware.
+        Name and version of the drive's firmware.
     id, prefix
-        Id of the drive, and prefix of its bus.
+        Id of the drive, and prefix of its CAN ids.
     counts_per_turn
-        Encoder counts per turn of its output.
+        Encoder counts per turn of the output.
     transmission
-        Angle of its output (rad) for 1 rad or 1 m of the rig.
+        Angle of the output (rad) for 1 rad or 1 m of the rig.
     ranges
         Ranges of the device's parameters that the drive limits, by name.
     settings
         Further facts for the recording.
     switches
-        Switches on its pins.
+        Switches on the drive's pins.
     rate_maximum
         Largest number of samples a second.
     cycle_us, beat_us
         Period of the samples and of the heartbeats that the drive sends unrequested (µs); 0 if the bridge polls them.
     gains
-        Gains of its own law, spring and damper (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
+        Stiffness and damping of the drive's own law (N·m/turn and N·m·s/turn at its output); None: it renders no wall.
     """
 
     kind: str
@@ -225,7 +225,7 @@ class FittedDrive:
 
 
 def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionary:
-    """Return the dictionary that the bridge reports to a host for this rig on this drive."""
+    """Return the dictionary (parameters, ranges, faults) that a bridge reports to a host for a rig on this drive."""
     plain = describe(
         model,
         firmware=f"bridge to {drive.firmware}",
@@ -239,12 +239,12 @@ def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionar
 
 
 class Bridge:
-    """The software of a bridge, without its bus.
+    """The software of a bridge without its bus: it gets bytes and times, and returns bytes.
 
     Attributes
     ----------
     dictionary
-        Dictionary that the bridge sends to a host.
+        Description of parameters, ranges and faults that the bridge sends to a host.
     facts
         Statistics of the bus.
     """
@@ -297,35 +297,38 @@ class Bridge:
             self._library.bridge_narrow(self._address, _INDEX[parameter.name], low, high)
 
     def run(self, *, host: int, bus: int, wake: int, host_stays: bool) -> None:
-        """Run in real time on the descriptors until `wake` is readable or, unless `host_stays`, the host is gone."""
+        """Run in real time on three file descriptors until `wake` is readable.
+
+        Also end when the host has closed its end, unless `host_stays`.
+        """
         ends = Ends(host=host, bus=bus, wake=wake, host_stays=host_stays)
         self._library.bridge_run(self._address, ctypes.byref(ends))
 
     # ------------------------------------------------------------------ by hand, in device time (1/16 µs)
 
     def start(self, now: int) -> None:
-        """Start the bridge at a device time, as at power-up."""
+        """Start the bridge as at power-up; `now` is the device time (1/16 µs)."""
         self._library.bridge_start(self._address, now)
 
     def tick(self, now: int) -> bytes:
-        """End a period at time `now`; return the bytes for the bus."""
+        """End a sample period at the device time `now` (1/16 µs); return the bytes for the bus."""
         self._library.bridge_tick(self._address, now)
         return self._bus()
 
     def receive_bus(self, data: bytes, now: int) -> bytes:
-        """Process bytes from the bus; return the bytes for the bus."""
+        """Process bytes from the bus at the device time `now` (1/16 µs); return the bytes for the bus."""
         self._library.bridge_receive_bus(self._address, data, len(data), now)
         return self._bus()
 
     def receive_host(self, data: bytes, now: int) -> bytes:
-        """Process bytes from the host and run the main loop once; return the bytes for the bus."""
+        """Process bytes from the host at the device time `now` (1/16 µs); return the bytes for the bus."""
         if data:
             self._library.bridge_receive_host(self._address, data, len(data), now)
         self._library.bridge_poll(self._address, now)
         return self._bus()
 
     def lose_bus(self, now: int) -> None:
-        """Report that the adapter or interface of the bus was lost."""
+        """Report to the bridge that its adapter or CAN interface was lost at the device time `now` (1/16 µs)."""
         self._library.bridge_lose_bus(self._address, now)
 
     def stop(self) -> bytes:
@@ -334,28 +337,28 @@ class Bridge:
         return self._bus()
 
     def to_host(self) -> bytes:
-        """Return and clear the bytes that are to be sent to the host."""
+        """Return the bytes for the host that the bridge has queued, and empty the queue."""
         count = self._library.bridge_take(self._address, self._taken, _OUTPUT_BYTES)
         return self._taken.raw[:count]
 
     @property
     def due(self) -> int:
-        """Return the device time (1/16 µs) at which the next period begins."""
+        """Device time (1/16 µs) at which the next sample period begins."""
         return int(self._library.bridge_due(self._address))
 
     @property
     def state(self) -> State:
-        """Return the protocol's state of the bridge's device."""
+        """State of the bridge in the device protocol, such as idle or armed."""
         return State(self._library.bridge_state(self._address))
 
     @property
     def fault(self) -> int:
-        """Return the code of the latched fault, or 0."""
+        """Code of the latched fault; 0 without a fault."""
         return int(self._library.bridge_fault_now(self._address))
 
     @property
     def torque(self) -> float:
-        """Return the commanded torque (N·m at the drive's output)."""
+        """Commanded torque (N·m at the drive's output)."""
         return float(self._library.bridge_torque(self._address))
 
     def _bus(self) -> bytes:

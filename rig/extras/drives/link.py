@@ -1,6 +1,7 @@
-"""Open ``moteus://`` and ``odrive://``: a bridge in a process that begins and ends with its link.
+"""Open ``moteus://`` and ``odrive://`` URLs: start a bridge in a process that begins and ends with its link.
 
-The process is connected by a pair of sockets: if this end closes, also by kill -9, it switches the drive off and ends.
+The two processes are connected by a pair of sockets: if this end closes, also by kill -9, the bridge switches the drive
+off and ends.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
-    """Open ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; errors as `rig.devices.open_link`.
+    """Open a URL such as ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; errors as `rig.devices.open_link`.
 
     The option `rig` names the rig, a preset or a file; it replaces `model`.
     """
@@ -48,14 +49,14 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
 
 
 class BridgeLink(DescriptorLink):
-    """A `rig.devices.device.Link` to a bridge in another process.
+    """Link to a device (`rig.devices.device.Link`) that is a bridge in another process.
 
     Attributes
     ----------
     drive, process
         The drive that was found, and the process id of the bridge.
     cpu
-        Processor of the bridge, which the loop may share.
+        Processor on which the bridge runs; the control loop may use the same.
     """
 
     bytes_per_second: float | None = None
@@ -85,14 +86,14 @@ class BridgeLink(DescriptorLink):
         super().__init__(url, ours.detach())
 
     def bus_facts(self) -> dict[str, float]:
-        """Return the bus statistics so far: replies, losses, round-trip times (µs), temperature of the drive (°C).
+        """Return the statistics of the bus: replies, losses, round-trip times (µs), temperature of the drive (°C).
 
         `cycle_us` is the period (µs) of the samples that the drive sends unrequested; 0 if the bridge polls them.
         """
         return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 
     def close(self) -> None:
-        """Close the link, which switches the drive off and ends the process."""
+        """Close the link; the bridge then switches the drive off, and its process ends."""
         if self._descriptor != CLOSED:
             os.close(self._descriptor)
             self._descriptor = CLOSED
@@ -100,12 +101,12 @@ class BridgeLink(DescriptorLink):
 
 
 def _facts_in(descriptor: int) -> BridgeFacts:
-    """Return the bus statistics in a file that both processes map into memory."""
+    """Return the statistics of the bus in a memory file that both processes map."""
     return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
 
 
 def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:
-    """Run the bridge in its process; `host` and `shared` are descriptors."""
+    """Run the bridge in its own process; `host` and `shared` are file descriptors."""
     serve(
         url,
         model,

@@ -58,26 +58,26 @@ MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current"
 
 
 class Asked(Protocol):
-    """A drive whose registers can be read as whole numbers, and whose settings as numbers."""
+    """Protocol of a drive whose registers and settings can be read."""
 
     def register(self, number: int) -> int:
         """Return the value of a register as an integer."""
         ...
 
     def setting(self, name: str) -> float:
-        """Return the value of a setting by its dotted name."""
+        """Return the value of the setting with a dotted name, such as ``servo.max_velocity``."""
         ...
 
 
 class MoteusConversation:
-    """Requests to a moteus, before a bridge runs.
+    """Requests to one moteus and its replies, before a bridge runs.
 
     Parameters
     ----------
     bus
         Bus of the drive.
     drive, prefix
-        Id of the drive, and ``can.prefix``.
+        Id of the drive, and its setting ``can.prefix``.
     """
 
     def __init__(self, bus: Bus, drive: int, prefix: int = 0) -> None:
@@ -88,7 +88,7 @@ class MoteusConversation:
         return f"the moteus {self._drive} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for `LISTEN_S`; raise `DeviceRefusedError` if another host communicates with the drive."""
+        """Listen for `LISTEN_S` (s); raise `DeviceRefusedError` if another host communicates with the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             frame = self._bus.receive(left)
@@ -101,18 +101,18 @@ class MoteusConversation:
                 )
 
     def stop(self) -> None:
-        """Send a stop: it switches the driver off, and also ends the state after an expired watchdog."""
+        """Send the stop command: it switches the motor off, and ends the drive's state after an expired watchdog."""
         self._send(b"\x01\x00\x00", reply=False)
 
     def register(self, number: int) -> int:
-        """Return the value of a register; errors as `asked`."""
+        """Return the value of a register; raise `DeviceNotFoundError` without a reply."""
         address = bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80, number >> 7])
         data = self.asked(b"\x19" + address, lambda data: data.startswith(b"\x29" + address))
         (value,) = struct.unpack_from("<i", data, 1 + len(address))
         return int(value)
 
     def setting(self, name: str) -> float:
-        """Return a setting (``conf get``); raise `IncompatibleDeviceError` if the drive has no setting of this name."""
+        """Return the value of a setting (``conf get``); raise `IncompatibleDeviceError` if the drive lacks it."""
         line = f"conf get {name}\n".encode()
         for at in range(0, len(line), DIAGNOSTIC_BYTES):
             part = line[at : at + DIAGNOSTIC_BYTES]
@@ -127,7 +127,7 @@ class MoteusConversation:
             ) from None
 
     def asked(self, request: bytes, is_answer: Callable[[bytes], bool]) -> bytes:
-        """Send a request up to `TRIES` times and return the reply.
+        """Send a request up to `TRIES` times, and return the data of the first reply that `is_answer` accepts.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class MoteusConversation:
         self._bus.send(CanFrame(sender | (REPLY if reply else 0), data))
 
     def _line(self) -> str:
-        """Return the next line of the diagnostic channel."""
+        """Return the next line of text that the drive prints on its diagnostic channel."""
         line, deadline = b"", time.monotonic() + LINE_S
         while b"\n" not in line and time.monotonic() < deadline:
             reply = self.asked(bytes([0x42, 1, DIAGNOSTIC_BYTES]), lambda data: data.startswith(b"\x41\x01"))
@@ -168,12 +168,12 @@ class MoteusConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoteusFacts:
-    """Facts about a moteus that a bridge needs.
+    """What a bridge must know about a moteus.
 
     Attributes
     ----------
     id
-        Id on its bus.
+        Id on the bus.
     firmware
         Version, such as 1.1.0.
     mode, fault
@@ -181,9 +181,9 @@ class MoteusFacts:
     counts
         Counts per turn of the output's encoder.
     source
-        Kind of this encoder.
+        Kind of the output's encoder.
     on_rotor, rotor_to_output
-        Whether the encoder is on the rotor; turns of the output for one turn of the rotor.
+        True if the encoder is on the rotor; turns of the output for one turn of the rotor.
     torque_constant
         Torque constant of the rotor (N·m/A); 0 if the motor is not calibrated.
     most_current, most_speed
@@ -211,12 +211,12 @@ class MoteusFacts:
 
     @property
     def counts_per_turn(self) -> float:
-        """Return the encoder counts per turn of the output."""
+        """Encoder counts per turn of the output."""
         return self.counts / self.rotor_to_output if self.on_rotor else float(self.counts)
 
     @property
     def output(self) -> Output:
-        """Return the reported properties of the drive's output."""
+        """Properties of the drive's output shaft."""
         return Output(
             kind="moteus",
             encoder=self.source,
@@ -270,7 +270,7 @@ REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
 
 
 def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
-    """Read the relevant settings of a moteus, and refuse one that would not execute torque commands as sent.
+    """Read the settings of a moteus, and refuse settings with which it would not execute torque commands as sent.
 
     Raises
     ------
@@ -301,7 +301,8 @@ def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
 
 
 def _mode_at_rest(talk: MoteusConversation) -> int:
-    """Return the drive's mode, after the remains of a killed bridge have ended: by the watchdog, then by a stop."""
+    """Return the drive's mode (register 0x000) once it is at rest, at most `REST_S` (s) later."""
+    # After a killed bridge the drive keeps its mode until its watchdog expires; a stop then ends the time-out mode.
     deadline = time.monotonic() + REST_S
     while (mode := talk.register(0x000)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
         if mode == TIMED_OUT:
@@ -349,7 +350,7 @@ def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> MoteusFacts:
 
 
 def switches_of(texts: Mapping[str, str]) -> Switches:
-    """Return the switches in texts like ``hold = "aux1.2"``: a port of the drive, and a bit of its pins.
+    """Return the switches for texts like ``{"hold": "aux1.2"}``: a port of the drive, and a bit of its pins.
 
     Raises `ConfigError` for a text of another form, and for switches on two ports.
     """
@@ -374,7 +375,7 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
 def fit(
     found: MoteusFacts, model: RigModel, *, prefix: int = 0, switches: Switches | None = None
 ) -> FittedDrive:
-    """Compare a moteus with the rig of an experiment, and return it as that rig's drive.
+    """Compare a moteus with the rig of an experiment, and return what a bridge must know about it.
 
     Raises
     ------
@@ -408,7 +409,7 @@ def fit(
 
 
 def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
-    """Yield the differences between the drive and the rig."""
+    """Yield each difference between the drive and the rig, as (difference, remedy)."""
     if found.torque_constant == 0.0:
         yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"
         return

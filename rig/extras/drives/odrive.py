@@ -33,7 +33,7 @@ GENERATION = (0, 6)  # of the firmware
 LISTEN_S = 0.05  # for others on the bus, before the first frame
 REPLY_S, TRIES = 0.2, 3
 REST_S = 0.1  # a set-point lives for 50 ms at most
-LONGEST_WATCHDOG_S = 0.05  # as the firmware of this project has it
+LONGEST_WATCHDOG_S = 0.05  # the same as in the firmware of this project
 WATCHED_PERIODS = 2.0  # of set-points at least, before the watchdog bites
 LONGEST_CYCLE_MS, LONGEST_BEAT_MS = 20, 10
 FLOAT = 1e-6  # relative tolerance for values sent as float32
@@ -49,7 +49,7 @@ FORMS = {
 
 
 class OdriveCommand(IntEnum):
-    """Commands in the lower five bits of a message id that are requested or received here."""
+    """Commands (lower five bits of a CAN id) of the messages that this module requests or receives."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -122,12 +122,12 @@ REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """Numbers and types of a firmware's parameters, by their path.
+    """Numbers and types of a firmware's parameters, by their path, such as ``axis0.config.enable_watchdog``.
 
     Attributes
     ----------
     place, firmware
-        Path of the file, and version of its firmware.
+        Path of the file that lists the parameters, and version of the firmware.
     by_path
         Number and `struct` format of each parameter.
     """
@@ -148,7 +148,7 @@ class Endpoints:
 
     @classmethod
     def of(cls, place: str, content: Mapping[str, Any]) -> Self:
-        """Return the endpoints in the content of such a file."""
+        """Read the parameters from the content of a ``flat_endpoints.json``; `place` is its path."""
         found = {
             path: (int(one["id"]), struct.Struct("<" + FORMS[one["type"]]))
             for path, one in content["endpoints"].items()
@@ -158,16 +158,16 @@ class Endpoints:
 
 
 class OdriveConversation:
-    """Requests to an ODrive, before a bridge runs.
+    """Requests to one ODrive and its replies, before a bridge runs.
 
     Parameters
     ----------
     bus
         Bus of the drive.
     node
-        Number of the drive's node.
+        Node id of the drive on the CAN bus.
     endpoints
-        Endpoints of its firmware.
+        Parameters of the drive's firmware.
 
     Attributes
     ----------
@@ -182,11 +182,11 @@ class OdriveConversation:
 
     @property
     def name(self) -> str:
-        """Return the name of the drive for messages."""
+        """Name of the drive for messages, such as "the ODrive 0 at can0"."""
         return f"the ODrive {self.node} at {self._bus.place}"
 
     def refuse_others(self) -> None:
-        """Listen for `LISTEN_S`; raise `DeviceRefusedError` if another host sends commands to the drive."""
+        """Listen for `LISTEN_S` (s); raise `DeviceRefusedError` if another host sends commands to the drive."""
         deadline = time.monotonic() + LISTEN_S
         while (left := deadline - time.monotonic()) > 0:
             reply = self._bus.receive(left)
@@ -201,12 +201,12 @@ class OdriveConversation:
             self._others.add(node)
 
     def request(self, command: OdriveCommand) -> bytes:
-        """Request a message and return its data; errors as `_request`."""
+        """Request a message from the drive; return its 8 bytes, or raise `DeviceNotFoundError` without a reply."""
         frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
         return self._request(frame, command, lambda data: len(data) == 8)
 
     def parameter(self, path: str) -> float:
-        """Return a parameter; raise `IncompatibleDeviceError` if the endpoints have no parameter of this path."""
+        """Return the value of a parameter; raise `IncompatibleDeviceError` if the firmware has no such path."""
         found = self.endpoints.by_path.get(path)
         if found is None:
             raise IncompatibleDeviceError(
@@ -226,7 +226,7 @@ class OdriveConversation:
     def _request(
         self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]
     ) -> bytes:
-        """Send a request up to `TRIES` times and return the reply; raise `DeviceNotFoundError` without a reply."""
+        """Send a request up to `TRIES` times; return the data of the reply, or raise `DeviceNotFoundError`."""
         for _ in range(TRIES):
             self._bus.send(question)
             asked = time.monotonic()
@@ -248,12 +248,12 @@ class OdriveConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveFacts:
-    """Facts about an ODrive that a bridge needs.
+    """What a bridge must know about an ODrive.
 
     Attributes
     ----------
     id
-        Node of the drive.
+        Node id of the drive.
     firmware
         Version, such as 0.6.11.
     values
@@ -269,7 +269,7 @@ class OdriveFacts:
 
     @property
     def output(self) -> Output:
-        """Return the reported properties of the drive's shaft."""
+        """Properties of the drive's shaft."""
         v = self.values
         onboard = v[ENCODER] == ONBOARD
         constant = v[TORQUE_CONSTANT]
@@ -291,7 +291,7 @@ class OdriveFacts:
 
 
 def find(talk: OdriveConversation) -> OdriveFacts:
-    """Read the relevant settings of an ODrive, and refuse one that would not execute torque commands as sent.
+    """Read the settings of an ODrive, and refuse settings with which it would not execute torque commands as sent.
 
     Raises
     ------
@@ -333,7 +333,8 @@ def find(talk: OdriveConversation) -> OdriveFacts:
 
 
 def _error_at_rest(talk: OdriveConversation) -> int:
-    """Return the error flags of the drive once it is idle; the drive's watchdog ends what a killed bridge has left."""
+    """Return the error flags of the drive once it is idle; raise `DeviceRefusedError` after `REST_S` (s)."""
+    # A killed bridge leaves the drive in closed loop until the drive's own watchdog expires.
     deadline = time.monotonic() + REST_S
     while True:
         error, state, _ = struct.unpack_from("<IBB", talk.request(OdriveCommand.HEARTBEAT))
@@ -354,7 +355,7 @@ def _error_at_rest(talk: OdriveConversation) -> int:
 
 
 def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
-    """Compare an ODrive with the rig of an experiment, and return it as that rig's drive.
+    """Compare an ODrive with the rig of an experiment, and return what a bridge must know about it.
 
     Raises
     ------
@@ -392,7 +393,7 @@ def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
 
 
 def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
-    """Yield the differences between the drive and the rig."""
+    """Yield each difference between the drive and the rig, as (difference, remedy)."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
         yield (

@@ -1,4 +1,4 @@
-"""Check a wall that a drive renders itself (`controller.arithmetic = "drive"`): what it lacks, and whether a drive can.
+"""Check a wall that a drive renders itself (`controller.arithmetic = "drive"`): features that a drive lacks, and gains.
 
 The drive has only a spring and a damper, at its own rate. `rig.config.device_law._elsewhere` calls this module.
 """
@@ -20,7 +20,7 @@ BESIDE = "fdm-butterworth"
 
 
 class OwnWall:
-    """Implementation of `rig.config.device_law._elsewhere.WallElsewhere` for walls of a drive."""
+    """Checks for walls that a drive renders (implements `rig.config.device_law._elsewhere.WallElsewhere`)."""
 
     stands_for = (
         "simulated with the law of the host, at its rate and with its estimator; a drive that renders "
@@ -28,7 +28,7 @@ class OwnWall:
     )
 
     def refuse_what_it_lacks(self, controller: ControllerState, c: Control) -> None:
-        """Raise `NotOnDeviceError`, a `PlanError`, for settings of a wall that a drive cannot render itself."""
+        """Raise `NotOnDeviceError` (a `PlanError`) if a setting of the wall needs a feature that a drive lacks."""
         law = controller.law
         may_pull, entry_only = options(law.law.name, law.parameters)
         velocity_rate = 1.0 / (c["tick_s"] * c["velocity_divider"])
@@ -107,7 +107,7 @@ class OwnWall:
                 )
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return a check that states what the drive's own wall lacks."""
+        """Return one check for the plan, which states what the drive's own wall lacks."""
         rate = experiment.controller.position_rate
         return [
             Check(
@@ -121,7 +121,7 @@ class OwnWall:
         ]
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-        """Return a check of whether the gains of a drive are large enough for the wall of an experiment."""
+        """Return one check: the gains of the connected drive are, or are not, large enough for the wall."""
         facts = {info.name: info.value for info in dictionary.settings}
         most = [facts.get(name) for name in ("drive_wall_stiffness", "drive_wall_damping")]
         if not all(isinstance(value, int | float) for value in most):

@@ -1,7 +1,8 @@
-"""Run a bridge in a process: find the drive, compare it with the rig, and run the C code on bus and host.
+"""Run a bridge in a process: find the drive, compare it with the rig, and run the C code between bus and host.
 
-The drive is off before and afterwards, also if the process ends by SIGINT, SIGTERM or because the host is gone. If the
-process cannot switch it off (kill -9, a computer that hangs), the drive's own watchdog does, after five periods.
+The drive is off before and afterwards, also if the process ends by SIGINT, SIGTERM or because the host has closed its
+end. If the process cannot switch the drive off (kill -9, a computer that hangs), the drive's own watchdog does, after
+five periods.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ assert sys.platform == "linux"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Announcement of a ready bridge: the drive, messages about settings that could not be obtained, the process id."""
+    """Report of a ready bridge: the drive, messages about settings that could not be applied, the process id."""
 
     drive: FittedDrive
     messages: tuple[str, ...]
@@ -38,7 +39,7 @@ class Found:
 
 
 def look(url: DeviceUrl) -> DriveFacts:
-    """Return the facts of the drive without changing it; errors as `serve`."""
+    """Return the facts that the drive at a URL reports, without changing the drive; errors as `serve`."""
     address = address_of(url)
     with contextlib.closing(open_bus(url)) as bus:
         return address.look(bus)
@@ -93,7 +94,7 @@ def serve(
 
 @contextlib.contextmanager
 def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
-    """Yield the descriptor of the bridge's end of the link, and the path of the host's end ("" for a socket)."""
+    """Yield the descriptor of the bridge's end of the link, and the path that a host opens ("" for a socket)."""
     if host is not None:
         host.setblocking(False)
         yield host.fileno(), ""
@@ -111,17 +112,18 @@ def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def _wakes() -> Iterator[int]:
-    """Yield a descriptor that becomes readable on SIGINT or SIGTERM: during C code no Python signal handler runs."""
-    ear, mouth = os.pipe()
-    os.set_blocking(mouth, False)
+    """Yield a file descriptor that becomes readable on SIGINT or SIGTERM."""
+    readable, writable = os.pipe()
+    os.set_blocking(writable, False)
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(one, lambda *_: None) for one in numbers]
-    wakes_before = signal.set_wakeup_fd(mouth)
+    # While C code runs, Python calls no signal handler, but it still writes to this descriptor.
+    wakes_before = signal.set_wakeup_fd(writable)
     try:
-        yield ear
+        yield readable
     finally:
         signal.set_wakeup_fd(wakes_before)
         for one, handler in zip(numbers, before, strict=True):
             signal.signal(one, handler)
-        os.close(ear)
-        os.close(mouth)
+        os.close(readable)
+        os.close(writable)

@@ -1,4 +1,4 @@
-"""``rig serve lsl``."""
+"""Command ``rig serve lsl``: stream running control loops by Lab Streaming Layer."""
 
 from __future__ import annotations
 

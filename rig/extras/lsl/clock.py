@@ -22,7 +22,7 @@ EVERY = 6  # further exchanges between two fits
 
 
 class LiveClock:
-    """Conversion of a running loop's device times to host times; `fitted` after the first clock exchange."""
+    """Conversion of a running loop's device times to host times, by a fitted line."""
 
     def __init__(self) -> None:
         self._stamps: deque[tuple[int, ...]] = deque(maxlen=KEPT)
@@ -33,17 +33,17 @@ class LiveClock:
 
     @property
     def fitted(self) -> bool:
-        """Return True if a line has been fitted."""
+        """True if a line has been fitted, which needs at least one clock exchange."""
         return self._fit is not None
 
     @property
     def bound_ns(self) -> int | None:
-        """Return the error bound of host times (ns): asymmetry and three standard uncertainties; None: no line."""
+        """Error bound of host times (ns): asymmetry and three standard uncertainties; None before a line is fitted."""
         fit = self._fit
         return None if fit is None else fit.asymmetry_bound_ns + round(3.0 * fit.offset_sd_ns)
 
     def look(self, ring: Ring) -> None:
-        """Read the newest exchange from the ring; fit the line again for the first exchanges, and then at intervals."""
+        """Read the newest clock exchange from the ring, and fit the line again: at first always, later at intervals."""
         done, stamps = ring.clock_exchange()
         if stamps is None or done == self._seen:
             return
@@ -55,7 +55,7 @@ class LiveClock:
             self._fit = fit_if_possible(as_exchanges(self._stamps)) or self._fit
 
     def host_of(self, rows: NDArray[np.void], device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return host times (ns) of device times (ns), which have the same zero as the rows' `device_time`.
+        """Convert device times (ns), which count from the same zero as the rows' `device_time`, to host times (ns).
 
         Without a line, the first row's time of receipt is taken as its host time, which is late by the link's delay.
         """

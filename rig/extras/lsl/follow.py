@@ -2,18 +2,17 @@
 
 Markers are mappings with `mark`, the kind of event, and with `device_time` (ns) and `tick`:
 
-=======  ==================================================================================================
-begin    a loop runs: rig, motion; unless blinded the position rate, the rate of the samples, and its wall
-clock    the clocks were compared: `bound_s`, the error bound of time stamps; null: not compared, stamps are receipts
-phase    the phase changed (`rig.core.sample.Phase`): wait, homing, settle, trial, release, done
-contact  the handle enters the wall in the trial; `contact` is the number of this contact, from 1
-sync     a rising edge of the device's sync input
-wall     another parameter set is active: its number; unless blinded its wall, if the loop still stores it
-end      the loop has ended: the reason, the rows read, and those overwritten before they were read (`lost`)
-=======  ==================================================================================================
+=======  ================================================================================================== begin    a
+loop runs: rig, motion; unless blinded the position rate, the rate of the samples, and its wall clock    the clocks were
+compared: `bound_s`, the error bound of time stamps; null: not compared, stamps are receipts phase    the phase changed
+(`rig.core.sample.Phase`): wait, homing, settle, trial, release, done contact  the handle enters the wall in the trial;
+`contact` is the number of this contact, from 1 sync     a rising edge of the device's sync input wall     another
+parameter set is active: its number; unless blinded its wall, if the loop still stores it end      the loop has ended:
+the reason, the rows read, and those overwritten before they were read (`lost`) =======
+==================================================================================================
 
-Blinded markers contain no value of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are
-left out, too: if conditions differ in their rates, a rate reveals the condition.
+Blinded markers contain no value of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are left
+out, too: if conditions differ in their rates, a rate reveals the condition.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _INSIDE = int(RowFlag.INSIDE)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """An event: its time (ns, host clock) and its content."""
+    """An event of a loop or session: its time (ns, host clock) and its content, with the kind as `mark`."""
 
     time_ns: int
     content: dict[str, Any]
@@ -54,7 +53,7 @@ class Marker:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows for the stream of samples, the host time of each (ns), and the markers since the last chunk."""
+    """Rows for the stream of samples, the host time of each row (ns), and the markers since the last chunk."""
 
     rows: NDArray[np.void]
     times_ns: NDArray[np.int64]
@@ -62,7 +61,7 @@ class Chunk:
 
 
 def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a marker's content without `SECRETS`, which a blinded person must not know, at any depth."""
+    """Return a marker's content without the keys in `SECRETS`, at any depth; a blinded person must not know them."""
     return {
         key: without_secrets(value) if isinstance(value, Mapping) else value
         for key, value in content.items()
@@ -71,12 +70,12 @@ def without_secrets(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def decimation(position_rate: float, rate: float | None) -> int:
-    """Return n, so that every n-th row gives at most `rate` samples a second (Hz); 1 if `rate` is None."""
+    """Return the smallest n with which every n-th row gives at most `rate` samples a second; 1 if `rate` is None."""
     return 1 if rate is None else max(1, math.ceil(position_rate / rate))
 
 
 class Follower:
-    """Reader of one loop, from the oldest row in its ring to its end.
+    """Reader of one control loop, from the oldest row in its ring to the loop's end.
 
     Parameters
     ----------
@@ -85,7 +84,7 @@ class Follower:
     rate
         Largest number of samples a second; None: every row. The actual rate is the position rate over a whole number.
     blind
-        Leave everything about the wall out of the markers.
+        Remove everything about the wall from the markers.
 
     Attributes
     ----------
@@ -94,7 +93,7 @@ class Follower:
     position_rate, every, rate
         Rows a second; one row in `every` becomes a sample; samples a second (Hz).
     ended
-        Whether the loop has ended and its last row was read.
+        True if the loop has ended and its last row was read.
     """
 
     def __init__(self, ring: Ring, *, rate: float | None = None, blind: bool = False) -> None:
@@ -116,16 +115,16 @@ class Follower:
 
     @property
     def lost(self) -> int:
-        """Return the number of rows that were overwritten before they were read."""
+        """Number of rows that were overwritten before they were read."""
         return self._reader.lost
 
     @property
     def rows(self) -> int:
-        """Return the number of rows read so far."""
+        """Number of rows read so far."""
         return self._reader.rows
 
     def poll(self) -> Chunk:
-        """Return the rows since the last call; after the last rows of the loop `ended` is True."""
+        """Return rows and markers since the last call; after the last rows of the loop `ended` is True."""
         done = self.ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
@@ -144,7 +143,7 @@ class Follower:
         return Chunk(rows[wanted], times[wanted], sorted(markers, key=lambda marker: marker.time_ns))
 
     def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
-        """Return the rows' host times (ns), never before the last one returned, even if a better line gives that."""
+        """Return the rows' host times (ns), which never decrease, even if a better line gives an earlier time."""
         times: NDArray[np.int64] = np.maximum(self._clock.host_of(rows, rows["device_time"]), self._last_ns)
         self._last_ns = int(times[-1])
         return times
@@ -207,13 +206,13 @@ class Follower:
 
 
 def _wall(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return stiffness and damping of the wall in the info of a run."""
+    """Return ``stiffness`` and ``damping`` of the wall from the facts about a run; None for missing values."""
     wall = (info.get("experiment") or {}).get("wall") or {}
     return {name: wall.get(name) for name in ("stiffness", "damping")}
 
 
 def _changes(both: NDArray[np.void], new: int) -> dict[str, NDArray[np.int64]]:
-    """Return the indices of the new rows that need a marker, by name of the marker."""
+    """Return the indices (from `new` on) of rows at which phase, contact or wall changed, by name of the marker."""
     phase, numbers = both["phase"], both["parameter_set"]
     touching = (phase == Phase.TRIAL) & ((both["flags"] & _INSIDE) != 0)
     beginning = np.arange(len(both)) == 0

@@ -1,4 +1,4 @@
-"""Load pylsl on first use, with an error that says how to install it, and compare its clock with the host's."""
+"""Load pylsl on first use, with an error that says how to install it, and compare LSL's clock with the host's."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ClockOffset:
 
 
 def load() -> Any:
-    """Import pylsl; unless the user has configured liblsl, let it log errors only.
+    """Import pylsl; let liblsl log errors only, unless the user has configured it.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def load() -> Any:
 
 
 def clock_offset(pylsl: Any) -> ClockOffset:
-    """Measure the offset from the narrowest of `TRIES` readings of the host's clock around one of LSL's."""
+    """Measure LSL's clock minus the host's, from the narrowest of `TRIES` pairs of host readings around one of LSL."""
     best: tuple[int, float] | None = None
     for _ in range(TRIES):
         before = time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Follow loops, one after another, and stream their samples and markers, until interrupted."""
+"""Follow running control loops, one after another, and stream their samples and markers, until interrupted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEATH_S = 1.0  # without a row, before it is asked whether the process lives
 
 @dataclass(slots=True)
 class Streamed:
-    """Numbers of followed loops, sent samples and markers, and lost rows; the last rate (Hz) and the clock offset."""
+    """Numbers of followed loops, sent samples and markers, and lost rows; the last rate (Hz), the clock offset (s)."""
 
     name: str
     loops: int = 0
@@ -41,7 +41,7 @@ class Streamed:
 
 
 class Markers:
-    """Markers that another program writes as lines of JSON: ``{"at": host time in ns, "marker": {...}}``.
+    """Reader of markers that another program writes as lines of JSON: ``{"at": host time in ns, "marker": {...}}``.
 
     A marker without `at` has the time at which it was read.
 
@@ -50,7 +50,7 @@ class Markers:
     malformed
         Number of lines of another form, which are ignored.
     over
-        Whether the input has ended.
+        True if the input has ended.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -146,7 +146,7 @@ def serve(
 
 
 class _Server:
-    """The outlets, the loop that is followed, and the numbers of what was sent."""
+    """Owner of the outlets: it follows loops, sends their data, and counts what it has sent."""
 
     def __init__(
         self,
@@ -158,6 +158,7 @@ class _Server:
     ) -> None:
         self._pylsl, self._rate, self._name, self._blind, self._report = pylsl, rate, name, blind, report
         self._offset = library.clock_offset(pylsl)
+        # Compile what reads a ring now, not while a loop runs.
         with Ring.allocate(1) as ring:
             Follower(ring).poll()
         self.served = Streamed(
@@ -169,7 +170,7 @@ class _Server:
         report({"stream": f"{name} markers", **asdict(self._offset)})
 
     def run(self, pid: int | None, source: Markers | None, *, once: bool) -> None:
-        """Follow loops until `pid` has ended, the input of markers has ended, or, with `once`, one loop has ended."""
+        """Follow loops until process `pid` or the input of markers has ended, or, with `once`, one loop has ended."""
         while True:
             self._pass_on(source)
             over = source is not None and source.over
@@ -219,7 +220,7 @@ class _Server:
         self._mark([Marker(one.time_ns, {**one.content, **self._context}) for one in chunk.markers])
 
     def open_samples(self, motion: Motion, position_rate: float) -> None:
-        """Open the outlet of samples, or continue the open one if rate and units are the same."""
+        """Open the outlet of samples; keep the open outlet if its rate and units are the same."""
         rate = position_rate / decimation(position_rate, self._rate)
         known = self._samples
         if known is not None and (known.rate, known.motion) == (rate, motion):
@@ -230,7 +231,7 @@ class _Server:
         self._report({"stream": f"{self._name} samples", "rate": rate})
 
     def _pass_on(self, source: Markers | None) -> None:
-        """Send the markers of another program; if one contains `trial`, this is added to all markers that follow."""
+        """Send the markers of another program; a `trial` in a marker is added to all markers that follow."""
         for marker in source.take() if source is not None else ():
             if "trial" in marker.content:
                 self._context = {"trial": marker.content["trial"]}
@@ -243,7 +244,7 @@ class _Server:
 
 
 def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
-    """Return the newest running loop, of process `pid` or of any, with its process; None if no loop is running."""
+    """Return process and ring of the newest running loop, of process `pid` or of any; None if no loop runs."""
     if pid is not None:
         ring = running.memory_of(pid)
         return None if ring is None else (pid, ring)

@@ -1,4 +1,4 @@
-"""Send a session's markers to the process that streams, without ever waiting for it."""
+"""Send a session's markers to the process that streams them by LSL, without ever waiting for that process."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _log = logging.getLogger(__name__)
 
 
 def marker_line(at_ns: int, content: dict[str, Any]) -> bytes:
-    """Return a marker as a line of at most `LINE_BYTES`, with its `text` cut; longer only if the rest is too long."""
+    """Return a marker as a line of JSON of at most `LINE_BYTES`; a long `text` is cut.
+
+    The line is longer if the rest of the content is too long.
+    """
 
     def line(**changed: Any) -> bytes:
         line = {"at": at_ns, "marker": {**content, **changed}}
@@ -65,7 +68,7 @@ class LslMarks:
     rate
         Largest number of samples a second; None: every row.
     blind
-        Remove everything about walls and conditions from the markers, also from those of `push`.
+        Remove everything about walls and conditions from the markers, also from the markers of `push`.
     expected
         Motion and position rate (Hz) of the loops to come; the stream of samples is then open when `wait` returns.
 
@@ -101,13 +104,13 @@ class LslMarks:
         command += ["--name", name, *([] if rate is None else ["--rate", repr(rate)])]
         command += ["--blind"] if blind else []
         command += [] if expected is None else ["--open-early", expected[0], repr(expected[1])]
-        self._output, self._complained = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
+        self._output, self._errors = TemporaryFile(), TemporaryFile()  # noqa: SIM115  (until `close`)
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=self._output,
-                stderr=self._complained,
+                stderr=self._errors,
                 start_new_session=True,  # a Ctrl-C on the terminal is the session's to answer
             )
         except OSError as error:
@@ -135,7 +138,7 @@ class LslMarks:
         while sum("stream" in news for news in self._news()) < self._streams:
             if self._process.poll() is not None:
                 raise RigError(
-                    f"LSL failed to start: {self._complaint()}",
+                    f"LSL failed to start: {self._read_last_error_line()}",
                     remedy="run `rig serve lsl` alone to see its messages",
                 )
             if time.monotonic() > deadline:
@@ -146,9 +149,9 @@ class LslMarks:
             time.sleep(0.02)
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
-        """Send a marker with a time on CLOCK_MONOTONIC (ns), or the present time.
+        """Send a marker of the kind `mark` with a time on CLOCK_MONOTONIC (ns; None: now).
 
-        A `trial` in the content is added to all markers that follow, also to those of the loop.
+        A `trial` in the content is added to all markers that follow, also to the markers of the loop.
         """
         at = time.monotonic_ns() if at_ns is None else at_ns
         line = marker_line(at, {"mark": mark, **content})
@@ -169,7 +172,7 @@ class LslMarks:
             _log.warning(why)
 
     def close(self) -> dict[str, Any] | None:
-        """End the process after it has sent its queue; return its numbers (`serve.Streamed`), or None if missing."""
+        """End the process after it has sent its queue; return its counts (`serve.Streamed`), or None without counts."""
         if self._closed:
             return None
         self._closed = True
@@ -182,19 +185,22 @@ class LslMarks:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        with self._output, self._complained:
+        with self._output, self._errors:
             if process.returncode != 0:
                 _log.warning(
-                    "the LSL process ended with exit code %d: %s", process.returncode, self._complaint()
+                    "the LSL process ended with exit code %d: %s",
+                    process.returncode,
+                    self._read_last_error_line(),
                 )
             return next((dict(news["served"]) for news in self._news() if "served" in news), None)
 
     def _news(self) -> list[dict[str, Any]]:
-        """Return all messages that the process has printed, without changing the position at which it writes."""
+        """Return all messages (JSON objects) that the process has printed so far."""
         descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         if size == 0:
             return []
+        # A mapping, because the process writes at the position of the same open file, which a read would move.
         with mmap(descriptor, size, access=ACCESS_READ) as content:
             lines = content[:].splitlines(keepends=True)
         found = []
@@ -203,10 +209,10 @@ class LslMarks:
                 found += [json.loads(line)] if line.endswith(b"\n") else []
         return [news for news in found if isinstance(news, dict)]
 
-    def _complaint(self) -> str:
-        self._complained.seek(0)
-        lines = self._complained.read().decode(errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it printed no reason"
+    def _read_last_error_line(self) -> str:
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "the process printed no reason"
 
     def __enter__(self) -> LslMarks:
         return self

@@ -1,4 +1,4 @@
-"""The two LSL outlets: samples as numbers with units, and markers as one JSON text each."""
+"""The two LSL outlets (network streams): samples as numbers with units, and markers as one JSON text each."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ BUFFERED_S = 60  # what a receiver that reads slowly may fall behind (s)
 
 
 class SampleStream:
-    """Outlet of the samples, named ``NAME samples``.
+    """LSL outlet of the samples, named ``NAME samples``.
 
     Parameters
     ----------
     pylsl
         The library pylsl.
     name
-        First word of the stream's name, and part of its source id, by which receivers find it again.
+        First word of the stream's name, and part of its source id, by which receivers find the stream again.
     motion, rate, position_rate
         Motion, which decides the units of the channels; samples a second and rows a second (Hz).
     offset
@@ -65,7 +65,7 @@ class SampleStream:
         self._last_s = 0.0
 
     def push(self, rows: NDArray[np.void], times_ns: NDArray[np.int64]) -> None:
-        """Send rows, each with its host time (ns); a time before the last one sent is replaced by the last one."""
+        """Send rows, each with its host time (ns); a time before the last sent one is replaced by the last sent one."""
         if not len(rows):
             return
         stamps = np.maximum.accumulate(np.maximum(times_ns * 1e-9 + self._offset_s, self._last_s))
@@ -75,7 +75,7 @@ class SampleStream:
 
 
 class MarkerStream:
-    """Outlet of the markers, named ``NAME markers``: one text for each marker, at irregular times."""
+    """LSL outlet of the markers, named ``NAME markers``: one text for each marker, at irregular times."""
 
     def __init__(self, pylsl: Any, name: str, offset: ClockOffset) -> None:
         info = pylsl.StreamInfo(
@@ -86,7 +86,7 @@ class MarkerStream:
         self._outlet = pylsl.StreamOutlet(info, max_buffered=BUFFERED_S)
 
     def push(self, markers: Sequence[Marker]) -> None:
-        """Send markers, each with its own time."""
+        """Send markers, each with its own host time."""
         for marker in markers:
             text = json.dumps(marker.content, ensure_ascii=False)
             self._outlet.push_sample([text], marker.time_ns * 1e-9 + self._offset_s)

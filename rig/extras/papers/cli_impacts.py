@@ -25,12 +25,7 @@ def show_impacts(directory: Path, *, plot: str, as_json: bool) -> None:
         }
     if as_json:
         output.print_json(
-            {
-                "figure_7": panels,
-                "word_lengths": words,
-                "figure_8": profiles,
-                "pictures": pictures,
-            }
+            {"figure_7": panels, "word_lengths": words, "figure_8": profiles, "pictures": pictures}
         )
         return
     output.show([_figure_7(panels), _word_lengths(words), _figure_8(profiles)])

@@ -113,10 +113,7 @@ class Ruling:
 
 
 def judge(
-    cases: Mapping[str, bool],
-    *,
-    conditions: Mapping[str, Sequence[str]] | None = None,
-    **numbers: Any,
+    cases: Mapping[str, bool], *, conditions: Mapping[str, Sequence[str]] | None = None, **numbers: Any
 ) -> Ruling:
     """Judge a claim that was tested in several cases, by the rule in this module's docstring.
 

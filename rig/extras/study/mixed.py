@@ -442,10 +442,7 @@ class _Model:
         formula = f"limit ~ 0 + {' + '.join(['cell', *design.covariates])}"
         if parts:
             fit = mixed_linear_model.MixedLM.from_formula(
-                formula,
-                design.frame,
-                groups="participant",
-                vc_formula={part: PARTS[part] for part in parts},
+                formula, design.frame, groups="participant", vc_formula={part: PARTS[part] for part in parts}
             ).fit(
                 start_params=mixed_linear_model.MixedLMParams.from_components(
                     np.zeros(0),

@@ -173,17 +173,7 @@ def agreement(some: Iterable[Agreement]) -> Table:
         )
         for one in some
     ]
-    head = (
-        "condition",
-        "classes",
-        "weights",
-        "κ",
-        "95 %",
-        "same",
-        "on stable",
-        "on not stable",
-        "people",
-    )
+    head = ("condition", "classes", "weights", "κ", "95 %", "same", "on stable", "on not stable", "people")
     return Table(
         (*head, "trials", "left out"),
         rows,

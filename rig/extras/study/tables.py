@@ -267,11 +267,7 @@ def _limit_columns(measure: Measure) -> tuple[DataColumn, ...]:
     return (
         DataColumn(f"limit_{name}", float, "stiffness", meaning, _limit(measure, "value")),
         DataColumn(
-            f"limit_{name}_low",
-            float,
-            "stiffness",
-            "lower end of the 95 % interval",
-            _limit(measure, "low"),
+            f"limit_{name}_low", float, "stiffness", "lower end of the 95 % interval", _limit(measure, "low")
         ),
         DataColumn(
             f"limit_{name}_high",

@@ -246,7 +246,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
         live._send_state()
         assert (one.followed, one.put_, live._history.rows) == (None, "", 0)
         assert one.newest["state"]["loop"] is None
-        with pytest.raises(ConfigError, match="no loop is running"):
+        with pytest.raises(ConfigError, match="no control loop is running"):
             live.looked_at()  # nor is its wall changed
 
 

@@ -59,7 +59,7 @@ def test_a_wrong_field_is_named(message: Any, named: str) -> None:
 
 def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed() -> None:
     message = {"do": "run", "job": "format"}
-    with pytest.raises(ConfigError, match=r"run: job = \"format\": Input should be 'hit' or 'play'; send"):
+    with pytest.raises(ConfigError, match=r"field job = \"format\" is not valid: .*'hit' or 'play'; send"):
         request_of(json.dumps(message), KINDS)
     with pytest.raises(ConfigError, match=r'unknown request "shutdown"; send one of operate, run'):
         request_of('{"do": "shutdown"}', KINDS)

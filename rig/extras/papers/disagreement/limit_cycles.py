@@ -214,9 +214,7 @@ def _row(tally: Tally) -> Row:
 
 
 def limit_cycles(
-    experiment: Experiment,
-    schemes: Sequence[Scheme] = (),
-    walls: Sequence[tuple[float, float]] | None = None,
+    experiment: Experiment, schemes: Sequence[Scheme] = (), walls: Sequence[tuple[float, float]] | None = None
 ) -> LimitCycles:
     """Predict and simulate the limit cycles of walls, given as (K, B); None: the walls that this module describes.
 

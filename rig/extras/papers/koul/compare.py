@@ -59,11 +59,7 @@ class Panel:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return rate, arithmetic and the compared impacts for JSON."""
-        return {
-            "position_rate": self.position_rate,
-            "arithmetic": self.arithmetic,
-            **plain(self.comparison),
-        }
+        return {"position_rate": self.position_rate, "arithmetic": self.arithmetic, **plain(self.comparison)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
