@@ -119,7 +119,7 @@ class Output:
 
 
 def refuse(differences: Iterable[Difference]) -> None:
-    """Raise `DeviceRefusedError` with one sentence for each of `differences`; return if there are none."""
+    """Raise `DeviceRefusedError` with one sentence for each of `differences`; return if the sequence is empty."""
     wrong = list(differences)
     if wrong:
         raise DeviceRefusedError(

@@ -1,4 +1,4 @@
-"""Compute Cohen's kappa of a person's and the automatic verdicts, and the tables of confusions behind it.
+"""Compute Cohen's kappa of a person's and the automatic verdicts, and the confusion matrices behind it.
 
     κ = (p_o − p_e) / (1 − p_e)
 
@@ -34,7 +34,7 @@ AUTOMATIC = {"stable": "stable", "limit cycle": "buzz", "unstable": "unstable"} 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """One table of confusions and its kappa.
+    """Confusion matrix of a person's and the automatic verdicts, and its kappa.
 
     Attributes
     ----------
@@ -47,16 +47,16 @@ class Agreement:
     classes
         Names of the classes, for rows and columns.
     counts
-        Trials: a row for each class of the person, a column for each of the automatic verdict.
+        Number of trials: a row for each class of the person, a column for each class of the automatic verdict.
     trials, left_out
-        Trials in the table; judged trials left out because one of the two verdicts is missing.
+        Trials in the matrix; judged trials that are left out because one of the two verdicts is missing.
     people
         Number of people who judged the trials.
     share
         Share of trials with equal verdicts, without weights.
     positive, negative
         Agreement on "stable" and on "not stable": 2 n_both / (n_person + n_automatic) of the class. None without such
-        verdicts, and for tables of more than two classes.
+        verdicts, and for matrices of more than two classes.
     kappa
         Cohen's kappa; None if agreement by chance is already complete.
     low, high
@@ -81,20 +81,26 @@ class Agreement:
 
 
 def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """Return person's and automatic class, "stable" or "not stable" under the study's criterion; None if missing."""
+    """Return the person's and the automatic class of a trial: "stable" or "not stable"; None for a missing verdict.
+
+    The automatic class follows the criterion of the study's protocol.
+    """
     person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
     automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
     return person, automatic
 
 
 def three_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """Return person's and automatic class: stable, buzz or unstable, in this order; None if missing."""
+    """Return the person's and the automatic class of a trial: stable, buzz or unstable; None for a missing verdict."""
     person = trial.verdict if trial.verdict in THREE else None
     return person, AUTOMATIC.get(trial.automatic)
 
 
 def four_classes(trial: TrialRow) -> tuple[str | None, str | None]:
-    """Return person's and automatic class of four; "unsure" is automatic if its criterion could not be measured."""
+    """Return the person's and the automatic class of a trial: stable, buzz, unstable or unsure; None if missing.
+
+    The automatic class is "unsure" if the study's criterion could not be measured.
+    """
     automatic = "unsure" if trial.automatic_stable is None else AUTOMATIC.get(trial.automatic)
     return trial.verdict or None, automatic
 
@@ -110,7 +116,7 @@ _KINDS: tuple[
 
 
 def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
-    """Return all tables: of all trials that count, and of each condition; empty if no person judged."""
+    """Return all confusion matrices: of all trials that count, and of each condition; empty if no person judged."""
     judged = [
         trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
     ]
@@ -170,7 +176,7 @@ def _agreement(
 
 
 def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
-    """Return why kappa of this table has no interval; empty if it can have one."""
+    """Return why kappa of a confusion matrix has no interval; empty if it can have an interval."""
     if not counts.any():
         return "no trial has both verdicts"
     for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):
@@ -189,7 +195,7 @@ def _specific(counts: Floats, place: int) -> float | None:
 
 
 def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
-    """Return the 95 % interval of kappa over people, leaving out one at a time, or the reason why it is missing."""
+    """Return the 95 % interval of kappa by leaving out one person at a time, or the reason why it is missing."""
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:
@@ -210,7 +216,7 @@ def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
 
 
 def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> float:
-    """Return Cohen's kappa of a table of confusions.
+    """Return Cohen's kappa of a confusion matrix.
 
     Parameters
     ----------
@@ -238,7 +244,7 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
 
 
 def _alike(classes: int, weights: Weights) -> Floats:
-    """Return the weight of each pair of classes as an agreement, 0 to 1 (classes × classes); 1 on the diagonal."""
+    """Return how far each pair of classes counts as agreement, 0 to 1, shape (classes, classes)."""
     place = np.arange(classes)
     distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)
     if weights == "none":

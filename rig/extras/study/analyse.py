@@ -1,4 +1,4 @@
-"""Compute all results of a study from its sessions on disk."""
+"""Compute all results of a study from the logs of its sessions."""
 
 from __future__ import annotations
 
@@ -59,16 +59,17 @@ class AnalysisOptions:
     Attributes
     ----------
     measure
-        Definition of the limits that a report shows first; all measures are computed.
+        Definition of the stiffness limits that a report shows first; all three measures are computed.
     hashes
-        Whether recordings are compared with the hashes in the logs.
+        Compare recordings with the hashes in the logs.
     across
-        Keys of the protocol in which sessions may differ although they can decide a result; see `read_study`.
+        Keys of the protocol in which sessions may differ although the keys can affect a result; see `read_study`.
     seed
         Seed of all bootstraps; the same seed gives the same intervals.
     include_marked
-        Whether doubtful limits are used: of searches that stopped at their trial limit before enough turns, outside of
-        their own interval, or not between a wall judged stable and one judged not stable.
+        Also use *marked* limits, which the verdicts do not support: of searches that stopped at their trial limit
+        before enough reversals, outside of their own interval, or not between a wall judged stable and a wall judged
+        not stable.
     """
 
     measure: Measure = "rule"
@@ -80,22 +81,22 @@ class AnalysisOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyAnalysis:
-    """The results of a study.
+    """All results of a study.
 
     Attributes
     ----------
     study, options
         The sessions that were analysed, and the options.
     schemes
-        Description of sampling and estimator of each condition, by its name.
+        Description of sampling and estimator of each condition, by the condition's name.
     trials, runs
-        One row for each trial and each run, from which all other results are computed.
+        One row for each trial and for each run (search), from which all other results are computed.
     participants, answers
-        One row for each participant, and one for each answer to the questionnaire.
+        One row for each participant, and for each answer to the questionnaire.
     of_participants, over_participants, paired
         K_max of each participant, its mean over participants, and paired differences of conditions, by all measures.
     mixed
-        One mixed model for each measure for which a run has a limit.
+        One mixed model for each measure by which a run has a limit.
     agreements, psychometrics, slopes, blocks
         Results of the modules of these names; slopes and blocks are from `effects`.
     """
@@ -118,7 +119,7 @@ class StudyAnalysis:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Return messages for the reader: about the sessions, and about trials and runs that were left out."""
+        """Messages for the reader: about the sessions, and about trials and runs that were left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
         fast = sum(trial.too_fast and trial.counts for trial in self.trials)
@@ -176,18 +177,18 @@ class StudyAnalysis:
 
     @property
     def runs_as_counted(self) -> tuple[RunRow, ...]:
-        """Return the runs that K_max, models and slopes use; see `rig.extras.study.rows.runs_as_counted`."""
+        """Runs that K_max, models and slopes use: without marked limits, unless `include_marked`."""
         return runs_as_counted(self.runs, include_marked=self.options.include_marked)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of trials by their use; "counted" trials contribute to limits."""
+        """Return the number of trials by use: "recorded" (all), "counted" (for a limit), or why not counted."""
         return {
             "recorded": len(self.trials),
             **dict(sorted(count_trial_uses(self.trials, self.runs_as_counted).items())),
         }
 
     def _of_marked(self) -> Iterator[str]:
-        """Yield messages about runs that stopped at their trial limit, and limits that their verdicts contradict."""
+        """Yield messages about runs that stopped at their trial limit, and limits without support by verdicts."""
         taken = (
             "included"
             if self.options.include_marked
@@ -213,7 +214,7 @@ class StudyAnalysis:
             yield f"{limits} not supported by the verdicts, {taken}: {_list_names(names)}"
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all results as plain values for JSON; single trials are only in their table."""
+        """Return all results for JSON; single trials are only in their table."""
         study, protocol = self.study, self.study.protocol
         return {
             "title": protocol.study.title,
@@ -257,17 +258,15 @@ def analyse(
     ----------
     paths
         Directories of sessions or of studies.
-    options
-        Options of the analysis.
     watch
-        Called with the name of a step, the number of its parts done, and their total.
+        Called with the name of a step, the number of its finished parts, and their total.
 
     Raises
     ------
     RecordingError
-        No session there, or a damaged log.
+        A path contains no session, or a log is damaged.
     ConfigError
-        Sessions that are not of one study, or that this version cannot read.
+        The sessions are not of one study, or this version cannot read them.
     """
     options = options or AnalysisOptions()
     report = watch or (lambda _what, _done, _total: None)
@@ -331,17 +330,17 @@ def analyse_study(
         Directories of participants or of studies.
     measure
         Definition of the limits that are shown first: by the search's ``"rule"``, or where half of the verdicts are
-        stable, ``"K50 person"`` or ``"K50 automatic"``. All are computed.
+        stable, ``"K50 person"`` or ``"K50 automatic"``. All three are computed.
     hashes
         Compare recordings with their hashes in the logs.
     across
-        Keys of the protocol in which sessions may differ although they can decide a result.
+        Keys of the protocol in which sessions may differ although the keys can affect a result.
     seed
         Seed of the bootstraps.
     include_marked
-        Use limits that their verdicts do not support, too; see `AnalysisOptions`.
+        Also use limits that the verdicts do not support; see `AnalysisOptions`.
     watch
-        Called with the name of a step, the number of its parts done, and their total.
+        Called with the name of a step, the number of its finished parts, and their total.
 
     Returns
     -------
@@ -352,9 +351,9 @@ def analyse_study(
     Raises
     ------
     RecordingError
-        No session there, or a damaged log.
+        A path contains no session, or a log is damaged.
     ConfigError
-        Sessions that are not of one study, or that this version cannot read.
+        The sessions are not of one study, or this version cannot read them.
     """
     options = AnalysisOptions(
         measure=measure, hashes=hashes, across=tuple(across), seed=seed, include_marked=include_marked
@@ -363,7 +362,10 @@ def analyse_study(
 
 
 def _pool(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
-    """Return the limit from all verdicts of a participant's complete runs, by measure, participant and cell."""
+    """Estimate the limit from all verdicts of a participant's complete runs, by measure, participant, and cell.
+
+    A cell is a (condition, damping).
+    """
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}
     grids = levels_by_participant(study)

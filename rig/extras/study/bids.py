@@ -1,8 +1,8 @@
 """Export a study's raw data as a BIDS-motion dataset, so that common tools can read it (BIDS 1.10).
 
 One recording is one run of the task ``wallhit``, numbered by its trial. The scans file of a participant contains the
-wall and verdict of each run, also of practice, redone and invalid trials. From the session's log only these and the
-answers to the questionnaire are exported; the operator's notes are free text and are not exported.
+wall and verdict of each run, also of practice, redone and invalid trials. From the session's log only walls, verdicts
+and answers to the questionnaire are exported; the operator's notes are free text and are not exported.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class BidsOptions:
     Attributes
     ----------
     every
-        Keep only every n-th row of a recording; nothing is filtered. 1 keeps all.
+        Keep only every n-th row of a recording; nothing is filtered. 1 keeps all rows.
     shift_dates
         Move the dates of each participant so that the first recording was made on 1 January 1925.
     authors, licence
@@ -78,7 +78,7 @@ class BidsOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dataset:
-    """The written dataset: directory, number of participants and recordings, and a sentence for each trial left out."""
+    """A written dataset: directory, number of participants and recordings, and a sentence for each trial left out."""
 
     directory: Path
     participants: int
@@ -89,18 +89,16 @@ class Dataset:
 def export_bids(
     study: Study, directory: Path, options: BidsOptions | None = None, watch: Watch | None = None
 ) -> Dataset:
-    """Write a dataset; the directory appears only when it is complete.
+    """Write a BIDS-motion dataset; its directory appears only when it is complete.
 
     Parameters
     ----------
     study
         Study whose sessions are written, in their order.
     directory
-        Directory that is made; it must not exist.
-    options
-        See `BidsOptions`.
+        Directory that is created; it must not exist.
     watch
-        Called with the number of recordings done, and the total.
+        Called with the number of finished recordings, and the total.
 
     Raises
     ------
@@ -132,7 +130,7 @@ def export_bids(
 
 
 def label_of(code: str) -> str:
-    """Return the letters and digits of a participant's code, its BIDS label; raise `ConfigError` if it has none."""
+    """Return a participant's BIDS label, the letters and digits of the code; raise `ConfigError` if it is empty."""
     label = re.sub(r"[^0-9A-Za-z]", "", code)
     if not label:
         raise ConfigError(
@@ -143,7 +141,7 @@ def label_of(code: str) -> str:
 
 
 class _Writer:
-    """Writer of one dataset; it counts recordings and collects the trials that are left out."""
+    """Writer of one dataset; it counts the recordings and collects the trials that are left out."""
 
     def __init__(self, root: Path, options: BidsOptions, watch: Watch | None, total: int) -> None:
         self._root = root
@@ -155,7 +153,7 @@ class _Writer:
         self.left_out: list[str] = []
 
     def participant(self, session: StudySession, trials: Iterable[TrialRow], label: str) -> None:
-        """Write the directory of one participant."""
+        """Write the recordings and the scans file of one participant, and collect the trials that are left out."""
         name = f"sub-{label}"
         place = self._root / name / "motion"
         place.mkdir(parents=True)
@@ -268,7 +266,7 @@ def _channel_rows(columns: Iterable[Channel]) -> list[Row]:
 
 
 def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, ...], list[Row], Row]:
-    """Return columns, rows and sidecar of the participants' table; each answer is a column."""
+    """Return columns, rows and metadata of the participants' table, with a column for each answer."""
     own = {
         "code": {"Description": "as in the study's own files"},
         "row": {"Description": "row of the order of conditions, from 0"},

@@ -53,7 +53,7 @@ EVENTS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One column of a motion file: its row in the channels file, and the column of the recording that is its source."""
+    """One column of a motion file: its row in the channels file, and its source, a column of the recording."""
 
     name: str
     column: str
@@ -63,7 +63,7 @@ class Channel:
     description: str
 
     def as_row(self) -> dict[str, str]:
-        """Return the channel's row of the channels file, in the order of the standard."""
+        """Return the row of the channels file that describes this channel, in the column order of the standard."""
         return {
             "name": self.name,
             "component": self.component,
@@ -77,7 +77,7 @@ class Channel:
 
 
 def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
-    """Return the columns of a motion file of a rotary or linear rig, with units and meanings of the recording."""
+    """Return the columns of a motion file for a rotary or linear rig; `estimator` computed the velocity."""
     rotary = motion == "rotary"
     axis = "z" if rotary else "x"
     moving = {
@@ -96,14 +96,12 @@ def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
 
 
 def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel], every: int = 1) -> None:
-    """Write rows separated by tabs, without a header, with the shortest digits that read back equal.
+    """Write a recording as a motion file: rows separated by tabs, without a header.
+
+    Numbers have the shortest digits that read back equal.
 
     Parameters
     ----------
-    file
-        File that is written.
-    recording
-        Recording whose rows are written.
     columns
         Channels to write, in this order.
     every
@@ -124,7 +122,7 @@ def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel
 def sidecar(
     recording: Recording, columns: Sequence[Channel], every: int, extra: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the metadata of a motion file, from the recording alone; `extra` is added.
+    """Return the metadata (JSON) of a motion file, from the recording alone, with `extra` added.
 
     Raises `RecordingError` if the recording has no rows.
     """
@@ -199,7 +197,7 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def _pins(recording: Recording) -> list[tuple[str, float, float]]:
-    """Return name, time (s since the first row) and duration 0 of each edge at the device's sync pins."""
+    """Return name, onset (s since the first row) and duration 0 of each edge at the device's sync pins."""
     origin = int(recording.rows["device_time"][0])
     return [
         (mark.name, (mark.device_time - origin) * 1e-9, 0.0)
@@ -209,7 +207,7 @@ def _pins(recording: Recording) -> list[tuple[str, float, float]]:
 
 
 def frame(motion: Motion) -> dict[str, Any]:
-    """Return the description of the reference frame for the JSON of a channels file."""
+    """Return the description of the reference frame of a rotary or linear rig, for the JSON of a channels file."""
     what = (
         "The handle turns about one axis, called z; the angle is zero at the rig's reference"
         if motion == "rotary"
@@ -230,12 +228,12 @@ def frame(motion: Motion) -> dict[str, Any]:
 
 
 def unit(text: str) -> str:
-    """Return a unit in the spelling of BIDS, such as N.m for N·m."""
+    """Convert the spelling of a unit to that of BIDS, such as N·m to N.m."""
     return _UNITS.get(text, text.replace("·", ".").replace("²", "^2"))
 
 
 def _cells(values: Any) -> Any:
-    """Return a column for the writer; values that are not finite become ``n/a``."""
+    """Return a column as cells of a motion file; values that are not finite become ``n/a``."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return [repr(value) if np.isfinite(value) else MISSING for value in values.tolist()]
     return values

@@ -1,4 +1,4 @@
-"""``rig session analyse``."""
+"""Command ``rig session analyse``: analyse a study, print and write its results."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def analyse(
     """Analyse a study: limits with intervals, differences, agreement, order and fatigue.
 
     DIR is the directory of a study or of a participant. Trials and verdicts are read from the logs alone, with later
-    corrections; tables are written as CSV and Parquet, with a dictionary of their columns, and
+    corrections. Tables are written as CSV and Parquet, with a dictionary of their columns; the report is one HTML file.
     """
     chosen = AnalysisOptions(
         measure=MEASURES[measure],  # type: ignore[arg-type]
@@ -95,7 +95,7 @@ def analyse(
 
 
 def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
-    """Return the directory ``analysis`` in the only given place, or in the common parent of all sessions."""
+    """Return the directory for results: ``analysis`` in the only given place, or in the sessions' common parent."""
     if len(places) == 1:
         return (places[0] if places[0].is_dir() else places[0].parent) / "analysis"
     parents = {session.directory.resolve().parent for session in found.study.sessions}
@@ -103,7 +103,7 @@ def beside(places: tuple[Path, ...], found: StudyAnalysis) -> Path:
 
 
 class Steps:
-    """Print the current step on standard error, if it is a terminal."""
+    """Display of the current step of an analysis on standard error, if it is a terminal."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
@@ -117,7 +117,7 @@ class Steps:
             click.echo("\r\033[K", nl=False, err=True)
 
     def watch(self, what: str, done: int, total: int) -> None:
-        """Print a step and its progress, at most every `_OFTEN_S`."""
+        """Print a step and its progress, at most once every `_OFTEN_S` (s)."""
         now = time.monotonic()
         if not self._quiet and (done in (0, total) or now - self._printed_s >= _OFTEN_S):
             self._printed_s = now
@@ -125,7 +125,7 @@ class Steps:
 
 
 def show(found: StudyAnalysis) -> None:
-    """Print the first tables of the report: limits, differences, agreement and slopes."""
+    """Print messages and the most important tables: limits, differences, agreement and slopes."""
     study, measure, counts = found.study, found.options.measure, found.counts()
     people = "simulated participant" if study.rehearsed else "participant"
     click.echo(
@@ -152,7 +152,7 @@ def show(found: StudyAnalysis) -> None:
 
 
 def _differences(found: StudyAnalysis) -> Iterator[Item]:
-    """Yield why there is no model, the table of differences, and notes on them."""
+    """Yield what the terminal shows of differences: why there is no model, the table, reasons and notes."""
     model, first = tables.first_contrasts(found)
     if model is not None and model.problem:
         yield f"No mixed model: {model.problem}"

@@ -1,4 +1,4 @@
-"""``rig session export``: write a study's raw data for other programs."""
+"""Command ``rig session export``: write a study's raw data for other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw the pictures and write the page of a study, for `rig session analyse`."""
+"""Draw the pictures and write the HTML report of a study, for `rig session analyse`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PICTURES = "pictures"
 def write_report(
     found: StudyAnalysis, directory: Path, ending: str, watch: Callable[[str, int, int], None]
 ) -> tuple[dict[str, Path], Path]:
-    """Draw all pictures and write the page; return the paths of the pictures by name, and the path of the page.
+    """Draw all pictures and write the report; return the paths of the pictures by name, and the path of the report.
 
-    Each picture is written as PNG, which the page contains, and in the format `ending`.
+    Each picture is written as PNG, which the report contains, and in the format `ending`.
 
     Raises
     ------

@@ -25,13 +25,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slope:
-    """Mean over participants of the slopes of a quantity along the session, with a 95 % interval.
+    """Change of a quantity along the session: mean over participants of each participant's slope, with a 95 % interval.
 
     Attributes
     ----------
-    of, along
-        Quantity, "limit" (stiffness), "response time" (natural logarithm of s) or "invalid" (0 or 1); against "order"
-        (place in the block), "block", or "trial" (number in the session).
+    of
+        Quantity: "limit" (stiffness), "response time" (natural logarithm of s) or "invalid" (0 or 1).
+    along
+        Position in the session: "order" (place in the block), "block", or "trial" (number in the session).
     measure
         Measure of the limit; empty for the other quantities.
     count
@@ -58,7 +59,7 @@ class Slope:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockRow:
-    """Summary of one block of one participant.
+    """Summary of the trials in one block of one participant.
 
     Attributes
     ----------
@@ -182,7 +183,7 @@ def _slope(
 
 
 def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, float]]) -> dict[str, float]:
-    """Return the slope of `values` along `at` for each participant who has different places.
+    """Return the slope of `values` along `at` by participant, for participants whose values have different places.
 
     Parameters
     ----------
@@ -207,7 +208,7 @@ def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, fl
 def _rounding_of_slopes(
     at: Floats, roundings: Floats, cells: Sequence[tuple[str, str, float]], each: Mapping[str, float]
 ) -> float:
-    """Return the standard deviation of the slopes that follows from rounding the values to their levels."""
+    """Return the standard deviation of the slopes that rounding the values to the levels of the search causes."""
     moved, codes = less_means(at, cells), np.array([cell[0] for cell in cells])
     own = [codes == code for code in each]
     return rounding_of(
@@ -218,7 +219,7 @@ def _rounding_of_slopes(
 def _over(
     each: Mapping[str, float], shared: bool, rounding: float
 ) -> tuple[float, float, float, float] | str:
-    """Return mean, 95 % interval and p of the participants' slopes, by Student over participants; or why not.
+    """Return mean, 95 % interval and p of the participants' slopes (Student), or the reason why they are missing.
 
     If `shared`, the means of the conditions are estimated from the same values, which takes one more degree of freedom:
     with two conditions, each searched once, this is the two-sample test of a crossover.
@@ -249,7 +250,7 @@ def _is_shared(cells: Sequence[tuple[str, str, float]]) -> bool:
 
 
 def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Floats:
-    """Return values minus the means of participants and conditions; residuals by rounding errors become zero."""
+    """Return `values` minus the means of participants and conditions; rounding errors of the result become zero."""
     if not cells:
         return values
     if _is_shared(cells):

@@ -23,7 +23,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """The written export: directory, number of recordings, and a sentence for each trial left out."""
+    """A written export: directory, number of recordings, and a sentence for each trial left out."""
 
     directory: Path
     recordings: int
@@ -38,11 +38,11 @@ def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None 
     study
         Study whose recordings are written.
     directory
-        Directory that is made; it must not exist.
+        Directory that is created; it must not exist.
     kind
         Format, one of `rig.recording.export.EXPORTERS`.
     watch
-        Called with the number of recordings done, and the total.
+        Called with the number of finished recordings, and the total.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Estimate K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
 
-By the rule, K_max is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the levels is
-*censored*: it is replaced by the nearest level and counted, so a mean that contains censored limits is a bound.
-``rig/session/README.md`` states how often these intervals contain the true value.
+By the rule, K_max is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the searched
+stiffnesses (levels) is *censored*: it is replaced by the nearest level and counted, so a mean that contains censored
+limits is a bound. ``rig/session/README.md`` states how often these intervals contain the true value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Cell = tuple[str, float]  # condition, damping
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """Numbers of limits, of limits beyond the stiffest or the softest level, and of marked limits."""
+    """Number of limits, and how many of them are above the stiffest level, below the softest level, and marked."""
 
     limits: int = 0
     above: int = 0
@@ -54,12 +54,12 @@ class Beyond:
 
     @property
     def count(self) -> int:
-        """Return the number of censored limits."""
+        """Number of censored limits, above or below the levels."""
         return self.above + self.below
 
     @property
     def mostly(self) -> bool:
-        """Return True if most limits are censored, so that their mean is little more than the end of the levels."""
+        """True if more than half of the limits are censored."""
         # Then a mean is little more than the end of the levels, and scatters as little: no interval, and no difference
         # with it has an interval or p.
         return 2 * self.count > self.limits
@@ -85,11 +85,11 @@ class OfParticipant:
     student_low, student_high, bootstrap_low, bootstrap_high
         Both intervals over repeats; NaN for K50, fewer than three repeats, equal repeats, or if most are censored.
     limits, above, below
-        Number of values, and of those beyond the stiffest or the softest level.
+        Number of limits, and number of limits beyond the stiffest or the softest level.
     rounding
         Standard deviation of the error of `mean` that rounding to the levels makes.
     marked
-        Number of marked values (`rig.extras.study.rows.LimitInterval`); 0 unless `include_marked`.
+        Number of marked limits (`rig.extras.study.rows.LimitInterval`); 0 unless `include_marked`.
     """
 
     measure: Measure
@@ -114,16 +114,16 @@ class OfParticipant:
 
     @property
     def beyond(self) -> Beyond:
-        """Return the counts of censored and marked limits as one value."""
+        """Numbers of censored and of marked limits."""
         return Beyond(self.limits, self.above, self.below, self.marked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverParticipants:
-    """K_max of a condition at one damping: mean over participants of each one's mean over repeats.
+    """K_max of a condition at one damping: mean over participants of each participant's mean over repeats.
 
     `low` and `high` are Student's 95 % interval over participants; NaN if `problem` gives a reason. `above` and `below`
-    are the numbers of those of the `limits` that lie beyond the levels.
+    are the numbers of the `limits` that lie beyond the levels.
     """
 
     measure: Measure
@@ -172,7 +172,7 @@ Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, partic
 
 
 def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
-    """Return the numbers of limits, censored limits and marked limits of each condition and damping."""
+    """Count limits, censored limits and marked limits by (condition, damping)."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
         one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
@@ -181,7 +181,7 @@ def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, 
 
 
 def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
-    """Return on which side the difference `condition` minus `against` is open, because of censored limits."""
+    """Return on which side the difference `condition` minus `against` is open because of censored limits; "" if not."""
     sides = {
         name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
         for name in (condition, against)
@@ -194,12 +194,9 @@ def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bou
 def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
     """Return the limits of complete runs by a measure.
 
-    Parameters
-    ----------
-    pooled
-        Limits from all verdicts of a participant under a condition at a damping.
+    `pooled` has the limits from all verdicts of a participant under a condition at a damping, which K50 uses.
     """
-    # K50 is of all verdicts together: a run whose own verdicts do not show it adds its own to them
+    # K50 is estimated from all verdicts together, so a run that alone does not determine K50 contributes its verdicts.
     counted = [
         run for run in runs if run.state == "complete" and (measure != "rule" or measure in run.limits)
     ]
@@ -229,7 +226,10 @@ def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterva
 
 
 def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
-    """Return K_max of each participant, by measure, condition and damping; `seed` is for the bootstrap."""
+    """Estimate K_max of each participant, by measure, condition and damping; `seed` is for the bootstrap.
+
+    `pooled` has the limits from all verdicts of a participant under a condition at a damping.
+    """
     found = []
     for measure in MEASURES:
         groups: dict[tuple[str, Cell], list[Observed]] = {}
@@ -277,7 +277,7 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
 def over_participants(
     each: Sequence[OfParticipant], conditions: Sequence[str]
 ) -> tuple[OverParticipants, ...]:
-    """Return K_max over participants, sorted by measure, by the order of `conditions`, and by damping."""
+    """Average K_max over participants; return the means by measure, by the order of `conditions`, and by damping."""
     groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
     for one in each:
         groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
@@ -315,7 +315,7 @@ def over_participants(
 
 
 def compare_pairs(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
-    """Return differences between all pairs of conditions, at each common damping and over all common dampings."""
+    """Return the differences of all pairs of conditions, at each common damping and over all common dampings."""
     return tuple(
         one for measure in MEASURES for one in _correct_holm(_compare_pairs(each, measure, conditions))
     )
@@ -329,7 +329,7 @@ def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
 def _compare_pairs(
     each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
 ) -> list[Paired]:
-    """Return the differences by one measure, without Holm's correction."""
+    """Return the differences of all pairs of conditions by one measure, without Holm's correction."""
     of = [one for one in each if one.measure == measure]
     known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
     beyond: dict[Cell, Beyond] = {}
@@ -376,7 +376,7 @@ def _compare_pairs(
 def _behind(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
-    """Return the conditions and dampings that contribute to a difference, with their numbers of censored limits."""
+    """Return the counts of censored limits of each (condition, damping) that contributes to a difference."""
     both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
     return {
         (name, b): one
@@ -387,7 +387,7 @@ def _behind(
 
 @dataclass(frozen=True, slots=True)
 class Student:
-    """Student's 95 % interval of a mean, and two-sided p that the mean is zero; NaN if `problem` gives a reason."""
+    """Student's 95 % interval of a mean, and the two-sided p that the mean is zero; NaN if `problem` gives a reason."""
 
     low: float = math.nan
     high: float = math.nan
@@ -398,16 +398,17 @@ class Student:
 def student(
     values: Floats, rounding: float = 0.0, *, of: str = "participants", what: str = "the values"
 ) -> Student:
-    """Return Student's interval and test of a mean, by scipy.
+    """Compute Student's interval and test of a mean.
 
-    `problem` gives the reason if it is missing: fewer than `LEAST_VALUES` values, or scatter no larger than rounding.
+    `problem` gives the reason if there are fewer than `LEAST_VALUES` values, or if their scatter is no larger than
+    rounding.
 
     Parameters
     ----------
     values
         One value for each participant or repeat.
     rounding
-        Standard deviation that follows from rounding to the levels, see `rig.session.search._resolution`.
+        Standard deviation that rounding to the levels causes, see `rig.session.search._resolution`.
     of, what
         Words for the values in `Student.problem`.
     """
@@ -422,18 +423,18 @@ def student(
 
 
 def too_few_words(count: int, of: str) -> str:
-    """Return the text that too few participants or repeats (`of`) have no interval."""
+    """Return the text that `count` participants or repeats (`of`) are too few for an interval."""
     noun = of.replace("participants", "participant").replace("repeats", "repeat") if count == 1 else of
     return f"{count} {noun}; an interval and a p value need {LEAST_VALUES} or more"
 
 
 def rounding_of(roundings: Sequence[float]) -> float:
-    """Return the root mean square of the values' standard deviations by rounding."""
+    """Return the root mean square of the standard deviations that rounding causes in single values."""
     return math.sqrt(sum(one**2 for one in roundings) / len(roundings))
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Return p values after Holm's correction (Scandinavian Journal of Statistics 6, 1979); NaN is not counted."""
+    """Correct p values for their number by Holm's method (Scandinavian Journal of Statistics 6, 1979), without NaN."""
     known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
     adjusted, largest = [math.nan] * len(p), 0.0
     for rank, (value, place) in enumerate(known):
@@ -443,7 +444,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 
 def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
-    """Return the 95 % BCa interval of a mean, or the percentile interval; NaN if `student` has no interval."""
+    """Return the 95 % bootstrap interval of a mean (BCa, else percentile); NaN if `student` has no interval."""
     if student(values).problem:
         return math.nan, math.nan
     for method in ("BCa", "percentile"):
@@ -482,9 +483,9 @@ def _differences(
     condition: str,
     damping: float | None,
 ) -> tuple[Floats, float]:
-    """Return `condition` minus `against` for each participant who has both (over `damping`, or all common dampings).
+    """Return `condition` minus `against` for each participant who has both, at one or (None) all common dampings.
 
-    The second value is the standard deviation of the differences that follows from rounding to the levels.
+    The second value is the standard deviation of the differences that rounding to the levels causes.
     """
     participants = dict.fromkeys(code for code, _, _ in known)
     of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}

@@ -45,7 +45,7 @@ _LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """An estimate of the model with its 95 % interval; NaN for covariates, whose effect is only removed."""
+    """An estimated value of the model with its 95 % interval; no interval (NaN) for order and block."""
 
     name: str
     value: float
@@ -55,7 +55,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contrast:
-    """Difference `condition` minus `against` at a damping, or over the dampings that both have (None).
+    """Difference `condition` minus `against` at a damping, or over the dampings that both conditions have (None).
 
     `holm`, `bound` and `beyond` are defined in `rig.extras.study.kmax.Paired`.
     """
@@ -76,8 +76,8 @@ class Contrast:
 class LikelihoodRatio:
     """Likelihood-ratio test of a factor: twice the log ratio of likelihoods, against χ² with `degrees` of freedom.
 
-    "condition, at any damping" tests the condition and its interaction together, and so does "damping, in any
-    condition"; "condition × damping" tests the interaction alone.
+    "condition, at any damping" tests the condition together with its interaction, and so does "damping, in any
+    condition" for the damping; "condition × damping" tests the interaction alone.
     """
 
     factor: str
@@ -88,7 +88,7 @@ class LikelihoodRatio:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixed:
-    """The mixed model of the limits by one measure, in units of stiffness.
+    """Mixed model of the limits by one measure, in units of stiffness.
 
     Attributes
     ----------
@@ -128,9 +128,9 @@ class Mixed:
 
 
 def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
-    """Fit the model to the limits by one measure. It raises no error: `Mixed.problem` contains the reason.
+    """Fit the mixed model to the limits by one measure. Raise no error: `Mixed.problem` contains the reason.
 
-    Each of `conditions` is compared with those before it in the sequence.
+    Each of `conditions` is compared with all conditions before it in the sequence.
     """
     beyond = beyond_of((one.condition, one.damping, one.limit) for one in values)
     # A cell of which most limits are censored has the end of the levels as its mean.
@@ -190,7 +190,7 @@ def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
 
 
 def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
-    """Return why no model can be fitted; empty if one can."""
+    """Return why no model can be fitted to the limits; empty if a model can be fitted."""
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
@@ -249,7 +249,7 @@ class _Design:
 
     @classmethod
     def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
-        """Return means over the repeats of each participant in each cell."""
+        """Build the data from limits: means over the repeats of each participant in each cell."""
         where: list[Cell] = [(one.condition, one.damping) for one in values]
         conditions = list(dict.fromkeys(name for name, _ in cells))
         dampings = sorted({damping for _, damping in cells})
@@ -286,7 +286,7 @@ class _Design:
         return design
 
     def columns(self, *terms: str) -> Floats:
-        """Return the design matrix of ``0 + terms``: all values of the first factor, all but one of the others."""
+        """Return the design matrix of ``0 + terms``: all values of the first factor, all but one of later ones."""
         made = [
             pandas.get_dummies(self.frame[[term]], drop_first=place > 0, dtype=np.float64)
             for place, term in enumerate(terms)
@@ -298,7 +298,7 @@ class _Design:
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
     def by_person(self, values: Floats) -> Floats:
-        """Return `values` as an array (participants, most values of one), padded with zeros for fewer values."""
+        """Arrange `values` by participant, shape (participants, most values of one participant), padded by 0."""
         of = self.frame.groupby("participant")
         person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
         rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))
@@ -306,39 +306,42 @@ class _Design:
         return rows
 
     def alike(self, part: str) -> Floats:
-        """Return 1 for each pair of a participant's values that share this random part, else 0 (participants, n, n)."""
+        """Return 1 for each pair of a participant's values that share a level of the random part, else 0.
+
+        The shape is (participants, n, n) with n as in `by_person`.
+        """
         groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
         number = self.by_person(groups + 1.0)
         return np.asarray((number[:, :, None] == number[:, None]) & (number[:, :, None] > 0.0), np.float64)
 
     @cached_property
     def participants(self) -> int:
-        """Return the number of participants with a limit."""
+        """Number of participants with a limit."""
         return int(self.frame["participant"].nunique())
 
     @cached_property
     def degrees(self) -> int:
-        """Return the degrees of freedom of a difference: participants - 1, or fewer if there are too few values."""
+        """Degrees of freedom of a difference: participants - 1, or fewer if there are too few values."""
         taken = self.rank("cell", "participant", *self.covariates)
         return min(self.participants - 1, len(self.frame) - taken)
 
     @cached_property
     def residual_deviation(self) -> float:
-        """Return the residual SD (stiffness) of a least-squares fit of cells, participants and covariates."""
+        """Residual standard deviation (stiffness) of a least-squares fit of cells, participants and covariates."""
         columns, limits = self.columns("cell", "participant", *self.covariates), self.frame["limit"]
         rest = limits - columns @ np.linalg.lstsq(columns, limits, rcond=None)[0]
         free = len(limits) - int(np.linalg.matrix_rank(columns))
         return math.sqrt(float(rest @ rest) / free) * self.scale
 
     def unresolved(self, deviation: float) -> str:
-        """Return why a residual of this standard deviation gives no interval and no p; empty if it does."""
+        """Return why a residual of this standard deviation (stiffness) gives no interval and no p; empty if it does."""
         if is_resolved(deviation, self.rounding, abs(self.middle) + self.scale):
             return ""
         return unresolved_words("the residuals within participants", deviation, self.rounding)
 
     @cached_property
     def parts(self) -> list[str]:
-        """Return the random parts that can be estimated: their factor must have repeated values within participants."""
+        """Random parts that can be estimated: their factor must have repeated values within participants."""
         found = ["participant"]
         for part in list(PARTS)[1:]:
             factor = part.split()[-1]
@@ -348,7 +351,7 @@ class _Design:
         return found
 
     def weights(self, of: Mapping[Cell, float]) -> Floats:
-        """Return the weights of all fixed effects: those in `of` for the cells, 0 for the covariates."""
+        """Return the weights of all fixed effects: the given weights for cells, 0 for covariates."""
         return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
 
 
@@ -357,7 +360,7 @@ class _Design:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """The largest log likelihood, and the variances of the random parts there, divided by the residual's."""
+    """The largest log likelihood, and the variances of the random parts there, divided by the residual's variance."""
 
     likelihood: float
     variances: Mapping[str, float]
@@ -366,7 +369,7 @@ class _Optimum:
 def _minus_log_likelihood(
     variances: Floats, count: int, limits: Floats, fixed: Floats, parts: Sequence[Floats], reml: bool
 ) -> tuple[float, Floats]:
-    """Return minus the log likelihood and its gradient, for variances of the random parts divided by the residual's.
+    """Return minus the log likelihood and its gradient, for variances of the random parts over the residual's.
 
     Fixed effects and residual variance are at their maximum-likelihood values. The arrays have the form of
     `_Design.by_person`: `count` values, padded with zeros that add nothing to a sum.
@@ -392,17 +395,15 @@ def _minus_log_likelihood(
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
-    """Return the largest likelihood for the design matrix `fixed`; None if the search does not converge.
-
-    The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
-    zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short of
-    the largest log likelihood; Powell's method, which needs none, at most 0.0007, but at a variance of zero it ends in
-    a singular matrix whatever its start (one of 16 studies of six people, and people who differ by chance alone). So
-    the variances themselves are varied, within bounds, from two starts.
-    """
+    """Maximise the likelihood for the design matrix `fixed`; return None if the search does not converge."""
     parts = [design.alike(part) for part in design.parts]
     limits = design.frame["limit"].to_numpy()
     data = len(limits), design.by_person(limits), design.by_person(fixed), parts
+    # The optimisers of statsmodels work on square roots of the variances, where the likelihood is flat at a variance of
+    # zero. Tried on 2026-11-29 (statsmodels 0.15.0, 70 fits to 14 studies): those with gradients stop up to 0.63 short
+    # of the largest log likelihood; Powell's method, which needs no gradient, at most 0.0007, but at a variance of zero
+    # it ends in a singular matrix whatever its start (one of 16 studies of six people, and people who differ by chance
+    # alone). So the variances themselves are varied, within bounds, from two starts.
     found = [
         optimize.minimize(
             _minus_log_likelihood,
@@ -423,7 +424,7 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
 
 @dataclass(frozen=True)
 class _Model:
-    """A fitted model: fixed effects (cells, then covariates) and their covariance, in units of stiffness."""
+    """A fitted model: fixed effects (cells, then covariates) and their covariance matrix, in units of stiffness."""
 
     mean: Floats
     covariance: Floats
@@ -433,7 +434,7 @@ class _Model:
 
     @classmethod
     def of(cls, design: _Design) -> _Model | None:
-        """Return REML estimates at the optimum, without random parts of zero variance; None if they do not converge."""
+        """Fit by REML, without random parts of zero variance; return None if the fit does not converge."""
         optimum = _optimum(design, design.columns("cell", *design.covariates))
         if optimum is None:
             return None
@@ -476,13 +477,13 @@ class _Model:
         return Term(name=name, value=value, low=float(low), high=float(high))
 
     def p(self, weights: Floats) -> float:
-        """Return the two-sided p that this linear combination of the fixed effects is zero."""
+        """Return the two-sided p that a linear combination of the fixed effects is zero."""
         return float(
             2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
         )
 
     def deviation(self, weights: Floats) -> float:
-        """Return the standard error of this linear combination of the fixed effects."""
+        """Return the standard error of a linear combination of the fixed effects."""
         return math.sqrt(float(weights @ self.covariance @ weights))
 
 
@@ -525,7 +526,7 @@ def _contrasts(
 def _difference(
     cells: Iterable[Cell], condition: str, against: str, damping: float | None
 ) -> dict[Cell, float]:
-    """Return the weights of the cells in a difference; empty if there is no, or for None only one, common damping."""
+    """Return the weight of each cell in a difference; empty without a common damping, or with only one for None."""
     of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
     both = of[condition] & of[against]
     if damping is not None:
@@ -536,7 +537,7 @@ def _difference(
 
 
 def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
-    """Return likelihood ratios of the full model to the models without condition, without damping, without interaction.
+    """Return likelihood-ratio tests of the full model against models without condition, damping, or interaction.
 
     A factor is left out if it cannot be separated from the others, or if one of its fits does not converge.
     """

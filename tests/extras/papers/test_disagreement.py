@@ -135,8 +135,7 @@ def test_shares_are_areas_of_cells_that_fill_the_plane(experiment: Any) -> None:
         {**failed, **one, "stiffness": 30.0, "cures": [["quantum"]]},
         {**failed, **one, "stiffness": 90.0, "cures": [["friction"], ["contact"]]},
     ]
-    found = plan.found([column] * 3)
-    shares = found.shares(0)
+    shares = (found := plan.found([column] * 3)).shares(0)
     edges = [10.0, 300.0**0.5, 2700.0**0.5, 90.0]
     assert shares.differ.share == pytest.approx((edges[3] - edges[1]) / 80.0)
     assert shares.differ == shares.fails, "theory calls all of it stable"

@@ -28,6 +28,7 @@ def test_every_command_is_ours_and_prints_json_and_can_be_quiet() -> None:
         options = {option for one in command.params for option in one.opts}
         assert isinstance(command, GroupedCommand), name
         assert "--json" in options, name
+        assert not re.search(r"(,|\b(and|or|of|the))$", command.help.strip()), f"{name}: cut off"
         assert ("--quiet" in options) == (name not in ("console", "session run", "session resume")), name
 
 
