@@ -1,7 +1,7 @@
-"""Questions from whose answers a rig is described: data-sheet values of motor and encoder, and the mechanism.
+"""Define the questions about a new rig: data-sheet values of motor and encoder, and the mechanism.
 
-Each question has its units, its range and its default. `rig.new_rig` takes the answers as keywords, `rig experiment
-new` as options or at prompts.
+Each question has its units, its range and its default. `rig.new_rig` has a keyword for each answer, `rig experiment
+new` an option or a prompt.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ _SPELT = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2
 
 @dataclass(frozen=True, slots=True)
 class DataSheetQuestion:
-    """Question about a rig, with the allowed answers.
+    """A question about a new rig, with the allowed answers.
 
     Attributes
     ----------
     text
         Text of the question.
     units
-        Factor to SI for each allowed unit, the SI unit first; None for a number without unit or a choice.
+        Factor to SI for each allowed unit, the SI unit first; None if the answer has no unit.
     low, high
         Smallest and largest allowed value (SI).
     choices
@@ -65,12 +65,12 @@ class DataSheetQuestion:
 
     @property
     def unit(self) -> str:
-        """Return the SI unit of the answer; empty for a number without unit or a choice."""
+        """Return the SI unit of the answer; empty if the answer is a name or a number without unit."""
         return next(iter(self.units)) if self.units else ""
 
     @property
     def allowed(self) -> str:
-        """Return a text with the allowed answers: choices, or range and units."""
+        """Return a text that lists the allowed answers: names, or range and units."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         kind = "a whole number" if self.whole else "a number"
@@ -79,9 +79,9 @@ class DataSheetQuestion:
         return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
 
     def read(self, name: str, text: str) -> Any:
-        """Return the value (SI) of a text such as ``38.5 mN·m/A``; raise `ConfigError` if it is not allowed.
+        """Return the value (SI) of an answer's text such as ``38.5 mN·m/A``; raise `ConfigError` if it is not allowed.
 
-        `name` is the name of the answer in the message.
+        `name` is the name of the answer, used in the error message.
         """
         if self.choices:
             return self.checked(name, text.strip())
@@ -94,7 +94,7 @@ class DataSheetQuestion:
         return self.checked(name, int(value) if self.whole and value.is_integer() else value)
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return the value (SI); raise `ConfigError` if it is not allowed."""
+        """Return the answer `value` (SI); raise `ConfigError` with the answer's `name` if the value is not allowed."""
         if self.choices:
             if value in self.choices:
                 return value
@@ -112,12 +112,12 @@ class DataSheetQuestion:
 
 
 def _spelt(unit: str) -> str:
-    """Return a unit in one spelling, without spaces and multiplication signs."""
+    """Return the name of a unit without spaces and multiplication signs, so that all spellings are equal."""
     return unit.translate(_SPELT).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
 
 
 class DataSheets(TypedDict, total=False):
-    """Answers to the questions, in SI units."""
+    """Answers to the questions about a new rig, in SI units."""
 
     mechanism: Annotated[
         Mechanism,
@@ -287,13 +287,13 @@ class DataSheets(TypedDict, total=False):
 
 @cache
 def questions() -> Mapping[str, DataSheetQuestion]:
-    """Return all questions by the name of their answer, in the order in which they are asked."""
+    """Return all questions by the name of their answer, in the order in which the questions are asked."""
     hints = get_type_hints(DataSheets, include_extras=True)
     return {name: get_args(hint)[1] for name, hint in hints.items()}
 
 
 def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
-    """Return the questions that are asked for a mechanism, without the question for the mechanism itself."""
+    """Return the questions for a mechanism by the name of their answer, without the question for the mechanism."""
     return {
         name: question
         for name, question in questions().items()
@@ -302,7 +302,7 @@ def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
 
 
 def check_answers(answers: Mapping[str, Any]) -> DataSheets:
-    """Return the checked answers; raise `ConfigError` if one is unknown, missing, out of range or not needed."""
+    """Return the checked answers (SI); raise `ConfigError` for an answer that is unknown, missing or out of range."""
     given = {name: value for name, value in answers.items() if value is not None}
     known = questions()
     for name in given:

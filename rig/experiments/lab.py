@@ -1,6 +1,6 @@
-"""Functions of the Python interface, like `rig.hit`: they take an experiment and settings, and return one result.
+"""Define the functions of the Python interface, like `rig.hit`: arguments are an experiment and settings.
 
-Each function adapts its arguments and calls the same function as the command of that name.
+Each function adapts its arguments, calls the same function as the command of the same name, and returns one result.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class HitOptions(HitSettings, total=False):
 
 @takes(WallSettings)
 def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experiment:
-    """Load an experiment and change some of its keys.
+    """Load an experiment, change some of its keys, and return the checked experiment.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
         A preset's name (``"koul-compliant"``), the path of a file (it ends in ``.toml`` or has a slash), or an
         experiment.
     **settings
-        In SI units of the rig: ``stiffness=100.0``; any other key by ``changes={"wall.position": 0.1}``.
+        Values in SI units of the rig: ``stiffness=100.0``; any other key by ``changes={"wall.position": 0.1}``.
         `operator` names the grip of a simulated hand that pushes (relaxed, normal, firm); with "none" the motor pushes.
 
     Raises
@@ -85,15 +85,15 @@ def load(experiment: ExperimentLike, **settings: Unpack[WallSettings]) -> Experi
 def hit(
     experiment: ExperimentLike = DEFAULT_PRESET, watch: Watch | None = None, **options: Unpack[HitOptions]
 ) -> HitResult:
-    """Hit a wall once: home the handle, push it into the wall, record and judge the hit.
+    """Hit a wall once: home the handle, push it into the wall, record the hit, and judge if it was stable.
 
     Parameters
     ----------
     experiment
-        As in `load`.
+        Preset's name, path of a file, or experiment (as in `load`).
     watch
-        Called before the hit with the number 0 and the experiment in effect. It may return a function that is then
-        called with (ticks, phase) while the hit runs.
+        Called before the hit with the number 0 and the experiment as it runs. `watch` may return a progress function,
+        which is called with (ticks, phase) while the hit runs.
     **options
         Settings as in `load`, and: `law`, `estimator` (a name, or your own); an open `device` instead of a `url`;
         `hands_off`, called before a torque pulse during which no hand may hold a real rig (by default it prints a line
@@ -126,9 +126,10 @@ def hit(
 def stop() -> int:
     """Stop all runs of this program, in all threads; each loop sends zero effort in its next tick.
 
-    Call it from any thread, task or signal handler; it returns at once. Each stopped call raises `StoppedError`, and
-    the end reason in its recording is ``stopped``; a map starts no more hits. Runs of other programs continue, because
-    their rigs may belong to others; the command ``rig stop`` stops these, too.
+    Call this function from any thread, task or signal handler; it returns at once. Each stopped call raises
+    `StoppedError`, and the end reason in its recording is ``stopped``; a map starts no more hits. Runs of other
+    programs continue, because their rigs may belong to other people; the command ``rig stop`` also stops other
+    programs' runs.
 
     Returns
     -------
@@ -149,9 +150,9 @@ def plan(
     round_trip_s: float | None = None,
     **settings: Unpack[WallSettings],
 ) -> Plan:
-    """Return the plan of a hit: its steps and its checks, the refused ones included; no device is opened.
+    """Return the plan of a hit: its steps and checks, with the outcome of each check; no device is opened.
 
-    Parameters are those of `hit`. With `url`, `realtime` or `round_trip_s` the wall is also judged with the delay of a
+    Parameters are those of `hit`. With `url`, `realtime` or `round_trip_s` the wall is also checked with the delay of a
     link. `round_trip_s` is the round trip of the link and of a drive behind a bridge, as `rig doctor` measures it (s).
 
     Raises
@@ -188,7 +189,7 @@ def replay(
         Name, or your own law or estimator, to use instead of the recorded ones. If the recording was made with your own
         law or estimator, pass it here.
     **settings
-        As in `load`.
+        Values of keys to change (as in `load`).
 
     Raises
     ------
@@ -221,22 +222,22 @@ def compare(
     estimator: str | Estimator | None = None,
     **settings: Unpack[WallSettings],
 ) -> SchemeComparison:
-    """Simulate the same hit under several sampling schemes (`rig compare`); nothing is recorded.
+    """Simulate the same hit under several sampling schemes (`rig compare`) and compare them; nothing is recorded.
 
     Parameters
     ----------
     experiment
-        As in `load`; the motor pushes, without a hand.
+        Preset's name, path of a file, or experiment (as in `load`); the motor pushes, without a hand.
     schemes
         For example ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping. If empty, three
         schemes at the experiment's rates: no damping, uniform and dual-rate.
     offsets
-        Places of position zero within its encoder cell (count, 0 to below 1). One hit is simulated for each, and the
-        result has the mean of their numbers.
+        Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). One hit is simulated
+        for each offset, and the result has the mean of the hits' numbers.
     law, estimator
         Name of a built-in or installed law or estimator, or your own.
     **settings
-        As in `load`.
+        Values of keys to change (as in `load`).
 
     Raises
     ------
@@ -274,18 +275,19 @@ def zwidth(
     watch: Callable[[sweep.Progress], None] | None = None,
     **settings: Unpack[Settings],
 ) -> ZWidth:
-    """Map which walls a simulated rig renders stably, by simulated hits (`rig zwidth`).
+    """Find the stiffest stable walls of a simulated rig for each damping, by simulated hits (`rig zwidth`).
 
     Parameters
     ----------
     experiment
-        As in `load`. A preset is pushed by a simulated hand with a normal grip, unless the settings have `operator`,
-        `effort` or ``trial.kind``.
+        Preset's name, path of a file, or experiment (as in `load`). A simulated hand with a normal grip pushes a
+        preset, unless the settings have `operator`, `effort` or ``trial.kind``.
     schemes
         Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's scheme, and
         the uniform schemes at its rates.
     dampings, offsets, repeats, judged
-        As in `rig.experiments.mapping._ranges.hit_plan`.
+        Dampings of the map, encoder offsets, hits of each wall, and ripples that the verdict judges:
+        `rig.experiments.mapping._ranges.hit_plan`.
     lowest, highest, search, ratio
         Range of the stiffness (N·m/rad or N/m), and the search in it: `rig.experiments.mapping._ranges.search_for`.
     law, estimator
@@ -294,14 +296,14 @@ def zwidth(
     directory
         Directory in which the map is stored; a stopped map resumes from it. None: not stored.
     workers, scheduler, watch
-        As in `rig.experiments.sweep.run`.
+        Number of threads, address of a Dask scheduler, and progress function: `rig.experiments.sweep.run`.
 
     Raises
     ------
     ConfigError, PlanError
         A scheme or a range is invalid.
     StoppedError
-        Ctrl-C was pressed; finished series stay in the directory.
+        Ctrl-C was pressed; the results of finished parts stay in the directory.
     """
     changes = changes_of(settings, Settings)
     own = _take_own_parts({"law": law, "estimator": estimator}, changes)
@@ -356,15 +358,16 @@ def design(
     Parameters
     ----------
     experiment
-        As in `zwidth`. It has the limits of the ripples felt, heard and moved; change them for example by
-        ``changes={"verdict.heard_force": 0.5}``.
+        Preset's name, path of a file, or experiment (as in `load`). Its verdict has the limits of the ripples of
+        velocity, effort and position; change a limit for example by ``changes={"verdict.heard_force": 0.5}``.
     goal, must_be_stable, fidelity_to, most_noise, most_cost
         Goal, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
     where
         Where the law may run: on this computer, on the device, or both; None: where the experiment's law runs.
     most_rate, link, round_trip_s
         Highest position rate of the board (Hz; None: the experiment's rate), capacity of the link (bytes/s; None: not
-        limited), and time in which a law on this computer answers a sample (s; None: from the experiment).
+        limited), and time from a sample to the command that a law on this computer sends for it (s; None: from the
+        experiment).
     schemes
         Schemes to choose from; if empty, the set in `rig.experiments.design._listing`.
     paper
@@ -372,14 +375,15 @@ def design(
     directory
         Directory in which the search is stored; a stopped search resumes from it. None: not stored.
     workers, scheduler, watch
-        As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
+        Number of threads, address of a Dask scheduler, and progress function: `rig.experiments.sweep.run`. `watch` is
+        called with the name of the stage and its progress.
 
     Raises
     ------
     ConfigError, PlanError
         A scheme is invalid, or no scheme fulfils the wishes; the message names the wish that fails and by how much.
     StoppedError
-        Ctrl-C was pressed; finished parts stay in the directory.
+        Ctrl-C was pressed; the results of finished parts stay in the directory.
     """
     held = _put_in_hand(experiment, changes_of(settings, Settings))
     request = designing.DesignRequest(
@@ -398,7 +402,7 @@ def design(
 
 
 def _put_in_hand(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
-    """Return the changed experiment; a simulated hand pushes a preset, unless the changes set the push."""
+    """Return the changed experiment; a simulated hand pushes a preset, unless the changes set the kind of push."""
     built_in = isinstance(experiment, str) and experiment in presets.names()
     if built_in and not {"trial.kind", "trial.effort"} & set(changes):
         changes = changes | changes_of({"operator": "normal"}, Settings)
@@ -417,7 +421,7 @@ def _change(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experimen
 def _take_own_parts(
     options: Mapping[str, Any], changes: dict[str, Any]
 ) -> tuple[Law | None, Estimator | None]:
-    """Return the caller's own law and estimator, None for those given by name; write the names into `changes`.
+    """Return the caller's own law and estimator, None for a name; write the names of law and estimator into `changes`.
 
     Raise `ConfigError` if an option is neither a name nor a decorated function.
     """
@@ -438,7 +442,7 @@ def _take_own_parts(
 
 @contextmanager
 def _register(law: Law | None, estimator: Estimator | None) -> Iterator[None]:
-    """Register the caller's own law and estimator until the block ends."""
+    """Register the caller's own law and estimator by their names until the ``with`` block ends."""
     with ExitStack() as stack:
         if law is not None:
             stack.enter_context(plugins.register_temporarily("rig.laws", laws.BUILT_IN, law.name, law))

@@ -1,6 +1,6 @@
-"""Functions of the Python interface that measure impedances and identify a rig's parameters.
+"""Define the functions of the Python interface that measure impedances and identify a rig's parameters.
 
-Each function adapts its arguments and calls the same function as the command, as in `rig.experiments.lab`.
+Each function adapts its arguments and calls the same function as the command of the same name.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def impedance(
     Parameters
     ----------
     experiment
-        As in `load`.
+        Preset's name, path of a file, or experiment (as in `load`).
     walls
         Stiffness and damping of each wall (N·m/rad and N·m·s/rad, or N/m and N·s/m); ``(0.0, 0.0)`` is the rig without
         a wall. None: the experiment's wall.
@@ -73,14 +73,14 @@ def impedance(
     judging
         Band and thresholds of verdict and fidelity, like ``rig.Judging(band_hz=(2.0, 50.0))``.
     url, realtime, verified, arm_anyway, hands_off, output
-        Device as in `hit`: its motor excites it, and each realisation is recorded in `output`. Without a `url` the rig
-        is simulated without the byte link, and nothing is recorded.
+        Device as in `hit`: its motor excites the rig, and each realisation is recorded in `output`. Without a `url` the
+        rig is simulated without the byte link, and nothing is recorded.
     agrees
         On a device, called with the experiment before each wall; the measurement ends if it returns False.
     watch
-        Called after each run with the number of runs done and their total.
+        Called after each run with the number of finished runs and the number of all runs.
     **settings
-        As in `load`.
+        Values of keys to change (as in `load`).
 
     Returns
     -------
@@ -129,19 +129,19 @@ def read_impedance(
     method: Method = "periodic",
     judging: Judging | None = None,
 ) -> ImpedanceResult:
-    """Estimate and judge the impedance of one wall from the recordings of its realisations.
+    """Estimate and judge the impedance of one wall from the recordings of its realisations (draws of the phases).
 
     Parameters
     ----------
     recordings
         Recordings of one wall with one scheme, or the paths of their files (`ImpedanceResult.recordings`).
     method, judging
-        As in `impedance`.
+        Method of estimation, and thresholds of verdict and fidelity (as in `impedance`).
 
     Returns
     -------
     ImpedanceResult
-        The same result as that of `impedance` on the device.
+        The same result as `impedance` returns for these recordings.
 
     Raises
     ------
@@ -170,34 +170,35 @@ def impedance_map(
     watch: Callable[[sweep.Progress], None] | None = None,
     **settings: Unpack[Settings],
 ) -> FrequencyMap:
-    """Excite a simulated rig at every wall of a grid; map its passivity and fidelity (`rig impedance map`).
+    """Excite a simulated rig at every wall of a grid; map where it is passive and faithful (`rig impedance map`).
 
     Parameters
     ----------
     experiment, excitation, judging
-        As in `impedance`.
+        Rig, keys of ``[excitation]``, and thresholds of verdict and fidelity (as in `impedance`).
     schemes
         Sampling schemes, one map each. If empty: those of Chawda et al., with their four estimators.
     stiffnesses, dampings
         Values of the grid, ascending (N·m/rad and N·m·s/rad, or N/m and N·s/m). None: chosen by linear theory.
     signal
-        As in `impedance`. None: ``"count"`` for a rigid rig, ``"truth"`` for a rig of two masses.
+        Measured position (as in `impedance`). None: ``"count"`` for a rigid rig, ``"truth"`` for a rig of two masses.
     directory, workers, scheduler, watch
-        As in `zwidth`.
+        Directory to store and resume the map, number of threads, Dask scheduler, progress function (as in `zwidth`).
     **settings
-        As in `load`.
+        Values of keys to change (as in `load`).
 
     Returns
     -------
     FrequencyMap
-        ``passive`` and ``fidelity`` by scheme, realisation, damping and stiffness; `table_one` computes widths from it.
+        ``passive`` and ``fidelity`` by scheme, realisation, damping and stiffness; `table_one` computes widths from the
+        map.
 
     Raises
     ------
     ConfigError, PlanError
         A scheme or a grid is invalid, or the excitation exceeds a limit.
     StoppedError
-        Ctrl-C was pressed; finished parts stay in the directory.
+        Ctrl-C was pressed; the results of finished parts stay in the directory.
     """
     changes = {f"excitation.{key}": value for key, value in (excitation or {}).items()}
     plan = frequency_plan(
@@ -243,11 +244,12 @@ def identify(
     Parameters
     ----------
     experiment
-        Description of the rig as far as it is known, as in `load`; its limits apply.
+        Description of the rig as far as it is known: preset's name, path of a file, or experiment. Its limits apply.
     tell
         Called with a line of text about the next step.
     ask
-        Called with an instruction to a person; must return when it is done. Required to hang a mass on a real rig.
+        Called with an instruction to a person; must return when the person has followed it. Required to hang a mass on
+        a real rig.
     **options
         `changes` has other keys of the experiment, by dotted name. `rate_hz` is the rate of the loop (Hz; None: the
         experiment's rate, in real time at most what the measured link permits). With `cogging`, `mass_kg` and `arm_m`
@@ -256,8 +258,8 @@ def identify(
     Returns
     -------
     Identification
-        Fits with 95 % intervals, the recordings, and ``experiment`` with the identified values;
-        `format_identification` returns it as the text of a file.
+        Fits with 95 % intervals, the recordings, and ``experiment`` with the identified values; `format_identification`
+        returns these values as the text of a file.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Write an experiment file for a new rig from data sheets: every number with its unit and its source.
 
-Values are computed at the handle. Start, push, wall and homing are chosen so that a hit reaches the wall and `rig
-experiment plan` refuses nothing; if a check still refuses, the changes that it proposes are applied.
-
-`rig experiment new` calls it. It opens no device. It must mark every number without a source as an assumption.
+`rig experiment new` and `rig.new_rig` call this module. It opens no device, and must mark every number without a source
+as an assumption. Values are computed at the handle. Start, push, wall and homing are chosen so that a hit reaches the
+wall and `rig experiment plan` refuses nothing; if a check still refuses, the changes that the check proposes are
+applied.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ SECTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """Number that was assumed because no answer determines it: its key, its value with unit, and the reason."""
+    """A number that was assumed because no answer determines it: its key, its value with unit, and the reason."""
 
     key: str
     value: str
@@ -103,7 +103,7 @@ class Assumption:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class NewRig(Shown):
-    """Rig described from data sheets: text and path of its experiment file, and the assumptions."""
+    """A new rig, described from data sheets: text and path of its experiment file, and the assumed numbers."""
 
     name: str
     path: Path | None
@@ -112,7 +112,7 @@ class NewRig(Shown):
     experiment: Experiment
 
     def brief(self) -> list[Item]:
-        """Return a headline of the experiment, the path of the file, and the assumptions."""
+        """Return the lines of a short report: rig and wall, path of the file, and the assumed numbers."""
         x = self.experiment
         return [
             x.headline(),
@@ -127,7 +127,7 @@ class NewRig(Shown):
 def new_rig(
     path: str | Path | None = None, *, overwrite: bool = False, **data_sheets: Unpack[DataSheets]
 ) -> NewRig:
-    """Describe a rig from the data sheets of its motor and encoder, and write it as an experiment file.
+    """Describe a rig from the data sheets of its motor and encoder, and write the description as an experiment file.
 
     Parameters
     ----------
@@ -138,13 +138,13 @@ def new_rig(
     **data_sheets
         Numbers in SI units, by the names of `rig.experiments._data_sheets.DataSheets`: ``mechanism="lever",
         torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048, transmission=12.0,
-        handle_length=0.08, handle_mass=0.06``. For other numbers that are omitted a value is assumed, and marked so in
-        the file.
+        handle_length=0.08, handle_mass=0.06``. Other numbers may be omitted; a value is then assumed, and marked in the
+        file as assumed.
 
     Raises
     ------
     ConfigError
-        An answer is missing or out of range.
+        A number is missing, unknown or out of range.
     PlanError
         The motor is too weak for its friction, or no settings for a first hit were found.
     RecordingError
@@ -166,7 +166,7 @@ def new_rig(
 
 
 class _Draft:
-    """Draft of an experiment file: its keys, each with value and source."""
+    """A draft of an experiment file: its keys, each with value and source."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -182,7 +182,7 @@ class _Draft:
         return experiment_from_mapping(nest({key: value for key, (value, _) in self.keys.items()}), self.name)
 
     def in_real_time(self, ticks: int) -> Experiment:
-        """Return the experiment in real time, with a link that delays commands by this number of ticks."""
+        """Return the experiment in real time, with a link that delays commands by `ticks` periods of the loop."""
         return config.with_realtime(self.experiment(), {"rig.simulation.computation_delay_ticks": ticks})
 
     def unit(self, key: str) -> str:
@@ -218,7 +218,7 @@ class _Draft:
 
 
 def _split_key(key: str) -> tuple[str, str]:
-    """Return the TOML table of a dotted key, and the key inside this table."""
+    """Return the TOML section of a dotted key, and the key inside this section."""
     parts = key.split(".")
     depth = 2 if parts[0] == "rig" and len(parts) > 2 else 1
     return ".".join(parts[:depth]), ".".join(parts[depth:])
@@ -228,7 +228,7 @@ def _split_key(key: str) -> tuple[str, str]:
 
 
 def _describe(draft: _Draft, a: DataSheets) -> None:
-    """Set the keys of [rig] and [controller]."""
+    """Set the keys of the sections [rig] and [controller] from the data-sheet values."""
     linear = a["mechanism"] != "lever"
     if a["mechanism"] == "lever":
         ratio, times = a["transmission"], f"ratio {a['transmission']:g}"
@@ -281,7 +281,7 @@ def _describe(draft: _Draft, a: DataSheets) -> None:
 
 
 def _masses(draft: _Draft, a: DataSheets, ratio: float) -> float:
-    """Set the moving masses, and return their sum at the hand (kg·m² or kg)."""
+    """Set the keys of the moving masses, and return the sum of the masses at the hand (kg·m² or kg)."""
     draft.set("[assumed] no elasticity between motor and hand", {"rig.mechanics.structure": "rigid"})
     if a["mechanism"] == "linear-motor":
         draft.set(
@@ -318,7 +318,7 @@ def _friction(draft: _Draft, a: DataSheets, nominal: float, radius: float, inert
 
 
 def _peak_current(a: DataSheets) -> tuple[float, str]:
-    """Return the largest current (A), and a text with its source."""
+    """Return the motor's largest current (A), and a text that names the source of this number."""
     profile = amplifiers.load(a.get("amplifier", "generic"))
     most = profile.most_a or math.inf
     peak = a.get("peak_current")
@@ -413,7 +413,7 @@ def _travel(draft: _Draft, a: DataSheets, radius: float) -> None:
 
 
 def _rates(draft: _Draft, board: str, peak_a: float) -> None:
-    """Set the rates at which the board can run the law, and the full scale of its output."""
+    """Set the rates at which the board can run the law, and the current at the full scale of the board's output."""
     if board == "none":
         rate = velocity = PORT_RATE
         source = "[chosen] what a computer can run behind a port"
@@ -437,9 +437,9 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
 
 
 def _prepare_hit(draft: _Draft) -> None:
-    """Set push, start, homing and wall.
+    """Set the keys of push, start, homing and wall.
 
-    Of several pushes take the strongest one for which a stable wall exists that stops the handle within its travel.
+    Choose the strongest of several pushes for which a stable wall stops the handle within its travel.
     """
     keys = {key: value for key, (value, _) in draft.keys.items()}
     nominal, friction = keys["rig.limits.nominal_effort"], keys["rig.mechanics.motor_coulomb"]
@@ -462,9 +462,9 @@ def _prepare_hit(draft: _Draft) -> None:
 
 
 def _set_push(draft: _Draft, push: float, held: float) -> bool:
-    """Set a push (N·m or N), its start and its walls; return False if no stable wall stops the handle in its travel.
+    """Set a push (N·m or N), its start and walls; return False if no stable wall stops the handle within its travel.
 
-    `held` is the largest distance from the start at which friction may hold the handle (rad or m).
+    `held` is the largest distance from the start at which friction may stop the homing servo (rad or m).
     """
     draft.set("[chosen]", {"trial.effort": push, **SOFT})  # else the wall of a harder push may be refused
     x = draft.experiment()
@@ -539,7 +539,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
 
 
 def _suit_encoder(draft: _Draft, x: Experiment) -> None:
-    """With a coarse encoder, lower the cut-off of the velocity filter and raise `verdict.moved` above one count."""
+    """Lower the velocity filter's cut-off, and raise the limit of position ripple, if the encoder is coarse."""
     toggles = TOGGLING_COUNTS * x.rig.encoder.resolution * x.rig.mechanics.handle_radius
     if toggles > x.verdict.moved:
         draft.set(
@@ -554,7 +554,7 @@ def _suit_encoder(draft: _Draft, x: Experiment) -> None:
 
 
 def _set_homing(draft: _Draft) -> float:
-    """Set the homing servo, also for real time; return the largest offset at which friction may hold the handle."""
+    """Set the homing servo; return the largest position error that friction may cause (rad or m)."""
     offsets = []
     for before, x in (("", draft.experiment()), (REALTIME, draft.in_real_time(0))):
         servo = homing.stable_servo(x)
@@ -568,7 +568,7 @@ def _set_homing(draft: _Draft) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _ChosenWall:
-    """Stiffness and damping of a stable wall, and the smallest stiffness that stops the handle within its travel."""
+    """A stable wall: its stiffness and damping, and the smallest stiffness that stops the handle within its travel."""
 
     stiffness: float
     damping: float
@@ -596,7 +596,7 @@ def _stable_wall(x: Experiment) -> _ChosenWall:
 
 
 def _correct(draft: _Draft, *, in_real_time: bool) -> None:
-    """Apply the changes that refused checks propose, until the plan refuses nothing; else raise `PlanError`."""
+    """Apply the changes that refused checks propose; raise `PlanError` if a check of the plan still refuses."""
     before = REALTIME if in_real_time else ""
     for _ in range(CORRECTIONS + 1):
         x = draft.in_real_time(0) if in_real_time else draft.experiment()
@@ -615,7 +615,7 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
 
 
 def _digits(value: float, way: Any = round) -> float:
-    """Return the value rounded to three significant digits; `way` is the function that rounds."""
+    """Return `value` rounded to three significant digits by the function `way`, like `round` or `math.ceil`."""
     if value == 0.0 or not math.isfinite(value):
         return value
     scale = 10.0 ** (math.floor(math.log10(abs(value))) - 2)

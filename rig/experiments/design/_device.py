@@ -1,4 +1,7 @@
-"""Limits of a device and its link for a design: highest rate, capacity, and delay of a law on this computer."""
+"""Read the limits of a device and its link for a design: highest rate, capacity, and delay of a law on this computer.
+
+`rig design` calls this module.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,10 @@ from rig.firmware.tick_budget import BOARD, named_budget
 
 
 def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
-    """Return where the law may run with a device: on this computer, with the link's measured delay, and on the device.
+    """Return the places where the law may run with a device: this computer, with the link's delay, and the device.
 
-    Nothing moves. Raise the errors of opening a device, and `LinkLostError` if the device does not reply.
+    The link's delay is measured; nothing moves. The device is left out if it cannot run the law. Raise the errors of
+    opening a device, and `LinkLostError` if the device does not reply.
     """
     named_budget(board)
     where = devices.url_for(url, experiment.controller.loop)

@@ -1,6 +1,7 @@
 """Compute by linear theory, for each listed scheme and damping, the largest stable stiffness, with delay and lag.
 
-`_search` calls it for its first stage. It must not select alone: theory neglects quantisation and friction.
+`_search` calls this module for its first stage. Schemes must not be chosen by theory alone, because theory neglects
+quantisation and friction.
 """
 
 from __future__ import annotations
@@ -34,13 +35,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """Results of linear theory for a candidate: its limits at each damping, and the numbers of its velocity path.
+    """A result of linear theory for one candidate: its stiffness limits, and the numbers of its velocity estimate.
 
     Attributes
     ----------
-    stable, quiet
-        Largest stable K at each damping, and the largest at which also the effort ripple of a toggling count at rest
-        stays within the limit for *heard* (N·m/rad or N/m).
+    stable
+        Largest stable K at each damping (N·m/rad or N/m).
+    quiet
+        Largest stable K at each damping at which the effort ripple of a count that toggles at rest also stays within
+        the verdict's limit (N·m/rad or N/m).
     stands_in
         True if the usual filter replaces an estimator that is not linear.
     """
@@ -53,7 +56,7 @@ class Linear:
     stands_in: bool
 
     def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
-        """Return the measures of the boundary `quiet` or `stable`, in the form of those found by hits."""
+        """Return the measures by theory, from the limits `quiet` or `stable`, which belong to `dampings`."""
         found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
         return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
 
@@ -61,10 +64,10 @@ class Linear:
 def tasks(
     experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
 ) -> tuple[list[Task], list[int]]:
-    """Return a task for each estimator with settings and velocity rate, and the order of the candidates in the rows.
+    """Return the tasks of the linear stage, and for each result row of all tasks the index of its candidate.
 
-    The candidates of a task share the linear model of their estimator, so candidates are sorted by estimator. The
-    second result has the index of the candidate for each row of all tasks.
+    `k` are the stiffnesses (N·m/rad or N/m), `dampings` the dampings to compute. One task computes all candidates with
+    the same estimator settings and velocity rate, which share a linear model.
     """
     # Sorted by estimator: the candidates of a task share its realisation.
     order = sorted(range(len(candidates)), key=lambda i: (_estimator(candidates[i]), i))
@@ -103,7 +106,7 @@ def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -
 
 
 def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row with the results for each candidate of a task; payload and rows are JSON values."""
+    """Return a row with the linear results of each candidate of a task; `payload` and rows are JSON values."""
     experiment = config.restore_experiment(payload["experiment"])
     k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
     first: LinearLoop | None = None
@@ -146,7 +149,7 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return True for stable walls, shape (K, B); at each damping, walls after the first unstable chunk are False."""
+    """Return an array (K, B) that is True for stable walls; in a column all is False after an unstable group."""
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):

@@ -1,8 +1,8 @@
-"""List every scheme that a design considers, and remove those that the link or the board cannot run.
+"""List every sampling scheme that a design considers, without those that the link or the board cannot run.
 
-The list has no estimators that need edge times, no hybrid, no fixed-point arithmetic, and no velocity rate that adapts
-to the speed, which narrows a Z-width. Schemes that the rules of the experiment, the device or its link refuse are left
-out.
+`_search` calls this module. The list has no estimators that need edge times, no hybrid estimators, no fixed-point
+arithmetic, and no velocity rate that adapts to the speed, because such a rate narrows the range of stable walls.
+Schemes that the rules of the experiment, the device or its link refuse are left out.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawPlace:
-    """Place where the law runs (host or device), and its limits.
+    """A place where the control law may run (host or device), and the limits of this place.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class LawPlace:
         Time from a sample to its effort if the host runs the law (s); the delay is rounded up to whole ticks, at least
         one. None: the delay that the experiment describes.
     board
-        Board whose processor cycles are estimated if the device runs the law.
+        Name of the board whose processor cycles are estimated if the device runs the law.
     """
 
     loop: Loop
@@ -64,13 +64,13 @@ class LawPlace:
     board: str = BOARD
 
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
-        """Return the delay from a sample to its effort at a position rate (Hz), in whole ticks."""
+        """Return the delay from a sample to its effort (ticks), at the position rate `rate` (Hz)."""
         if self.loop == "host" and self.round_trip_s is not None:
             return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:
-        """Return True if link and device can run the experiment; a device must support the law and be fast enough."""
+        """Return True if link and device can run the experiment: the law, its rate and the amount of data."""
         try:
             if self.loop == "device":
                 controller.prepare_controller(applied)
@@ -83,7 +83,7 @@ class LawPlace:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Scheme and place of the law.
+    """A candidate of a design: a sampling scheme, and the place where the control law runs.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Candidate:
     loop, delay_ticks
         Place of the law (``"host"`` or ``"device"``), and delay of its effort in ticks, without the amplifier's delay.
     board
-        As in `LawPlace`.
+        Name of the board whose processor cycles are estimated if the device runs the law.
     """
 
     scheme: Scheme
@@ -102,7 +102,7 @@ class Candidate:
 
     @cached_property
     def key(self) -> str:
-        """Return the key of the candidate in a journal."""
+        """Return the candidate's unique name in the journal (file of finished tasks): place, delay and scheme."""
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
@@ -116,11 +116,11 @@ class Candidate:
         )
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with this candidate's scheme, place and delay; raise `ConfigError` if it is invalid."""
+        """Return the experiment with this candidate's scheme, place and delay; raise `ConfigError` if invalid."""
         return self.scheme.applied(self.condition(experiment))
 
     def same_law(self, other: Candidate, experiment: Experiment) -> bool:
-        """Return True if both candidates run the same law, even if their schemes are written differently."""
+        """Return True if both candidates run the same law, even if the texts of their schemes differ."""
         return (self.loop, self._rates) == (other.loop, other._rates) and self.law(experiment) == other.law(
             experiment
         )
@@ -140,7 +140,7 @@ class Candidate:
 
     @classmethod
     def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
-        """Return the candidate with the experiment's scheme and place of the law, and the delay of that place."""
+        """Return the candidate with the experiment's own scheme and place of the law, and the delay of that place."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
@@ -156,10 +156,10 @@ def places_for(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> tuple[LawPlace, ...]:
-    """Return the places where the law may run, from these options, without a device.
+    """Return the places where the law may run, with the given limits of board and link; no device is opened.
 
     `where` defaults to the experiment's place of the law, `rate_maximum` (Hz) to its position rate. Raise `ConfigError`
-    for an unknown board.
+    for an unknown board, and `PlanError` for a limit that is not above 0.
     """
     named_budget(board)
     check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
@@ -181,7 +181,7 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """Return the candidates for an experiment at all places of the law: `schemes`, or all listed schemes if empty.
+    """Return a candidate for each place of the law and each of `schemes`, or each listed scheme if `schemes` is empty.
 
     Raises
     ------

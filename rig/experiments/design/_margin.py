@@ -1,8 +1,8 @@
-"""Compute the share of the recommended stiffness that remains on rigs unlike the description, and in other hands.
+"""Compute the fraction of the recommended stiffness that remains on other rigs than described, and in other hands.
 
-Simulated hits at one damping find the limit with each identified parameter changed alone by 20 %, with each hand alone,
-and on `SAMPLES` rigs with all parameters drawn at random. A parameter is identified if `rig identify` measures it and
-it is not zero.
+`_search` calls this module. Simulated hits at one damping find the limit with each identified parameter changed alone
+by 20 %, with each hand alone, and on `SAMPLES` rigs with all parameters drawn at random. A parameter is identified if
+`rig identify` measures it and its value is not zero.
 """
 
 from __future__ import annotations
@@ -52,16 +52,18 @@ IDENTIFIED = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Share of the stiffness limit that remains after one change of the rig.
+    """A remaining fraction of the stiffness limit after one change of the rig.
 
     Attributes
     ----------
+    change
+        Description of the change, like "mechanics.motor_inertia +20%".
     share
         Limit on the changed rig divided by the limit on the described rig; not exact if `capped`.
     capped
         True if the search on the changed or on the described rig ended before a wall failed.
     theory
-        Share by linear theory if `capped`; None if not capped, for a nonlinear estimator, or for a limit of zero.
+        The same ratio by linear theory; None if not `capped`, for a nonlinear estimator, or for a limit of zero.
     """
 
     change: str
@@ -71,24 +73,24 @@ class Left:
 
     @property
     def expected(self) -> float:
-        """Share for ranking: by hits, or by theory if the search ended before a wall failed."""
+        """Fraction used for sorting: by hits, or by theory if the search ended before a wall failed."""
         return self.share if not self.capped or self.theory is None else self.theory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """Share of a scheme's stiffness that remains at one damping on other rigs.
+    """A margin of a scheme: the fraction of its stiffness limit at one damping that remains on other rigs.
 
     Attributes
     ----------
     damping, stiffness
         Damping (N·m·s/rad or N·s/m), and limit of K on the described rig (N·m/rad or N/m).
     capped
-        True if that limit is only a lower bound, because the search ended before a wall failed.
+        True if `stiffness` is only a lower bound, because the search ended before a wall failed.
     worst
-        Lowest share over all samples and hands.
+        Lowest remaining fraction over all sampled rigs and hands.
     alone
-        Remaining share for each single change, the lowest first.
+        Remaining fraction for each single change, the lowest first.
     samples
         Number of sampled rigs, each tested with every hand.
     """
@@ -102,12 +104,12 @@ class Margin:
 
     @reported
     def spoils_first(self) -> Left:
-        """Return the single change after which the smallest share remains."""
+        """Return the single change after which the smallest fraction of the stiffness remains."""
         return self.alone[0]
 
     @reported
     def secured(self) -> float:
-        """Return the stiffness that remains in the worst sample (N·m/rad or N/m); a lower bound if that is capped."""
+        """Return the stiffness limit on the worst sampled rig (N·m/rad or N/m); a lower bound if `worst.capped`."""
         return self.worst.share * self.stiffness
 
 
@@ -125,7 +127,10 @@ def identified(experiment: Experiment) -> dict[str, float]:
 def margin_of(
     candidate: Candidate, experiment: Experiment, damping: float, limit: float, run: Sweeper
 ) -> Margin:
-    """Return the margin of a candidate at a damping; `limit` is an estimate of its limit of K, for the search range."""
+    """Return the margin of a candidate at the given damping (N·m·s/rad or N·s/m).
+
+    `limit` is an estimate of the candidate's limit of K (N·m/rad or N/m), which sets the range of the search.
+    """
     described = candidate.condition(experiment)
     single, joint = dict(_single(described)), dict(_joint(described))
     variants = {"": described, **single, **joint}
@@ -163,7 +168,7 @@ def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
-    """Yield name and experiment of samples with all parameters drawn at random, in each hand and the experiment's."""
+    """Yield name and experiment of sampled rigs with all parameters drawn at random, for each hand that is possible."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()

@@ -1,6 +1,6 @@
-"""Compute noise, fidelity and cost of a velocity path (estimator, rates, extrapolation, delay and lag) without a hit.
+"""Compute noise, fidelity and cost of a velocity estimate (estimator, rates, prediction, delay and lag) without a hit.
 
-`_linear` calls it for every candidate. It must not depend on a wall.
+`_linear` calls this module for every candidate. It must not depend on a wall.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ def noise(controller: Controller, resolution: float) -> float:
 
 
 def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_ticks: int) -> float:
-    """Return the frequency (Hz) up to which the rendered velocity differs from the true one by at most `ERROR`."""
+    """Return the frequency (Hz) up to which rendered and true velocity differ by at most `ERROR` of the true velocity.
+
+    `lag_s` is the amplifier's lag (s), `delay_ticks` the delay from a sample to its effort (ticks).
+    """
     period_s = 1.0 / controller.velocity_rate
     frequency = np.array(PERIODS) / (SAMPLES * period_s)
     omega = 2.0 * np.pi * frequency
@@ -84,7 +87,7 @@ def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: flo
 
 
 def _respond_to_sines(controller: Controller, resolution: float) -> Complex:
-    """Return the ratio of estimated to true velocity for sines at `PERIODS`, as complex numbers."""
+    """Return the complex ratio of estimated to true velocity for the sines of `PERIODS`, shape (len(PERIODS),)."""
     settings = tuple(sorted(controller.parameters.items()))
     return _of_estimator(controller.estimator, settings, controller.velocity_rate, resolution)
 
@@ -105,6 +108,6 @@ def _of_estimator(
 
 
 def _respond_to_hold(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
-    """Return the response of a hold (or linear extrapolation) at `turn` = ω·T2, with T2 the velocity period (s)."""
+    """Return the complex response of a hold or linear extrapolation to sines that turn by `turn` (rad) in a period."""
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

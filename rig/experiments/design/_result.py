@@ -1,4 +1,7 @@
-"""Result of a design: front, recommended scheme with its margin, and a ``[controller]`` section for a file."""
+"""Define the result of a design: best schemes, recommended scheme with its margin, and ``[controller]`` section.
+
+`_search` creates the result; commands, plots and the console show it.
+"""
 
 from __future__ import annotations
 
@@ -22,18 +25,18 @@ FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """Scheme with its results in a round of hits.
+    """A scheme with its results in a round of hits.
 
     Attributes
     ----------
     label
-        Text for legends.
+        Text for the legend of a plot.
     measures, shares
-        Measures of the scheme, and how far it fulfils each wish (`rig.experiments.design._rules`).
+        Measures of the scheme, and for each wish the reached fraction, 1 or more if the wish is fulfilled (`_rules`).
     boundary
-        Limits of K at the dampings of the round, under the criterion *any*.
+        Limits of K at the dampings of the round; a passed wall is stable and has no ripple above the verdict's limits.
     stands_in
-        True if linear theory replaced its estimator by the usual filter.
+        True if linear theory replaced the scheme's estimator by the usual filter.
     """
 
     candidate: Candidate
@@ -51,12 +54,12 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Design(Shown, Drawn):
-    """Finished design.
+    """A finished design: the recommended sampling scheme of a rig, and the results on which the choice is based.
 
     Attributes
     ----------
     experiment, wishes, places
-        Request of the design.
+        Rig and push, wishes, and places where the law may run, as requested.
     listed, kept
         Number of schemes in linear theory, and in the first round of hits.
     standings
@@ -67,10 +70,12 @@ class Design(Shown, Drawn):
         Recommended scheme and the experiment's own scheme, with results of the last round.
     held_out
         Comparison of `recommended` and `own` on offsets and seeds that the search did not use; None if they are equal.
+    margin
+        Fraction of the recommended scheme's stiffness that remains on rigs that differ from the description.
     step
         Ratio between two stiffnesses in the second round, which is the accuracy of its limits.
     hits
-        Number of hits in each stage.
+        Number of hits in each stage, by the stage's name.
     against
         Comparison of each scheme of the rig's paper with all listed schemes; empty if it was not requested.
     """
@@ -92,13 +97,13 @@ class Design(Shown, Drawn):
 
     @property
     def front(self) -> list[Standing]:
-        """Return the schemes of the second round that no other scheme dominates, the stiffest first."""
+        """Return the schemes of the second round that no other scheme dominates (Pareto front), the stiffest first."""
         chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
         return sorted(chosen, key=lambda one: -one.measures.stiffness)
 
     @property
     def as_good(self) -> list[Standing]:
-        """Return schemes of the second round that are as good as the experiment's own in every measure of a paper."""
+        """Return the schemes of the second round that are as good as the own one in K at B = 0, peak and range."""
         own = self._own_before.measures
         return [
             one
@@ -116,7 +121,7 @@ class Design(Shown, Drawn):
         return FITTED in self.experiment.rig.source
 
     def toml(self) -> str:
-        """Return the recommended ``[controller]`` section, with goal and margin as comments."""
+        """Return the recommended ``[controller]`` section as TOML text, with goal and margin as comments."""
         applied = self.recommended.candidate.applied(self.experiment).controller
         lines = [
             "# Found by rig design on simulated hits: " + self._goal_text(),
@@ -135,7 +140,7 @@ class Design(Shown, Drawn):
         return "\n".join(lines) + "\n"
 
     def brief(self) -> list[Item]:
-        """Return the recommended scheme, its comparison with the experiment's own scheme, and its margin."""
+        """Return the lines of a short report: recommended scheme, comparison with the own scheme, and margin."""
         return [
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
@@ -151,7 +156,7 @@ class Design(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the brief form, and tables of the front and the last round."""
+        """Return the lines of a full report: the short report, and tables of the front and the last round."""
         return [
             *self.brief(),
             *self.against_tables(),
@@ -160,11 +165,11 @@ class Design(Shown, Drawn):
         ]
 
     def against_tables(self) -> list[Table]:
-        """Return a table for each scheme of the paper that compares it with the best listed scheme."""
+        """Return a table for each scheme of the paper that compares this scheme with the best listed scheme."""
         return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
-        """Return a table with the measures of some schemes, a row for each scheme."""
+        """Return a table called `caption` with the measures of the given schemes, a row for each scheme."""
         unit = self._unit
         head = (
             "scheme",
@@ -197,7 +202,7 @@ class Design(Shown, Drawn):
         return Table(head, rows, caption)
 
     def margin_table(self, most: int | None = None) -> Table:
-        """Return a table with the remaining margin for the worst sample and the `most` worst single changes."""
+        """Return a table of the remaining margin on the worst rig and after the `most` worst single changes."""
         margin = self.margin
         rows = [
             (
@@ -212,7 +217,7 @@ class Design(Shown, Drawn):
         return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all results as plain values for JSON."""
+        """Return all results as JSON values by name."""
 
         def as_facts(one: Standing) -> dict[str, Any]:
             return {

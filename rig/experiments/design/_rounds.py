@@ -1,6 +1,6 @@
-"""Run the maps of many schemes, each with few walls, as one sweep; the maps are those of `MapPlan`.
+"""Run the maps of many schemes, each with few walls, as one sweep; each map equals the map of a single `MapPlan`.
 
-`_search`, `_margin` and `_whole` call it.
+`_search`, `_margin` and `_whole` call this module.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Watch = Callable[[str, sweep.Progress], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallGrid:
-    """Walls, encoder offsets and repeats of a map, as in `rig.experiments.mapping.zwidth.MapPlan`."""
+    """A set of walls to hit: dampings, search over stiffness, encoder offsets (counts), hits of each wall."""
 
     dampings: tuple[float, ...]
     search: StiffnessSearch
@@ -36,18 +36,18 @@ class WallGrid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweeper:
-    """Runs the stages of a design as sweeps. Each stage has a journal, so that a stopped design resumes in its stage.
+    """A runner of a design's stages: each stage is a sweep with its own journal, so that a stopped design can resume.
 
     Attributes
     ----------
     directory
-        Directory of the journals; None: nothing is stored.
+        Directory of the journals (files of finished tasks); None: nothing is stored.
     scheduler, workers
-        As in `rig.experiments.sweep.run`.
+        Address of a Dask scheduler, or number of threads (as in `rig.experiments.sweep.run`).
     watch
         Called with the name of the stage and its progress.
     hits
-        Number of hits in each finished stage.
+        Number of hits in each finished stage, by the stage's name.
     """
 
     directory: Path | None = None
@@ -73,7 +73,7 @@ class Sweeper:
         )
 
     def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
-        """Map each scheme with its experiment and walls, and return the maps in the same order."""
+        """Map each scheme with its experiment and its set of walls, and return the maps in the same order."""
         plans = [
             MapPlan(
                 experiment=experiment,
@@ -93,7 +93,7 @@ class Sweeper:
         return maps
 
     def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
-        """Run the tasks of several plans as one sweep, and return the result of each plan."""
+        """Run the tasks of several plans as one sweep, and return the map of each plan."""
         of_plan = [
             [replace(task, key=f"{number}/{task.key}") for task in plan.tasks]
             for number, plan in enumerate(plans)
@@ -110,6 +110,6 @@ class Sweeper:
 
 
 def columns_to(reach: float, columns: int) -> tuple[float, ...]:
-    """Return this number of dampings from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
+    """Return `columns` dampings from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
     # Squared: closer near zero, where a boundary bends most.
     return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

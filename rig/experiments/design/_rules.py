@@ -58,7 +58,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measures:
-    """Measures of a scheme on a rig.
+    """A set of measures of one scheme on one rig.
 
     Attributes
     ----------
@@ -67,13 +67,14 @@ class Measures:
     damping
         Largest B at which a wall passes (N·m·s/rad or N·s/m).
     area
-        Area of the K–B plane below the boundary (product of their units).
+        Area of the K–B plane below the boundary (product of the units of K and B).
     noise
-        Rms of the velocity at rest (rad/s or m/s).
+        Rms of the estimated velocity at rest (rad/s or m/s).
     fidelity_hz
         Frequency up to which the rendered velocity is faithful (Hz).
     cost
-        Processor cycles of the estimator per tick, mean over a velocity period; None if no board can run it.
+        Processor cycles of the estimator per tick, mean over a velocity period; None if the board cannot run the
+        estimator.
     """
 
     undamped: float
@@ -85,14 +86,14 @@ class Measures:
     cost: float | None
 
     def merit(self, objective: str) -> float:
-        """Return the value of a measure, with its sign changed if less is better; −inf if it is missing."""
+        """Return the value of the measure `objective`, negated if less is better; −inf if the value is missing."""
         value: float | None = getattr(self, objective)
         return -math.inf if value is None else OBJECTIVES.get(objective, 1) * value
 
 
 @dataclass(frozen=True, slots=True)
 class BoundaryMeasures:
-    """Measures of a boundary in the K–B plane, from a map, a series of hits, or theory (fields as in `Measures`)."""
+    """A set of measures of a boundary of stable walls in the K–B plane (fields as in `Measures`)."""
 
     undamped: float
     stiffness: float
@@ -101,29 +102,32 @@ class BoundaryMeasures:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> BoundaryMeasures:
-        """Return the measures for the limits of K at ascending dampings, of which the first is 0."""
+        """Return the measures for the limits of K (N·m/rad or N/m) at ascending dampings, of which the first is 0."""
         extent = Extent.of(dampings, limits)
         return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)
 
 
 def dominates(one: Measures, other: Measures) -> bool:
-    """Return True if `one` is at least as good as `other` in every objective, and better in one of them."""
+    """Return True if `one` is at least as good as `other` in every objective, and better in at least one objective."""
     pairs = [(one.merit(name), other.merit(name)) for name in OBJECTIVES]
     return all(a >= b for a, b in pairs) and any(a > b for a, b in pairs)
 
 
 def front(found: Sequence[Measures]) -> list[int]:
-    """Return the indices of the measures that no other measures dominate."""
+    """Return the indices of the schemes (given by their measures) that no other scheme dominates: the Pareto front."""
     return [i for i, one in enumerate(found) if not any(dominates(other, one) for other in found)]
 
 
 def as_good(one: Measures, other: Measures, step: float) -> bool:
-    """Return True if `one` reaches `other` in each measure of a paper; `step` is the ratio between two stiffnesses."""
+    """Return True if `one` is as good as `other` in K at B = 0, peak and range, to one `step` (ratio) of stiffness."""
     return all(reaches(name, getattr(one, name), getattr(other, name), step) for name in OF_A_PAPER)
 
 
 def reaches(name: str, one: float, other: float, step: float) -> bool:
-    """Return True if value `one` of the measure `name` is as good as `other`, also if `other` is missing (NaN)."""
+    """Return True if value `one` of the measure `name` is as good as value `other`, or if `other` is missing (NaN).
+
+    `step` is the ratio between two stiffnesses of the search, by which a stiffness may be lower.
+    """
     if math.isnan(other):
         return True
     if name == "tuned":
@@ -134,12 +138,12 @@ def reaches(name: str, one: float, other: float, step: float) -> bool:
 
 
 class UnmetError(PlanError):
-    """No listed scheme fulfils all wishes; the message names the limiting wish and how far it is reached."""
+    """An error: no listed scheme fulfils all wishes. The message names the limiting wish and how far it is reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """Wishes for a design; the limits of felt, heard and moved are those of the experiment.
+    """A set of wishes for a design; the limits of the ripples are those of the experiment's verdict.
 
     Attributes
     ----------
@@ -169,7 +173,7 @@ class Wishes:
         check_positive(named)
 
     def of_path(self, noise: float, fidelity_hz: float, cost: float | None) -> dict[str, float]:
-        """Return for each wish about the velocity path how far it is fulfilled; 1 or more: it is."""
+        """Return for each wish on the velocity estimate the reached fraction: the wish is fulfilled at 1 or more."""
         shares = {}
         if self.fidelity_hz is not None:
             shares["fidelity_hz"] = fidelity_hz / self.fidelity_hz
@@ -180,7 +184,7 @@ class Wishes:
         return shares
 
     def asked(self, name: str) -> str:
-        """Return a wish as a text that names the argument by which it was given."""
+        """Return the wish `name` as a text that names the argument by which the wish was given."""
         if name == "wall" and self.wall is not None:
             return f"K = {self.wall[0]:g} with B = {self.wall[1]:g} (`must_be_stable`)"
         option = {"fidelity_hz": "fidelity_to", "noise": "most_noise", "cost": "most_cost"}[name]
@@ -188,20 +192,20 @@ class Wishes:
 
 
 def measure_of(goal: Goal) -> str:
-    """Return the name of the wall measure by which schemes are compared for a goal."""
+    """Return the name of the measure by which two schemes are compared for this goal."""
     return "area" if goal == "quiet" else goal
 
 
 def fulfilled(shares: Mapping[str, float]) -> bool:
-    """Return True if every wish is fulfilled: no share is below 1."""
+    """Return True if every wish is fulfilled; `shares` are the reached fractions, fulfilled at 1 or more."""
     return all(share >= 1.0 for share in shares.values())
 
 
 def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
-    """Raise `UnmetError` if no scheme fulfils all wishes.
+    """Raise `UnmetError` if no scheme fulfils all wishes; `shares` has the reached fractions of each scheme.
 
-    The limiting wish is the one with the lowest best share, among the schemes that fulfil all other wishes; if there is
-    none, among all schemes.
+    The error names the limiting wish: the one with the lowest best fraction, among the schemes that fulfil all other
+    wishes, or among all schemes if no scheme fulfils all others.
     """
     if not shares or any(fulfilled(one) for one in shares):
         return
@@ -224,7 +228,10 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
 def key(
     wishes: Wishes, measures: Measures, shares: Mapping[str, float], own_area: float
 ) -> tuple[float, ...]:
-    """Return the key by which schemes are sorted in ascending order, the best last: wishes, then goal, then noise."""
+    """Return a sort key for schemes, the best last: first by fulfilled wishes, then by goal, then by less noise.
+
+    `own_area` is the area of the experiment's own scheme, which a scheme must reach if the goal is "quiet".
+    """
     met = min([1.0, *shares.values()])
     if wishes.goal == "quiet":
         enough = min(1.0, measures.area * (1.0 + NEGLIGIBLE) / own_area) if own_area > 0.0 else 1.0
@@ -234,14 +241,14 @@ def key(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Values of the goal's measure for the recommended and the experiment's own scheme, by offset and seed."""
+    """A comparison in pairs: the goal's measure of recommended and own scheme for each offset and seed."""
 
     recommended: tuple[float, ...]
     own: tuple[float, ...]
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Return the mean relative difference to the own scheme's mean, and both ends of its confidence interval."""
+        """Return the mean difference relative to the own scheme's mean, and the ends of its 95 % interval."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)

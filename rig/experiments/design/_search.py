@@ -1,7 +1,8 @@
-"""Search for a design: theory for the listed set, three rounds of hits, validation on held-out offsets and seeds.
+"""Search for a design: linear theory for all listed schemes, three rounds of hits, and a validation.
 
-Each stage depends on the stored results of earlier stages: a stopped design resumes in its stage, and its result is
-equal to the last bit.
+`rig.experiments.design.design` is defined here. The validation uses encoder offsets and seeds that the search did not
+use. Each stage depends on the stored results of earlier stages: a stopped design resumes in its stage, and its result
+is equal to the last bit.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; se
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """Round of hits: number of schemes that enter it; search, number of dampings and offsets of their maps."""
+    """A round of hits: number of schemes that enter the round; search, number of dampings and offsets of their maps."""
 
     name: str
     enter: int
@@ -67,14 +68,14 @@ ROUNDS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRequest:
-    """Request of a design.
+    """A request of a design.
 
     Attributes
     ----------
     experiment
-        Rig, push and thresholds; all other schemes are compared with its own scheme.
+        Rig, push and thresholds; all other schemes are compared with the experiment's own scheme.
     wishes
-        Goal and wishes, see `rig.experiments.design._rules`.
+        Goal and limits that the recommended scheme must fulfil (`rig.experiments.design._rules`).
     places
         Places where the law may run. If empty: the experiment's place of the law, at most at its position rate.
     schemes
@@ -93,7 +94,7 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return everything that determines the search as plain values; `paper` is left out, as it only adds stages."""
+        """Return all that determines the search as JSON values; `paper` is left out, because it only adds stages."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -104,7 +105,7 @@ class DesignRequest:
 
 
 def directory_for(request: DesignRequest, where: Path) -> Path:
-    """Return the directory of a design; its name has a digest of everything that determines the result."""
+    """Return the directory of a design inside `where`; its name has a hash of everything that determines the result."""
     described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
     digest = sha256(described.encode()).hexdigest()[:8]
     return where / f"design-{request.experiment.rig.name}-{digest}"
@@ -127,7 +128,8 @@ def design(
     directory
         Directory that stores finished tasks; a stopped design resumes from it. None: not stored.
     scheduler, workers, watch
-        As in `rig.experiments.sweep.run`; `watch` is also called with the name of the stage.
+        Address of a Dask scheduler, number of threads, and progress function (as in `rig.experiments.sweep.run`);
+        `watch` is called with the name of the stage and its progress.
 
     Raises
     ------
@@ -136,7 +138,8 @@ def design(
     UnmetError
         No listed scheme fulfils the wishes; the message names the limiting wish.
     ConfigError
-        A scheme of `request.schemes` is invalid, the rig is not one of a paper, or the scheduler is not found.
+        A scheme of `request.schemes` is invalid, `paper` is set and no paper describes the rig, or the scheduler is not
+        found.
     StoppedError
         Ctrl-C was pressed; finished tasks stay in the directory.
     """
@@ -250,7 +253,8 @@ class _Search:
     ) -> list[Candidate]:
         """Return the candidates sorted by linear theory, the best first.
 
-        They are taken in turn from two rankings: by limits with the ripple of a toggling count, and by limits without.
+        They are taken in turn from two rankings: by limits with the ripple of a toggling count, and by limits without
+        this ripple.
         """
         wishes = self.request.wishes
 
@@ -277,7 +281,7 @@ class _Search:
         known: Mapping[str, Linear],
         own: Candidate,
     ) -> list[Standing]:
-        """Map the schemes that enter a round, and return them with their results, the best first."""
+        """Map the schemes that enter a round by hits, and return the schemes with their results, the best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
@@ -316,7 +320,7 @@ class _Search:
         )
 
     def _with_wall(self, finalists: list[Standing]) -> list[Standing]:
-        """Hit the wished wall itself with each finalist at all offsets, and return the finalists with the result."""
+        """Hit the requested wall with each finalist at all encoder offsets; return the finalists with the result."""
         wall = self.request.wishes.wall
         if wall is None:
             return finalists
@@ -355,7 +359,7 @@ class _Search:
 
 
 def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
-    """Return the measures of each single series, one for each offset and repeat."""
+    """Return the measures of each single series of hits: one for each encoder offset and repeat."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
@@ -373,14 +377,14 @@ def _octaves(top: float, columns: int) -> tuple[float, ...]:
 
 
 def _reach(standings: Sequence[Standing]) -> float:
-    """Return the first damping above all at which a wall passed; else the largest damping."""
+    """Return the first damping above all dampings at which a wall passed; else the largest damping (SI)."""
     dampings = [b.damping for b in standings[0].boundary]
     last = max(one.measures.damping for one in standings)
     return next((b for b in dampings if b > last), dampings[-1])
 
 
 def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
-    """Return the damping at which the margin is computed, and the limit of K there (N·m/rad or N/m)."""
+    """Return the damping at which the margin is computed, and the limit of K at this damping (SI units of the rig)."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
     peak = max(best.boundary, key=lambda boundary: boundary.counted)

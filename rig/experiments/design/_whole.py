@@ -1,7 +1,7 @@
-"""Compare all listed schemes with a scheme of a paper, in every measure of that paper.
+"""Compare all listed schemes with the scheme of a paper, in every measure of that paper.
 
-`_search` calls it if `paper` is requested. It must not state that no scheme is as good as the paper's, unless each
-listed scheme was ruled out or mapped.
+`_search` calls this module if `paper` is requested. It must state that no listed scheme is as good as the paper's only
+if each listed scheme was mapped or failed a hit that it had to pass.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ UNITS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PaperSchemes:
-    """Schemes of a paper on its rig, and the measures by which the paper judges them."""
+    """A paper's sampling schemes on its rig, and the names of the measures by which the paper judges them."""
 
     schemes: tuple[Scheme, ...]
     measures: tuple[str, ...]
@@ -87,7 +87,7 @@ class PaperSchemes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MappedScheme:
-    """Completely mapped scheme: its value of each measure, and the names of those that are only bounds (`capped`)."""
+    """A completely mapped scheme: its value of each measure by name; `capped` values are only lower bounds."""
 
     candidate: Candidate
     label: str
@@ -95,11 +95,11 @@ class MappedScheme:
     capped: tuple[str, ...]
 
     def shown(self, name: str) -> str:
-        """Return the value of a measure as text."""
+        """Return the value of the measure `name` as text, after "≥" if the value is only a lower bound."""
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
-        """Return the names of the measures in which this scheme is not as good as the other."""
+        """Return the names of the measures in which this scheme is not as good as the other scheme."""
         return [
             name
             for name, value in self.values.items()
@@ -109,7 +109,7 @@ class MappedScheme:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Against:
-    """Comparison of one scheme of a paper with all listed schemes.
+    """A comparison of one scheme of a paper with all listed schemes.
 
     Attributes
     ----------
@@ -118,9 +118,10 @@ class Against:
     listed
         Number of listed schemes, without the scheme of the paper.
     ruled_out
-        For each measure the number of schemes that a failed hit (or the number of tuned values) rules out.
+        For each measure the number of schemes that cannot reach it, as a failed hit (or the count of tuned values)
+        shows.
     measured
-        Mapped schemes that were not ruled out; those that miss the fewest measures first.
+        Mapped schemes that were not ruled out, sorted by the number of measures in which they are worse.
     open
         Number of schemes that were neither ruled out nor mapped, because a scheme as good as the paper's was found.
     """
@@ -133,7 +134,10 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """Return the mapped scheme that misses the fewest measures; of equals that of largest K peak × B range."""
+        """Return the mapped scheme that is worse in the fewest measures; None if no scheme was mapped.
+
+        Of several such schemes return the one with the largest product of K peak and range of B.
+        """
         return self.measured[0] if self.measured else None
 
     @property
@@ -152,7 +156,7 @@ class Against:
         )
 
     def table(self, motion: str) -> Table:
-        """Return a table: for each measure the paper's scheme, the best found, and the number of ruled out schemes."""
+        """Return a table with a row for each measure: paper's scheme, best listed scheme, schemes ruled out."""
         best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
         rows = []
         for name in self.paper.values:
@@ -165,7 +169,7 @@ class Against:
         return Table(head, rows, self.text)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the comparison as plain values for JSON."""
+        """Return the comparison as JSON values by name."""
 
         def as_facts(one: MappedScheme) -> dict[str, Any]:
             return {
@@ -189,7 +193,7 @@ class Against:
 def against_paper(
     experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
 ) -> tuple[Against, ...]:
-    """Compare each scheme of the rig's paper with all listed candidates, given with the most promising first."""
+    """Compare each scheme of the rig's paper with all candidates, which must be sorted, the most promising first."""
     return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
 
 
@@ -249,7 +253,10 @@ class _Whole:
     def _sieves(
         self, name: str, asked: Mapping[str, float]
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
-        """Yield each measure, with a function that returns the candidates which may still reach it."""
+        """Yield each measure's name, with a function that returns the candidates which may still reach the measure.
+
+        `asked` has the values of the paper's scheme by measure.
+        """
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
         # Any wall that holds at or beyond the range shows the range.
@@ -269,7 +276,7 @@ class _Whole:
             )
 
     def _keep_undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
-        """Return the candidates that reach the stiffness `asked` at B = 0; there the estimator has no effect."""
+        """Return the candidates that reach the stiffness `asked` without damping, where the estimator has no effect."""
 
         def law(one: Candidate) -> tuple[Any, ...]:
             return one.loop, one.delay_ticks, one.scheme.position_rate
@@ -280,13 +287,13 @@ class _Whole:
         return [one for one in left if law(one) in laws]
 
     def _rung(self, name: str, asked: float) -> float:
-        """Return the lowest stiffness of the search that is as good as `asked` in a measure."""
+        """Return the lowest stiffness of the search that counts as reaching `asked` in the measure `name`."""
         return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
 
     def _hold(
         self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Return the candidates whose wall of this stiffness does not fail at one of the dampings and offsets."""
+        """Return the candidates with which a wall of this stiffness holds at one of the dampings and offsets."""
         if not left:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
@@ -302,7 +309,7 @@ class _Whole:
         ]
 
     def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
-        """Map candidates completely by hits, and by impedances if the paper has measures of them."""
+        """Map candidates completely: by hits, and by impedances if the paper has measures of impedance."""
         x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
         maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
@@ -350,7 +357,7 @@ class _Whole:
         return tuple(name for name in self._paper.measures if reached.get(name, False))
 
     def _count_tuned(self, one: Candidate) -> int:
-        """Return the number of tuned values; an order or window of a listed scheme does not count at its default."""
+        """Return the number of tuned values; an order or window that equals its default does not count."""
         controller = one.applied(self._x).controller
         defaults = {
             setting.name: setting.default for setting in estimators.get(controller.estimator).settings

@@ -1,6 +1,6 @@
 """Measure penetration, bounces and settling time of one hit from its first contact on, in encoder counts.
 
-`compare` calls it. The unit is the count because Koul et al. plot counts (Fig. 7).
+`rig.experiments.hits.compare` calls this module. The unit is the count because Koul et al. plot counts (Fig. 7).
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ REST_SHARE = 0.25  # of the trace, whose end is the rest position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactNumbers:
-    """Numbers of one hit, or the mean of these numbers over several hits.
+    """A summary of one hit, or the mean of several hits' summaries.
 
     Attributes
     ----------
     impact_velocity
-        True velocity of the encoder's side at the first sample inside the wall (rad/s or m/s), positive inwards.
+        True velocity at the encoder at the first sample inside the wall (rad/s or m/s), positive into the wall.
     peak
         Deepest penetration (counts).
     second_peak
         Deepest penetration of the next oscillation after the peak (counts); None if the handle did not turn back and
         then move inwards again.
     rest
-        Mean penetration over the last `REST_SHARE` of the trace (counts).
+        Mean penetration over the last quarter of the trace (`REST_SHARE`; counts).
     bounces
         Number of times that the handle left the wall and entered it again.
     decay
-        (second_peak − rest) / (peak − rest); a rest outside the wall counts as 0. The decay is 0 without a second peak,
+        (second_peak − rest) / (peak − rest), where a negative rest counts as 0. The decay is 0 without a second peak,
         and 1 or more if the wall does not damp.
     settling_s
-        Time after which |penetration − rest| stays within `SWING_SHARE`·(peak − rest), or within one count if that is
-        more (s); None if it never does.
+        Time after which |penetration − rest| stays within `SWING_SHARE`·(peak − rest), or within one count if one count
+        is more (s); None if the handle never settles.
     """
 
     impact_velocity: float
@@ -55,22 +55,22 @@ class ImpactNumbers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """Traces of one hit, each of shape (n,): one value for each tick from the first sample inside the wall on.
+    """A recorded impact: traces of shape (n,), with one value for each tick from the first sample inside the wall on.
 
     Attributes
     ----------
     offset
-        Place of position zero within its encoder cell (count, 0 to below 1).
+        Distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1).
     time_s
         Time since the first sample inside the wall (s).
     counts
-        Penetration as measured (counts); negative outside.
+        Measured penetration (counts); negative outside the wall.
     penetration, penetration_true
         Measured penetration, and true penetration of the handle (rad or m).
     velocity, velocity_true
-        Velocity into the wall (rad/s or m/s): the estimate that the law used, and the truth at the encoder's side.
+        Velocity into the wall (rad/s or m/s): the estimate that the law used, and the true velocity at the encoder.
     complete
-        False if the guard ended the run.
+        False if the guard (limits on position, speed and effort) ended the run.
     """
 
     offset: float
@@ -85,7 +85,11 @@ class Impact:
 
 
 def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNumbers:
-    """Return the numbers of a hit; times (s) and penetration (counts) begin at the first sample inside, shape (n,)."""
+    """Return peak, rest, bounces, decay and settling time of one hit.
+
+    `time_s` (s) and the penetration `counts` (counts) have shape (n,) and begin at the first sample inside the wall;
+    `impact_velocity` (rad/s or m/s) is copied into the result.
+    """
     end = max(1, round(REST_SHARE * len(counts)))
     peak, rest = float(counts.max()), float(counts[-end:].mean())
     swing = max(LEAST_SWING, SWING_SHARE * (peak - rest))
@@ -105,9 +109,9 @@ def measure(time_s: Floats, counts: Floats, impact_velocity: float) -> ImpactNum
 
 
 def second_peak(counts: Floats, swing: float) -> float | None:
-    """Return the depth of the next oscillation after the peak (counts); None without one.
+    """Return the deepest penetration of the next oscillation after the peak (counts); None without an oscillation.
 
-    It counts only if the handle moved back from the peak by `swing` (counts) and then inwards by `swing`.
+    An oscillation counts only if the handle moved back from the peak by `swing` (counts) and then inwards by `swing`.
     """
     after = counts[int(np.argmax(counts)) :]
     returned = np.flatnonzero(after <= after[0] - swing)
@@ -121,7 +125,8 @@ def second_peak(counts: Floats, swing: float) -> float | None:
 def mean(numbers: Iterable[ImpactNumbers]) -> ImpactNumbers:
     """Return the mean of each number over several hits.
 
-    The second peak is averaged over the hits that have one; the settling time is None if a hit did not settle.
+    The second peak is averaged over the hits that have a second peak; the settling time is None if any hit did not
+    settle.
     """
     rows = [asdict(each) for each in numbers]
     values: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Run many recorded trials, one after another, on one device.
 
-Measurements of maps and impedances call it. Each trial is an ordinary hit (`rig.experiments.hits.hit`) with its checks
-and its recording.
+Measurements of maps and impedances call this module. Each trial is an ordinary hit (`rig.experiments.hits.hit`) with
+the same checks and a recording.
 """
 
 from __future__ import annotations
@@ -27,17 +27,19 @@ from rig.realtime.stop_requests import RunSeries
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OnDevice:
-    """Device to measure, and settings of the measurement.
+    """A device to measure, and the settings of the measurement.
 
     Attributes
     ----------
     url, realtime, verified, arm_anyway, hands_off
-        As in `rig.experiments.hits.hit.HitRequest`. The handle of a real rig without an index must be at position zero
-        when the measurement begins.
+        Address of the device; run in real time; polarity of motor and encoder is verified; arm despite a bad link;
+        called before the first torque pulse. Details: `rig.experiments.hits.hit.HitRequest`. The handle of a real rig
+        without an index pulse must be at position zero when the measurement begins.
     recordings
         Directory of the recordings.
     device, reference_count
-        Real device that the caller has opened already, and its encoder count at position zero; the device stays open.
+        Real device that the caller has opened already, and its encoder count at position zero; the measurement does not
+        close the device.
     """
 
     url: str
@@ -57,7 +59,7 @@ class OnDevice:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """Trial that the guard or the device ended early: its error, and its recording with the judgement."""
+    """A trial that the guard or the device ended early: the error, the recording and the judgement."""
 
     error: GuardError | DeviceFaultError
     recorded: Recorded
@@ -65,7 +67,10 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Trials on one device that stays open; with `device` None each trial opens a new one. One stop ends all trials."""
+    """A series of trials on one device that stays open; if `device` is None, each trial opens a new device.
+
+    A request to stop ends the whole series.
+    """
 
     where: OnDevice
     device: FramedDevice | None
@@ -78,10 +83,10 @@ class Trials:
         changes: Mapping[str, Any],
         law: Law | Callable[[float], Law] | None = None,
     ) -> Recorded | Ended:
-        """Run one trial and return its recording; raise the errors of `rig.experiments.hits.hit.hit`.
+        """Run one trial and return its recording and judgement; raise the errors of `rig.experiments.hits.hit.hit`.
 
-        `changes` override the experiment's changes for real time. If the guard or the device ended the trial and a
-        recording exists, return it as `Ended` and raise nothing.
+        `changes` have priority over the defaults for real time. If the guard or the device ended the trial and a
+        recording exists, return an `Ended` and raise nothing.
         """
         request = HitRequest(
             experiment=experiment,
@@ -110,7 +115,7 @@ class Trials:
 
 @contextmanager
 def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
-    """Yield the trials of a measurement; a real device stays open and keeps its position zero meanwhile."""
+    """Yield the trials of a measurement; a real device stays open and keeps its position zero until the block ends."""
     with stop_requests.listening() as series:
         if where.simulated:
             yield Trials(where, None, None, series)
@@ -126,7 +131,10 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
 
 @contextmanager
 def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
-    """Yield the open device, also a simulated one, and the trials on it; the caller can check it before it moves."""
+    """Open the device; yield the device, real or simulated, and the series of trials on it.
+
+    The caller can check the device before the first trial moves the handle.
+    """
     if where.device is not None:
         with stop_requests.listening() as series:
             yield where.device, Trials(where, where.device, where.reference_count, series)
@@ -146,7 +154,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
 
 
 def _asked_for(experiment: Experiment) -> dict[str, Any]:
-    """Return the experiment's rates, stiffness and damping as changes; defaults for real time do not replace them."""
+    """Return the experiment's rates, stiffness and damping as changes, which override the defaults for real time."""
     controller, wall = experiment.controller, experiment.wall
     return {
         "controller.position_rate": controller.position_rate,

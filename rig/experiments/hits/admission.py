@@ -1,8 +1,8 @@
 """Check that a wall may run at its rate on a device: the same checks for `rig doctor`, the arming gate and `rig hit`.
 
-`admit` is the last check before a trial moves the motor; every caller of `rig.experiments.hits.hit.hit` passes it:
-`rig hit`, the console, sessions and `rig.testing`. It must not run the trial. It moves nothing, except by the torque
-pulse before a device is armed for a person.
+`admit` is the last check before a trial moves the motor; every caller of `rig.experiments.hits.hit.hit` passes it: `rig
+hit`, the console, sessions and `rig.testing`. This module must not run the trial. It moves nothing, except for the
+torque pulse before a device is armed for a person.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from rig.recording.files import free_name
 
 
 def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Admitted:
-    """Prepare the run of an experiment on an open device, or raise an error if the run is not permitted.
+    """Check if an experiment may run on an open device, and return the prepared run with its warnings.
 
-    A real rig gets a torque pulse before its first trial with a person, to check its motion; nothing else moves.
+    If a person will hold the handle of a real rig, a torque pulse first checks that the rig moves as described; nothing
+    else moves.
 
     Raises
     ------
@@ -51,7 +52,9 @@ def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
 
 
 def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
-    """Return the prepared and checked run of an experiment on an open device. No link is measured, nothing moves.
+    """Return the prepared and checked run of an experiment on an open device.
+
+    The link is not measured, and nothing moves.
 
     Raises
     ------
@@ -93,7 +96,7 @@ def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
 
 
 def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
-    """Return the assessment of the measured link, or raise if it makes the wall dangerous; None in virtual time."""
+    """Return the assessment of the measured link (None in virtual time); raise if the link makes the wall dangerous."""
     if device.link.clock.virtual:
         return None
     found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
@@ -112,7 +115,7 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """Send a torque pulse to a real rig before it is armed for a person; raise if it does not move as described.
+    """Send a torque pulse to a real rig before a person holds the handle; raise if the rig does not move as described.
 
     The pulse is not repeated on a device whose motion has been confirmed.
     """

@@ -1,7 +1,7 @@
 """Simulate the same hit on the same wall under several sampling schemes, and compare the results.
 
-`rig compare`, `rig.experiments.lab`, papers and pictures call it. It opens no device and writes no recording. Source:
-Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
+`rig compare`, `rig.experiments.lab`, the reproduced papers and the plots call this module. It opens no device and
+writes no recording. Source: Koul et al., Fig. 7 and section III ("depth of penetration … after the first impact").
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ USUAL_VELOCITY_RATE = 2000  # Hz, of the dual-rate scheme when the experiment's 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """Initial state of the handle at the first sample, and the constant efforts on it during the whole trial.
+    """A start of a simulated hit: state of the handle at the first sample, and constant efforts during the trial.
 
     Attributes
     ----------
     position, velocity
-        State of the whole rig at the first sample (rad or m, rad/s or m/s).
+        Position and velocity of the rig, as one rigid body, at the first sample (rad or m, rad/s or m/s).
     motor_effort
-        Constant effort of the motor, like the push of an automated trial (N·m or N).
+        Constant effort that the motor adds to the wall's effort during the trial (N·m or N).
     external_effort
-        Constant effort from outside on the link (N·m or N).
+        Constant effort of an external load on the link during the trial (N·m or N).
     """
 
     position: float
@@ -60,7 +60,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Entry:
-    """Scheme to compare: its name in tables, and the wall's damping with it (None: the damping of the experiment)."""
+    """A sampling scheme to compare: its name in tables, and the wall's damping (None: the experiment's damping)."""
 
     name: str
     scheme: Scheme
@@ -74,13 +74,13 @@ class Entry:
         return replace(changed, wall=replace(changed.wall, damping=self.damping))
 
     def label(self, experiment: Experiment) -> str:
-        """Return the name for a legend: rates, estimator and cut-off, or "no damping" if the damping is 0."""
+        """Return a label for a plot's legend: rates, estimator and cut-off; "no damping" if the damping is 0."""
         return "no damping" if self.damping == 0.0 else self.scheme.label(experiment)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeImpacts:
-    """Result of one compared scheme: a hit for each encoder offset, and the mean of the hits' numbers."""
+    """A result of one sampling scheme: a simulated hit for each encoder offset, and the mean of the hits' numbers."""
 
     entry: Entry = field(repr=False)
     experiment: Experiment = field(repr=False)  # as it was run
@@ -90,12 +90,12 @@ class SchemeImpacts:
 
     @reported
     def name(self) -> str:
-        """Return the name under which the scheme was compared."""
+        """Return the scheme's name in tables, like "uniform" or "dual"."""
         return self.entry.name
 
     @reported
     def scheme(self) -> str:
-        """Return the scheme in its text form, like dual:20k/2k."""
+        """Return the sampling scheme as text, like "dual:20k/2k" (position rate and velocity rate, Hz)."""
         return Scheme.of(self.experiment).text
 
     @reported
@@ -105,17 +105,17 @@ class SchemeImpacts:
 
     @reported
     def complete(self) -> bool:
-        """Return True if the guard ended none of the hits."""
+        """Return True if each hit ran to its end, False if the guard (effort, speed, window) ended a hit early."""
         return all(impact.complete for impact in self.impacts)
 
     @property
     def peaks(self) -> tuple[float, float]:
-        """Return the smallest and the largest peak penetration over the offsets (counts)."""
+        """Return the smallest and the largest peak penetration among the hits at all encoder offsets (counts)."""
         peaks = [impact.numbers.peak for impact in self.impacts]
         return min(peaks), max(peaks)
 
     def cells(self) -> tuple[str, ...]:
-        """Return the scheme's row for the table of a comparison."""
+        """Return the texts of this scheme's row in the table of a full report, one text for each column."""
         n, (least, most) = self.numbers, self.peaks
         return (
             self.label + ("" if self.complete else ", ended by the guard"),
@@ -132,7 +132,7 @@ class SchemeImpacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SchemeComparison(Shown, Drawn):
-    """Results of all compared schemes on one rig, with one wall and one start."""
+    """A comparison of sampling schemes: the results of all schemes for one rig, wall and start of the hit."""
 
     experiment: Experiment = field(repr=False)
     start: Start
@@ -150,12 +150,12 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def wall(self) -> Wall:
-        """Return the wall; an entry may replace its damping."""
+        """Return the wall of the experiment; the damping of a compared scheme can differ from the wall's damping."""
         return self.experiment.wall
 
     @reported
     def cutoffs(self) -> str | None:
-        """Return a sentence if schemes that state no cut-off get different ones; None if all are equal.
+        """Return a sentence if schemes without an explicit cut-off get different cut-offs (Hz); None if all are equal.
 
         Schemes with zero damping are ignored.
         """
@@ -163,7 +163,7 @@ class SchemeComparison(Shown, Drawn):
         return describe_cutoffs(damped, self.experiment)
 
     def brief(self) -> list[Item]:
-        """Return the wall, and for each scheme the mean peak and rest (counts)."""
+        """Return the lines of a short report: the wall, then each scheme's mean peak and rest penetration (counts)."""
         return [
             self._headline(),
             *(
@@ -173,7 +173,7 @@ class SchemeComparison(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return a table with every number of each scheme, and a sentence if the cut-offs differ."""
+        """Return the lines of a full report: wall, table with every number of each scheme, and differing cut-offs."""
         velocity = unit_of("velocity", self.motion)
         head = ("counts", f"impact ({velocity})", "peak", "of offsets", "second", "rest", "bounces", "decay")
         table = Table((*head, "settling (s)"), [one.cells() for one in self.outcomes])
@@ -197,10 +197,11 @@ class SchemeComparison(Shown, Drawn):
 
 
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
-    """Return three schemes at the experiment's position rate: without damping, uniform, and dual-rate.
+    """Return three schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
 
-    The dual-rate scheme has the experiment's velocity rate. If that equals the position rate, it has the fastest
-    divisor of the position rate up to `USUAL_VELOCITY_RATE` and up to half of the position rate.
+    The dual-rate scheme has the experiment's velocity rate. If the velocity rate equals the position rate, use the
+    highest divisor of the position rate that is at most `USUAL_VELOCITY_RATE` (Hz) and at most half of the position
+    rate.
     """
     own = Scheme.of(experiment)
     fast, slow = own.position_rate, own.velocity_rate
@@ -215,9 +216,9 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
 
 
 def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
-    """Return an entry for each scheme, or `default_entries` if `schemes` is empty; ``"none"`` means no damping.
+    """Return an `Entry` for each scheme (`default_entries` if empty); the scheme "none" is a wall without damping.
 
-    Raise `ConfigError` if a scheme is named twice.
+    Raise `ConfigError` if two schemes have the same name.
     """
     usual = default_entries(experiment)
     if not schemes:
@@ -235,7 +236,7 @@ def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple
 
 
 def refuse_unused(changes: Mapping[str, Any]) -> None:
-    """Raise `ConfigError` if a change sets a key that a comparison does not use (`UNUSED`)."""
+    """Raise `ConfigError` if `changes` contains a key that a comparison ignores (`trial.repeats`, `trial.seed`)."""
     for key in UNUSED:
         if key in changes:
             raise ConfigError(
@@ -251,7 +252,7 @@ def compare(
     start: Start | None = None,
     offsets: Sequence[float] = OFFSETS,
 ) -> SchemeComparison:
-    """Simulate one hit for each entry and encoder offset.
+    """Simulate one hit for each sampling scheme and each encoder offset, and return the compared results.
 
     Parameters
     ----------
@@ -260,16 +261,18 @@ def compare(
     entries
         Schemes to compare; `default_entries` if None.
     start
-        Initial state and efforts; None: those of the experiment's trial.
+        Initial state of the handle and constant efforts; None: start and effort of the experiment's trial.
     offsets
-        Places of position zero within its encoder cell (count, 0 to below 1); one trial is simulated for each.
+        Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). One hit is simulated
+        for each offset.
 
     Raises
     ------
     ConfigError
-        A scheme is invalid, the trial has a hand, no offset is given, or the handle never reaches the wall.
+        A scheme is invalid, no scheme or no offset is given, an offset is out of range, the trial's kind is not
+        constant effort, or the handle never reaches the wall.
     DeviceNotFoundError
-        The simulation is not installed.
+        The package of the simulation, `sim_backend`, is not installed.
     """
     chosen = default_entries(experiment) if entries is None else tuple(entries)
     if not chosen or not offsets or not all(0.0 <= offset < 1.0 for offset in offsets):
@@ -300,7 +303,11 @@ def compare(
 
 
 def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
-    """Simulate one trial and return its part from the first contact on; raise the errors of `compare`."""
+    """Simulate one trial and return its traces and numbers from the first contact with the wall on.
+
+    `offset` is the distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1). Raise the
+    errors of `compare`.
+    """
     law, plant, trace = simulate(experiment, start, offset)
     side, wall = experiment.wall.side, experiment.wall.position
     rows = _rows(law, plant, trace)
@@ -330,13 +337,13 @@ def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
 
 
 def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[ControllerState, Any, Any]:
-    """Simulate one trial without the byte link and without homing.
+    """Simulate one trial without a serial protocol between controller and device, and without homing.
 
     Returns
     -------
     tuple
-        A new controller with the same settings as the one that ran, the plant
-        (`sim_backend.mechanics.plant.DiscretePlant`), and the trace of all ticks (`sim_backend.bare.trial.Trace`).
+        A new controller with the same settings as the simulated one, in its initial state; the plant
+        (`sim_backend.mechanics.plant.DiscretePlant`); the trace of all ticks (`sim_backend.bare.trial.Trace`).
     """
     rig = replace(experiment.rig, encoder=replace(experiment.rig.encoder, offset=offset))
     placed = replace(experiment, rig=rig)
@@ -357,7 +364,7 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
 
 
 def _controller(experiment: Experiment, start: Start) -> ControllerState:
-    """Return a controller in the phase TRIAL, so that it does no homing."""
+    """Return a controller that starts in the phase TRIAL, without homing."""
     made = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     made.control["constant_effort"] = start.motor_effort
     # No homing, whose servo uses the estimate: with the same position rate the motion before the first contact is then
@@ -367,7 +374,7 @@ def _controller(experiment: Experiment, start: Start) -> ControllerState:
 
 
 def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tuple[float, float]:
-    """Return position and velocity of the rig, as one rigid body, one tick before it reaches the start."""
+    """Return position and velocity (rad or m, rad/s or m/s) of the rigid rig one tick before it reaches the start."""
     if start.velocity == 0.0:
         return start.position, 0.0
     m = experiment.rig.mechanics
@@ -383,7 +390,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
 
 
 def _rows(law: ControllerState, plant: Any, trace: Any) -> NDArray[np.void]:
-    """Return the rows (`rig.core.sample.ROW`) of a trial, computed by the same law from the recorded counts."""
+    """Return the samples of a trial (`rig.core.sample.ROW`, one for each tick), recomputed from its encoder counts."""
     rows = np.zeros(len(trace.counts), ROW)
     rows["elapsed_ticks"] = 1
     rows["count"] = trace.counts

@@ -1,7 +1,7 @@
 """Examine the machine, its ports, and the link to a device, for `rig doctor`.
 
-`rig doctor` and the console's page of devices call it. It must not move the handle. An error of the device is stored
-in the result.
+`rig doctor` and the console's page of devices call this module. It must not move the handle. An error of the device is
+stored in the result, not raised.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examination:
-    """Result of an examination.
+    """A result of an examination of this computer, its ports, and optionally one device.
 
     Attributes
     ----------
@@ -60,13 +60,14 @@ class Examination:
     ports
         Ports found on this computer.
     admission
-        Checks that `rig hit` makes for the experiment on this device before it measures the link.
+        Checks that `rig hit` makes for the experiment on this device before the link is measured.
     device, link, walls, gate
-        Results for the examined device; None or empty without a device, or if the examination ended before that part.
+        Facts of the examined device, measurement of its link, walls that the link supports, and assessment for arming;
+        None or empty without a device, or if the examination ended earlier.
     experiment
         Experiment as it would run on the device.
     error
-        Error that ended the examination of the device early; None if it was complete.
+        Error that ended the examination of the device early; None if the examination was complete.
     """
 
     checks: tuple[Check, ...]
@@ -81,19 +82,22 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Return True if `rig hit` would arm the wall (always with a simulated link); None: link not measured."""
+        """Return True if `rig hit` would arm the experiment's wall, False if not; None if the link was not measured.
+
+        A simulated link never prevents arming.
+        """
         if refused(self.admission):
             return False
         return None if self.gate is None else self.gate.armable or self.gate.simulated
 
     @property
     def remedy(self) -> str:
-        """Return the remedies of all refused checks and of the arming gate, joined by semicolons; "" without any."""
+        """Return the remedies of all refused checks before arming, joined by semicolons; "" if no check was refused."""
         remedies = [one.remedy for one in refused(self.admission)]
         return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
 
     def items(self) -> list[Item]:
-        """Return the checks of machine, link and wall as lines to print."""
+        """Return the lines to print: checks of machine, ports, device and link; supported walls; arming."""
         found: list[Item] = ["machine", *self.checks]
         if self.ports:
             found += ["ports", *(Row(port.url, port.description) for port in self.ports)]
@@ -118,15 +122,15 @@ class Examination:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExaminationRequest:
-    """Request of an examination.
+    """A request to examine this computer and optionally one device.
 
     Attributes
     ----------
     experiment
-        Validated experiment, before `changes`. Arming is checked for its wall; the table of supported walls is computed
+        Validated experiment, before `changes`. Its wall is checked for arming; the table of supported walls is computed
         for its rig and estimator.
     changes
-        Keys that the user set by hand.
+        Values by key that the user set by hand.
     """
 
     experiment: Experiment
@@ -151,14 +155,14 @@ def examine(question: ExaminationRequest, on_progress: Progress = lambda what, s
     Parameters
     ----------
     question
-        Request of the examination.
+        Request of the examination; without a URL and without real time, no device is examined.
     on_progress
-        Called with the name of the present step and the share of it that is done, 0 … 1.
+        Called with the name of the present step and the finished fraction of the step (0 to 1).
 
     Raises
     ------
     ConfigError
-        The changes are invalid. All other errors, a missing device included, are in the result.
+        The changes are invalid. All other errors, a missing device included, are stored in the result.
     """
     host = config.override(question.experiment, question.changes).host
     on_progress("examining the machine", 0.0)

@@ -1,9 +1,8 @@
 """Run hits: a constant effort or a person drives the handle into the wall; each hit is recorded and judged.
 
-The caller passes the function that decides if a device may be armed: `rig.experiments.hits.admission.admit`.
-
-`rig hit`, `rig.experiments.lab`, maps on a device, sessions, the console and `rig.testing` call this module. It must
-not import `admission`, which imports it, nor start a run that `admit` did not permit.
+`rig hit`, `rig.experiments.lab`, maps on a device, sessions, the console and `rig.testing` call this module. The caller
+passes the function that decides if a device may be armed: `rig.experiments.hits.admission.admit`. This module must not
+import `admission`, which imports this module, nor start a run that `admit` did not permit.
 """
 
 from __future__ import annotations
@@ -41,28 +40,30 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HitRequest(RigRequest):
-    """Request of hits: experiment, device and options; a real device always runs in real time.
+    """A request of hits: experiment, device and options; a real device always runs in real time.
 
     Attributes
     ----------
     name
-        Name of the recording without suffix; None: the rig's name, the time, and the number of the repeat.
+        Name of the recording's file without suffix; None: the rig's name, the time, and the number of the repeat.
     law
-        Law to run instead of the one that the experiment names, or a function that returns it for the device's current
-        quantum (A).
+        Control law to run instead of the law that the experiment names, or a function that returns the law for the
+        device's current quantum (A).
     device
-        Open device to use instead of `url`; it stays open.
+        Device that the caller has opened already, used instead of `url`; the hits do not close it.
     reference_count
-        Encoder count at position zero of a real rig. None: `rig.experiments.trials.preparation.position_zero` finds it.
+        Encoder count at position zero of a real rig. None: determine the count with
+        `rig.experiments.trials.preparation.position_zero`.
     arm_anyway
-        Arm although the measured link makes the wall dangerous (`rig.doctor.gate`). This is reported and recorded.
+        Arm although the measured link makes the wall dangerous (`rig.doctor.gate`). The override is reported and
+        recorded.
     measuring
-        Called while the link is measured before arming, with the share of the measurement that is done (0 to 1).
+        Called while the link is measured before arming, with the finished fraction of the measurement (0 to 1).
     judged_link
         Called before arming with the assessment of the measured link.
     hands_off
-        Called with an instruction to the operator (hands off the handle) before the torque pulse that a real rig gets
-        before it is armed for a person.
+        Called with an instruction to the operator (take the hands off the handle) before the torque pulse that checks a
+        real rig before a person holds the handle.
     blinded
         True if the person must not know the wall: programs that display the running loop must then hide the wall.
     """
@@ -90,7 +91,7 @@ class HitRequest(RigRequest):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """Result of a hit: the experiment in effect, its recording as read back, and its judgement."""
+    """A recorded hit: experiment with all changes applied, recording as read from its file, and judgement."""
 
     experiment: Experiment
     recording: Recording
@@ -98,14 +99,14 @@ class Recorded:
 
     @property
     def path(self) -> Path:
-        """Return the path of the recording's file."""
+        """Return the path of the hit's recording."""
         assert self.recording.path is not None
         return self.recording.path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class HitResult(Shown, Drawn):
-    """Result of one hit: its verdict, its recording, and the recording's file."""
+    """A result of one hit: experiment, recording, verdict, the device's error counters, and warnings."""
 
     recorded: Recorded
     counters: dict[str, int]
@@ -117,43 +118,46 @@ class HitResult(Shown, Drawn):
 
     @property
     def recording(self) -> Recording:
-        """Return the recording, as read back from its file."""
+        """Return the recording of the hit, as read from its file."""
         return self.recorded.recording
 
     @property
     def path(self) -> Path:
-        """Return the path of the recording's file."""
+        """Return the path of the hit's recording."""
         return self.recorded.path
 
     @property
     def experiment(self) -> Experiment:
-        """Return the experiment in effect, with all changes."""
+        """Return the experiment as it ran: the user's experiment with all changes applied."""
         return self.recorded.experiment
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict computed from the recorded signals."""
+        """Return the verdict on the hit's stability by the recorded signals."""
         return self.recorded.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
-        """Return the verdict computed from the true signals of the simulation; None on a real rig."""
+        """Return the verdict on the hit's stability by the simulation's true signals; None on a real rig."""
         return self.recorded.judgement.verdict_true
 
     def brief(self) -> list[Item]:
-        """Return the wall, the verdict with its reasons, and the three ripples on which the verdict is based."""
+        """Return the lines of a short report: wall, verdict, reasons, ripples of velocity, effort and position."""
         rows = self.recorded.judgement.rows(self.experiment)
         summary = [row for row in rows if row.label in {"verdict", ""}]
         numbers = [row for row in rows if row.label.startswith(("peak", "felt", "heard", "moved"))]
         return [self.experiment.headline(), *summary[:3], *numbers, Row("recording", str(self.path))]
 
     def detailed(self) -> list[Item]:
-        """Return the verdict with every number on which it is based."""
+        """Return the lines of a full report: wall, verdict and every number behind it, and the recording's path."""
         rows = self.recorded.judgement.rows(self.experiment)
         return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return wall, sampling rates, estimator and verdict for JSON; the recording has the whole experiment."""
+        """Return wall, sampling rates, estimator, verdict and thresholds by name, for JSON.
+
+        The recording's header contains the whole experiment.
+        """
         return {
             "recording": self.path,
             "rig": self.experiment.rig.name,
@@ -182,7 +186,7 @@ class HitResult(Shown, Drawn):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Admitted:
-    """A run that may start on an open device.
+    """A permitted run, ready to start on an open device.
 
     Attributes
     ----------
@@ -191,7 +195,7 @@ class Admitted:
     gate
         Assessment of the device's link before arming; None in virtual time, where a link has no delay.
     warnings
-        One sentence for each exceeded limit that protects people, with its remedy.
+        One sentence for each exceeded limit that protects people, with the remedy.
     """
 
     run: PreparedRun
@@ -204,10 +208,11 @@ Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
 
 
 def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str, Any]) -> Experiment:
-    """Return the experiment as it runs on this device.
+    """Return the experiment as it runs on `device`.
 
     In real time the changes of `rig.config.realtime_changes` apply. If the host runs the law and the user set no rate,
-    both sampling rates become the device's default rate. `changes`, the keys that the user set, override all of this.
+    both sampling rates become the device's default rate. `changes` (values by key that the user set) override these
+    changes and rates.
     """
     if device.link.clock.virtual:
         return config.override(experiment, changes)
@@ -220,18 +225,18 @@ def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str
 
 
 def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterator[HitResult]:
-    """Run the hits of a request, one after another, and yield each result as soon as its hit has ended.
+    """Run the hits of a request, one after another, and yield each result as soon as the hit has ended.
 
     Parameters
     ----------
     request
-        Rig, device and options.
+        Experiment, device and options.
     admit
-        Called with the request, the open device and the experiment in effect; returns the prepared run, or raises an
-        error if the run is not permitted. Pass `rig.experiments.hits.admission.admit`.
+        Called with the request, the open device and the experiment as it runs there; returns the prepared run, or
+        raises an error if the run is not permitted. Pass `rig.experiments.hits.admission.admit`.
     watch
-        Called before each repeat with its number (from 0) and the experiment in effect. It may return a function that
-        is then called with (ticks, phase) while the trial runs.
+        Called before each repeat with the repeat's number (from 0) and the experiment. `watch` may return a progress
+        function, which is called with (ticks, phase) while the trial runs.
 
     Raises
     ------
@@ -270,7 +275,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
 
 
 def left_by(error: Exception) -> Recorded | None:
-    """Return recording and judgement of the hit that ended with this error; None if no run began."""
+    """Return recording and judgement of the hit that ended with `error`; None if no trial had begun."""
     end = end_of(error)
     return None if end is None else _make_recorded(end)
 
@@ -296,7 +301,7 @@ def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitRe
 
 @contextmanager
 def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
-    """Open the device of a request; yield the device and the experiment in effect on it.
+    """Open the device of a request; yield the device and the experiment as it runs on this device.
 
     A simulated device in real time runs as a separate process.
     """
@@ -327,7 +332,7 @@ def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment
 
 
 def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
-    """Return the rig's model for a device that needs it (a bridge to a drive); None for a board, which stores it."""
+    """Return the model of the rig that a bridge to a motor drive needs; None for a board, which stores the model."""
     if not devices.is_made_for_a_rig(url):
         return None
     return config.rig_model(config.with_realtime(request.experiment, request.changes))

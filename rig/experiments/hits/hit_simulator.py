@@ -1,7 +1,7 @@
 """Simulate hits on one rig with one sampling scheme, without the byte link.
 
-Maps, papers and the simulated hand of a session's plan call it. It opens no device and records nothing. The trajectory
-of a hit equals that of the loop over the byte link, to the last bit.
+Maps, papers and the simulated hand of a session's plan call this module. It opens no device and records nothing. The
+trajectory of a hit equals, to the last bit, the trajectory that the loop over the byte link produces.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolera
 
 
 class HitSimulator:
-    """Simulated rig that can be hit at walls of any stiffness and damping.
+    """A simulated rig that hits walls of any stiffness and damping.
 
     Parameters
     ----------
     experiment
-        Rig, controller, trial, thresholds and wall; the wall's stiffness and damping are not used. The seed determines
-        the start of the handle within homing's tolerance, and the tremor of a hand.
+        Rig, controller, trial, thresholds and wall; the wall's stiffness and damping are ignored. The seed determines
+        the start of the handle within homing's tolerance, and the tremor of a simulated hand.
     law
-        Law to run instead of the one that the experiment names.
+        Control law to run instead of the law that the experiment names.
 
     Attributes
     ----------
@@ -55,13 +55,19 @@ class HitSimulator:
         self.start = start_of(experiment)
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
-        """Simulate one hit of a wall with this stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m)."""
+        """Simulate one hit; return the numbers measured from the sampled signals and from the simulated truth.
+
+        The wall has the given stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m).
+        """
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
 
 
 def start_of(experiment: Experiment) -> float:
-    """Return the position at which a hit begins (rad or m): random within homing's tolerance, from the seed."""
+    """Return the position at which a hit begins (rad or m): `trial.start` plus a random distance by `trial.seed`.
+
+    The distance is at most half of homing's tolerance.
+    """
     spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
     return experiment.trial.start + spread * float(
         np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)

@@ -1,9 +1,9 @@
-"""Run many independent tasks on all cores or on a cluster; finished tasks survive any end of the process.
+"""Run many independent tasks on all cores or on a cluster; results of finished tasks survive any end of the process.
 
     results = sweep.run([sweep.Task("a", function_of_a_module, {"x": 1})], journal=Path("journal"))
 
-Maps, designs, papers and the console run their tasks with it. It must not import an experiment or a result: a task is
-any function of a module.
+Maps, designs, papers and the console run their tasks with this package. It must not import an experiment or a result: a
+task is any function of a module.
 """
 
 from rig.experiments.sweep._coordinator import Progress, Task

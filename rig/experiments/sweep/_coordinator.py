@@ -1,6 +1,7 @@
 """Submit the tasks of a sweep, store the results, report the progress and handle Ctrl-C, all in the caller's thread.
 
-`_tasks` runs it. After the first Ctrl-C no new task starts; a second Ctrl-C ends the wait for running tasks, too.
+`rig.experiments.sweep.run` uses the class `Coordinator`. After the first Ctrl-C no new task starts; after the second
+Ctrl-C the sweep does not wait for running tasks.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ Watch = Callable[["Progress"], None]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Task of a sweep: the call ``work(payload)``.
+    """A task of a sweep: the function call ``work(payload)``.
 
     Attributes
     ----------
     key
         Name of the task, unique in the sweep.
     work
-        Function at the top level of a module, which other processes can import. It takes the payload and returns JSON
-        values, which must depend on the payload only.
+        Function at the top level of a module, which other processes can import. Its argument is the payload, its result
+        are JSON values, which must depend on the payload only.
     payload
-        Arguments of the work, as JSON values (numpy values become plain values, tuples become lists).
+        Arguments of the function, as JSON values (numpy values become Python values, tuples become lists).
     weight
         Expected duration, in a unit that is the same for all tasks.
     """
@@ -50,13 +51,13 @@ class Task:
 
     @property
     def work_name(self) -> str:
-        """Return the name of the work in a journal: ``module:function``."""
+        """Return the name of the task's function in a journal: ``module:function``."""
         return f"{self.work.__module__}:{self.work.__qualname__}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Progress of a sweep.
+    """A snapshot of the progress of a sweep.
 
     Attributes
     ----------
@@ -93,7 +94,11 @@ class Progress:
 
     @classmethod
     def begin(cls, tasks: Sequence[Task], kept: Sequence[int], damaged: int) -> Progress:
-        """Return the progress before any task is submitted; `kept` has the indices of the tasks already finished."""
+        """Return the progress before any task is submitted.
+
+        `kept` has the indices of the tasks that an earlier run finished; `damaged` is the number of unreadable journal
+        lines.
+        """
         weight = sum(tasks[index].weight for index in kept)
         return cls(
             total=len(tasks),
@@ -107,17 +112,17 @@ class Progress:
 
     @property
     def fraction(self) -> float:
-        """Share of the work that is done, by weight (0 to 1)."""
+        """Finished fraction of the sweep, by the weights of the tasks (0 to 1)."""
         return 1.0 if self.done == self.total else self.weight_done / self.weight_total
 
     @property
     def units_per_s(self) -> float:
-        """Return the number of units of work per second in this run."""
+        """Return the number of units of work, for example hits, per second in this run."""
         return self.units / max(self.elapsed_s, 1e-9)
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimated time until the end, at the speed of this run (s); None before the first result."""
+        """Estimated time until the end, at this run's mean speed (s); None before the first result."""
         achieved, left = self.weight_done - self.weight_kept, self.weight_total - self.weight_done
         if self.done == self.total:
             return 0.0
@@ -125,12 +130,13 @@ class Progress:
 
 
 class Coordinator:
-    """Runs the tasks that are not finished yet. Call `run`, then read `failure` and `interruption`.
+    """A scheduler of the unfinished tasks of a sweep. Call `run`, then read `failure` and `interruption`.
 
     Attributes
     ----------
     failure
-        Index and error of the failed task that comes first; the index is -1 if no task can run. None without a failure.
+        Index and error of the failed task with the lowest index; the index is -1 if no task can run. None without a
+        failure.
     interruption
         `KeyboardInterrupt` after Ctrl-C, or the exception that `watch` raised; else None.
     """
@@ -208,7 +214,7 @@ class Coordinator:
         )
 
     def _check_interruption(self, signals: list[int], series: RunSeries) -> bool:
-        """Call the watch function and handle Ctrl-C; return True after a second Ctrl-C, which ends the wait, too."""
+        """Call the progress function and handle Ctrl-C; return True after a second Ctrl-C: do not wait for tasks."""
         before = self.interruption
         try:
             # `rig.stop`, and a Ctrl-C that another thread was given, count in the series: once.
@@ -227,7 +233,7 @@ class Coordinator:
         return False
 
     def _take(self) -> None:
-        """Store the results of finished tasks; wait up to `POLL_S` for the first one."""
+        """Store the results of finished tasks; wait up to `POLL_S` (s) for the first result."""
         try:
             self._keep(self._back.get(timeout=POLL_S))
             while True:

@@ -1,7 +1,8 @@
 """Run the tasks of a sweep: interface of all executors, and an executor with daemon threads of this process.
 
-Payloads and results are passed as JSON text, errors as `Failure`, so that every executor gives the same values to the
-last bit. Only the coordinator stores and counts results.
+`rig.experiments.sweep.run` uses this module; `rig.extras.cluster` has an executor for Dask. Payloads and results are
+passed as JSON text, errors as `Failure`, so that every executor gives the same values to the last bit. Only the
+coordinator stores and counts results.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Work = Callable[[Any], Any]
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """Result of a task as JSON text, and the number of units of work in it."""
+    """A result of a finished task: JSON text, and the number of units of work in the result."""
 
     text: str
     units: int
@@ -35,7 +36,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Error of a task with its traceback (`details`); `of_task` is False if the worker cannot run any task."""
+    """An error of a task with its traceback (`details`); `of_task` is False if the worker cannot run any task."""
 
     message: str
     remedy: str = ""
@@ -44,20 +45,20 @@ class Failure:
 
 
 class Executor(Protocol):
-    """Interface of an executor, which runs tasks. Only one thread at a time may use it."""
+    """An interface of the objects that run tasks in threads or processes; only one thread at a time may use one."""
 
     ahead: int  # tasks to hand out for each worker: 1 is the one that it runs
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Schedule a call, like `concurrent.futures.Executor.submit`, and return its future."""
+        """Schedule a call, like `concurrent.futures.Executor.submit`, and return the future of its result."""
         ...
 
     def workers(self) -> int:
-        """Return the number of calls that can run at once; it may change."""
+        """Return the number of calls that can run at once; the number may change during a sweep."""
         ...
 
     def explain(self, error: BaseException) -> Failure:
-        """Return the failure for an exception of a future; raise the exception if no task can run any more."""
+        """Return a `Failure` for an exception of a future; raise the exception if no task can run any more."""
         ...
 
     def close(self) -> None:
@@ -82,7 +83,11 @@ def executor_for(scheduler: str | None, workers: int | None) -> Executor:
 
 
 def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Failure:
-    """Run one task in the worker; `payload` is JSON text, `code` the `code_version` of the submitting process."""
+    """Run one task in the worker; return its result, or a `Failure` with the error.
+
+    `payload` is JSON text, `unit` the name of the number that counts units of work in the result, and `code` the
+    `code_version` of the submitting process.
+    """
     if code != code_version():
         return Failure(
             f"a worker on {platform.node()} runs haptic-rig {code_version()}, this is {code}",
@@ -100,7 +105,7 @@ def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Fai
 
 
 def as_json(value: Any, *, sort_keys: bool = False) -> str:
-    """Return JSON text in ASCII whose floats read back to the same bits; numpy values become plain values."""
+    """Return JSON text in ASCII whose floats read back to the same bits; numpy values become Python values."""
     return json.dumps(value, separators=(",", ":"), sort_keys=sort_keys, default=_plain)
 
 
@@ -118,7 +123,7 @@ def _units(result: Any, name: str) -> int:
 
 
 class Threads:
-    """Executor with threads of this process, in which compiled trials release the GIL and the caller's law is known."""
+    """An executor with threads of this process: compiled trials release the GIL; the caller's own law is available."""
 
     # Not `concurrent.futures.ThreadPoolExecutor`: the interpreter joins its threads when it ends, so a second Ctrl-C
     # would still wait for every task that is running.
@@ -136,7 +141,7 @@ class Threads:
             threading.Thread(target=self._body, name=f"rig-sweep-{number}", daemon=True).start()
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Queue a call for the next idle thread, and return its future."""
+        """Queue a call for the next idle thread, and return the future of its result."""
         future: Future[Any] = Future()
         self._waiting.put((future, function, arguments))
         return future
@@ -146,11 +151,11 @@ class Threads:
         return self._workers
 
     def explain(self, error: BaseException) -> Failure:
-        """Raise the error, because it is not one of a task: `perform` returns errors of tasks as results."""
+        """Raise `error`, because it is not the error of a task: `perform` returns errors of tasks as results."""
         raise error
 
     def close(self) -> None:
-        """Let each thread end after its present call."""
+        """Let each thread end after its present call; do not wait for the threads."""
         for _ in range(self._workers):
             self._waiting.put(None)
 

@@ -1,4 +1,4 @@
-"""Journal of a sweep: a file that stores the result of each finished task, so that a stopped sweep can resume.
+"""Store the result of each finished task of a sweep in a file, the journal, so that a stopped sweep can resume.
 
 The file has lines (`rig.recording.lines`) that are appended and never changed::
 
@@ -28,7 +28,7 @@ SHOWN_DIFFERENCES, SHOWN_LETTERS = 3, 60
 
 
 class Memory:
-    """Store of results in memory, with the interface of `Journal`; it ends with the process."""
+    """A store of task results in memory, with the methods of `Journal`; the results are lost when the process ends."""
 
     def __init__(self, total: int) -> None:
         self._texts: list[str | None] = [None] * total
@@ -39,11 +39,11 @@ class Memory:
         return [index for index, text in enumerate(self._texts) if text is not None]
 
     def append(self, index: int, key: str, text: str) -> None:
-        """Store the result of a task; `text` is its JSON text."""
+        """Store the result (JSON text) of the task with this index; the key is ignored."""
         self._texts[index] = text
 
     def results(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Yield the results of finished tasks, given by their indices."""
+        """Yield the results (JSON values) of the finished tasks with these indices."""
         return (json.loads(self._texts[index] or "null") for index in indices)
 
     def sync(self) -> None:
@@ -54,21 +54,22 @@ class Memory:
 
 
 class Journal:
-    """Open journal file, locked against other processes.
+    """An open journal: the file with the results of a sweep, locked against other processes.
 
     Parameters
     ----------
     path
         Path of the file, created if it does not exist.
     header
-        Content of the first line without its version: what is computed. Plans are equal if their ``plan`` is equal.
+        Content of the first line without its version: a description of all tasks. Two journals belong to the same sweep
+        if the values of ``plan`` are equal.
     keys
-        Keys of all tasks, in their order.
+        Keys of all tasks, in the order of the tasks.
 
     Raises
     ------
     ConfigError
-        The journal belongs to another plan.
+        The journal belongs to another sweep.
     RecordingError
         The file is not a journal, is used by another process, or cannot be read or written.
     """
@@ -89,16 +90,16 @@ class Journal:
         return [index for index, place in enumerate(self._places) if place != NOT_DONE]
 
     def append(self, index: int, key: str, text: str) -> None:
-        """Append the result of a task to the file; `text` is its JSON text."""
+        """Append the result (JSON text) of the task with this index and key to the file."""
         line = line_of(f'{{"key":{json.dumps(key)},"result":{text}}}')
         self._file.append(line)
         self._places[index] = self._end
         self._end += len(line)
 
     def results(self, indices: Iterable[int]) -> Iterator[Any]:
-        """Yield the results of finished tasks, reading one line at a time; the journal may be closed.
+        """Yield the results (JSON values) of the finished tasks with these indices, reading one line at a time.
 
-        Raise `RecordingError` if the file has changed since it was opened.
+        The journal may be closed already. Raise `RecordingError` if the file has changed since it was opened.
         """
         with plain_errors("read", self.path), open_regular(self.path) as file:
             for index in indices:
@@ -111,7 +112,7 @@ class Journal:
                 yield found["result"]
 
     def sync(self) -> None:
-        """Write the appended lines to disk, if the last write was some time ago."""
+        """Write the appended lines to disk, if some time has passed since the last write."""
         self._file.sync()
 
     def close(self) -> None:
@@ -119,7 +120,7 @@ class Journal:
         self._file.close()
 
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
-        """Read an existing file, or begin a new one; return the length of its valid part (bytes)."""
+        """Read an existing file, or begin a new file; return the length of the file's valid part (bytes)."""
         wanted = line_of(json.dumps(header))
         with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
@@ -160,10 +161,10 @@ class Journal:
 
 
 def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
-    """Return key and result of each task from byte `place` of the file on, and the place of the next line.
+    """Return a list of (key, result) from the journal's lines after byte `place`, and the byte of the next line.
 
-    Another process may be writing the journal: it is not locked, an incomplete line is left for the next call, and a
-    damaged line is skipped. Raise `RecordingError` if the file cannot be read.
+    Another process may be writing the journal: the file is not locked, an incomplete last line is left for the next
+    call, and a damaged line is skipped. Raise `RecordingError` if the file cannot be read.
     """
     found = []
     with plain_errors("read", path), open_regular(path) as file:
@@ -179,7 +180,7 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
 
 
 def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raise `ConfigError` with the differences if a journal's header `there` is of another plan than `here`."""
+    """Raise `ConfigError` with the differences if the header in the file (`there`) differs from the new header."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
         return
     differences = [

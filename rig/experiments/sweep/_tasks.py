@@ -1,8 +1,8 @@
 """Run the tasks of a sweep, and return their results in the order of the tasks.
 
 A task is a key, a function of a module and plain data, from which the function computes JSON values. Results are equal
-to the last bit on any executor, in any order, and after a stop and a resume: they always pass through JSON, which
-returns floats unchanged.
+to the last bit on any executor, in any order, and after a stop and a resume: every result is converted to JSON text and
+back, which does not change floats.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from rig.realtime.source_files import code_version
 
 
 class Results(Sequence[Any]):
-    """Results of `tasks`, in their order.
+    """A sequence of the results (JSON values) of `tasks`, in the order of the tasks.
 
-    A result in a journal is read from the file at each access, so that a sweep may have more results than memory.
+    Results in a journal are read from the file at each access, so that a sweep may have more results than fit in
+    memory.
     """
 
     def __init__(self, tasks: Sequence[Task], indices: Sequence[int], store: Journal | Memory) -> None:
@@ -48,7 +49,7 @@ class Results(Sequence[Any]):
 
 
 class TaskError(RigError):
-    """Error of a task. `key` names the task; `results` are those of the finished tasks; a note has the traceback."""
+    """An error of a task: `key` names the task, `results` are those of the finished tasks, a note has the traceback."""
 
     exit_code = 11
 
@@ -59,7 +60,7 @@ class TaskError(RigError):
 
 
 class SweepStoppedError(StoppedError):
-    """A person stopped the sweep. `results` are those of the finished tasks, of `total` tasks."""
+    """An error for a stopped sweep: `results` are those of the finished tasks, `total` is the number of all tasks."""
 
     def __init__(self, message: str, *, remedy: str, total: int, results: Results) -> None:
         super().__init__(message, remedy=remedy)
@@ -81,37 +82,38 @@ def run(
     unit: str | None = None,
     watch: Watch | None = None,
 ) -> Results:
-    """Run all tasks and return their results.
+    """Run all tasks in parallel, and return their results in the order of the tasks.
 
     Parameters
     ----------
     tasks
         Tasks to compute.
     journal
-        File that stores results as they arrive. Tasks whose results it contains already are not run again. None: the
-        results are stored in memory.
+        File in which each result is stored when its task has finished. Tasks whose results are in the file already are
+        not run again. None: the results are stored in memory.
     scheduler
-        Address of a Dask scheduler, like ``tcp://10.0.0.5:8786``. It and its workers need the same haptic-rig, and the
-        modules of the tasks' functions. None: threads of this process.
+        Address of a Dask scheduler, like ``tcp://10.0.0.5:8786``. Scheduler and workers need the same version of
+        haptic-rig, and the modules of the tasks' functions. None: threads of this process.
     workers
         Number of threads. None: one for each core that this process may use.
     unit
-        Key of a number in each row of a result: the units of work in this row, for example ``ticks``. None: each task
-        is one unit.
+        Name of a number in each row of a result that counts units of work for the progress, for example ``ticks``.
+        None: each task is one unit.
     watch
-        Called about twenty times a second in the thread of the caller, and at the end, with the `Progress`.
+        Called with the `Progress` about twenty times a second in the thread of the caller, and at the end.
 
     Raises
     ------
     ConfigError
-        The journal is of another plan, the scheduler is not found, or its workers have another haptic-rig or lack a
-        task's function.
+        The journal belongs to another sweep, the scheduler is not found, or its workers have another haptic-rig or lack
+        a task's function.
     RecordingError
         The journal cannot be written, or another process writes it.
     TaskError
-        A task raised an exception. No more tasks were started, and the results of the running ones are stored.
+        A task raised an exception. No more tasks were started, and the results of the running tasks are stored.
     SweepStoppedError
-        Ctrl-C was pressed; results are stored in the same way. A second Ctrl-C does not wait for running tasks.
+        Ctrl-C was pressed; the results of the running tasks are stored. A second Ctrl-C does not wait for running
+        tasks.
     """
     store = _open(tasks, journal)
     try:
@@ -141,11 +143,11 @@ def run_here(
     Parameters
     ----------
     name
-        Name of the work in the journal, instead of the tasks' functions.
+        Name of the work in the journal, instead of the names of the tasks' functions.
     perform
-        Function that runs one task and returns JSON values. An exception ends the run; earlier results are stored.
+        Function that runs one task and returns JSON values. An exception ends the run; the earlier results are stored.
     tasks, journal
-        As in `run`; errors of the journal, too.
+        Tasks to compute, and file of the results, with the same errors as in `run`.
     """
     store = _open(tasks, journal, name)
     try:
@@ -159,7 +161,7 @@ def run_here(
 
 
 def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) -> Journal | Memory:
-    """Open the store of results. A journal's header has ``plan``, a hash of everything that determines the results."""
+    """Open the store of results: a `Journal` with a hash of everything that determines the results, or a `Memory`."""
     if len({task.key for task in tasks}) != len(tasks):
         raise ValueError("two tasks have the same key")
     if not all(task.weight > 0.0 for task in tasks):
@@ -184,7 +186,7 @@ def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) 
 def _raise_what_ended(
     coordinator: Coordinator, tasks: Sequence[Task], results: Results, journal: Path | None
 ) -> None:
-    """Raise the error of a sweep that failed or was interrupted; do nothing if it finished."""
+    """Raise the error of a sweep in which a task failed or that was interrupted; do nothing if all tasks finished."""
     total, failure, interruption = len(tasks), coordinator.failure, coordinator.interruption
     so_far = f"{len(results)} of {total} tasks are done" + (
         "" if journal is None else f" and stored in {journal}"

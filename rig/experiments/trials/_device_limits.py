@@ -1,6 +1,7 @@
 """Check that a device accepts the limits of an experiment.
 
-A board, or a drive behind a bridge, may have narrower limits of speed, current and window than the protocol.
+`rig.experiments.trials.plan` calls this module. A board, or a drive behind a bridge, may have narrower limits of speed,
+current and position than the protocol.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from rig.core.sample import unit_of
 
 
 class _Limit(NamedTuple):
-    """Limit that becomes a device's parameter: key and quantity in the experiment, size of the quantum (SI)."""
+    """A limit that becomes a parameter of the device: key and quantity in the experiment, and SI size of a quantum."""
 
     key: str
     quantity: str
@@ -46,7 +47,7 @@ def check_limits(run: PreparedRun, dictionary: Dictionary) -> Check:
     Returns
     -------
     Check
-        Refused with each limit that the device does not accept and its allowed range, or OK.
+        Refused if the device does not accept a limit, with each such limit and its allowed range; else OK.
     """
     wrong, keys = [], []
     for name, limit in _LIMITS.items():

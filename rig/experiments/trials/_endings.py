@@ -1,4 +1,7 @@
-"""Errors for the reasons that end a run: what happened, and what to do next."""
+"""Define an error for each reason that ends a run: what happened, and what to do next.
+
+`rig.experiments.trials._trial` calls `error_of` after each run.
+"""
 
 from __future__ import annotations
 
@@ -159,13 +162,13 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     Parameters
     ----------
     end
-        Reason and counters of the loop's end.
+        Reason and error counters of the loop's end.
     url
         URL of the device.
     fault
-        The device's fault report, if it was requested and received.
+        The device's fault report; None if no report was received.
     rows
-        Last rows of the ring; a `LinkLostError` stores them.
+        Last rows of the run; a `LinkLostError` stores these rows.
     """
     if end.reason == EndReason.FINISHED:
         return None
@@ -199,6 +202,6 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
 
 
 def _slower(rows: NDArray[np.void]) -> str:
-    """Return advice to lower the rate until the last ticks would be less than a period late; "" if none was late."""
+    """Return advice to lower the rate until no tick of `rows` would be a whole period late; "" if no tick was late."""
     late_ns = int(rows["lateness"].max()) if len(rows) else 0
     return f"choose a rate of {int(1e9 // late_ns)} Hz or less, " if late_ns > 0 else ""

@@ -1,7 +1,7 @@
-"""Plan and check an excited run: linear theory predicts the peaks of effort, position and speed before anything moves.
+"""Plan and check an excited run: linear theory predicts the peaks of effort, position and speed before any motion.
 
-The predicted peaks are too large, because friction is neglected. Growing oscillations of an unstable wall are not
-predicted, but the check of stability warns of them.
+`rig.experiments.trials.plan` calls this module. The predicted peaks are too large, because friction is neglected.
+Growing oscillations of an unstable wall are not predicted, but the check of stability warns of them.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
 
 
 def excitation_plan(experiment: Experiment) -> Plan:
-    """Return steps and checks of a measured impedance; called by `rig.experiments.trials.plan.plan_of`."""
+    """Return the plan (steps and checks) of an impedance measurement."""
     x = config.excited(experiment)
     checks = (*excitation_checks(x), *_heat_checks(x))
     return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
 
 
 def excitation_checks(experiment: Experiment) -> list[Check]:
-    """Check that an excitation stays within the limits of effort, window and speed, as predicted by linear theory.
+    """Check that an excitation stays within the limits of effort, position and speed, as predicted by linear theory.
 
-    The prediction neglects friction and instability, and replaces an estimator that is not linear by a finite
-    difference.
+    The prediction neglects friction and instability, and replaces a non-linear estimator by a finite difference.
     """
     x, motion, limits = experiment, experiment.rig.motion, experiment.rig.limits
     wall, centre = x.wall, x.wall.position
@@ -92,7 +91,7 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
 
 
 def _linear_loop(x: Experiment) -> LinearLoop:
-    """Return the loop for linear theory; an estimator or a wall that is not linear is replaced."""
+    """Return the loop's model for linear theory; a non-linear estimator or wall is replaced by a linear one."""
     x, fixed = with_linear_wall(x), replace(x.controller, slow_velocity_rate=None)
     try:
         return linear_loop(replace(x, controller=fixed))
@@ -145,7 +144,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 
 
 def _heat_checks(x: Experiment) -> list[Check]:
-    """Check the heat of the motor if it excites the rig; empty with a second actuator."""
+    """Check the heat of the motor if the motor excites the rig; return an empty list with a second actuator."""
     if x.excitation.channel != "motor":
         return []
     seconds = x.excitation.realisations * config.excitation_s(x)[0]

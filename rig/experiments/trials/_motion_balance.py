@@ -1,8 +1,9 @@
 """Estimate the encoder's scale before and after the first contact, from the motor's effort and the measured motion.
 
-`judgement` calls it. A rigid mass with the described friction must gain the momentum that the effort gives it, inside a
-wall and outside. If the scale differs before and after the contact, the encoder's scale changed during the trial. The
-method does not work with a hand at the handle, whose effort is not measured, and cannot detect a constant drift.
+`rig.experiments.trials.judgement` calls this module. A rigid mass with the described friction must gain the momentum
+that the effort gives it, inside a wall and outside. If the ratio of measured to predicted motion differs before and
+after the contact, the encoder's scale changed during the trial. The method does not work with a hand at the handle,
+whose effort is not measured, and cannot detect a constant drift.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ FRICTION_SPEED_COUNTS = 2.0  # in a window: a slower handle's friction has no kn
 
 @dataclass(frozen=True, slots=True)
 class MotionScale:
-    """Ratio of measured to predicted motion, and the error (`doubt`) that half a count in every sample can cause."""
+    """A ratio of measured to predicted motion.
+
+    `doubt` is the largest error of this ratio that a quantisation error of half a count in every sample can cause.
+    """
 
     value: float
     doubt: float
@@ -31,14 +35,16 @@ class MotionScale:
 
 @dataclass(frozen=True, slots=True)
 class MotionBalance:
-    """Scales before and after the first contact.
+    """A comparison of the ratios of measured to predicted motion before and after the first contact.
 
     Attributes
     ----------
     before, after
-        Scales with the described friction; None without motion.
+        Ratio of measured to predicted motion before and after the contact, with the described friction; None without
+        motion.
     least, most
-        Smallest and largest ratio after/before over `FRICTIONS`; None if a scale is too uncertain.
+        Smallest and largest value of `ratio` if friction is up to 50 % lower or higher than described (`FRICTIONS`);
+        None if a ratio is too uncertain.
     """
 
     before: MotionScale | None
@@ -48,12 +54,12 @@ class MotionBalance:
 
     @property
     def ratio(self) -> float | None:
-        """Ratio of the scales after and before the contact; None if a scale is too uncertain."""
+        """Ratio after the contact divided by the ratio before the contact; None if either is too uncertain."""
         return _ratio(self.before, self.after)
 
     @property
     def changed(self) -> bool:
-        """Return True if the encoder's scale changed in the trial; False if not, or if the scales are too uncertain."""
+        """Return True if the encoder's scale changed in the trial; False if not, or if a ratio is too uncertain."""
         if self.least is None or self.most is None:
             return False
         return self.least > FACTOR or self.most < 1.0 / FACTOR
@@ -82,13 +88,15 @@ def motion_balance(
     Parameters
     ----------
     position, effort
-        Measured position (rad or m) and applied effort (N·m or N) of every tick of the phase TRIAL, none lost.
+        Measured position (rad or m) and applied effort (N·m or N) of every tick of the phase TRIAL; no tick may be
+        missing.
     contact
-        Row of the first contact.
+        Index of the tick of the first contact.
     tick_s, resolution
-        Period (s) and one count (rad or m).
+        Period of the loop (s), and size of one encoder count (rad or m).
     inertia, coulomb, damping
-        Described values of motor and link together (kg·m² or kg, N·m or N, N·m·s/rad or N·s/m).
+        Described inertia, Coulomb friction and viscous damping of motor and link together (kg·m² or kg, N·m or N,
+        N·m·s/rad or N·s/m).
     """
     # In each window the position is x0 + v0·t + s·g(t), with g the second integral of what effort less friction would
     # do to the described inertia; s is the encoder's scale times described over true inertia.
@@ -129,7 +137,7 @@ def _windows(
     coulomb: float,
     damping: float,
 ) -> tuple[Floats, Floats]:
-    """Return predicted and measured motion in half-overlapping windows, one row each, less its straight line."""
+    """Return predicted and measured motion in half-overlapping windows, shape (windows, length), less their trend."""
     view = np.lib.stride_tricks.sliding_window_view
     if len(position) < length:
         return np.zeros((0, length)), np.zeros((0, length))
@@ -146,7 +154,7 @@ def _windows(
 
 
 def _bent(rows: Floats) -> Floats:
-    """Return the residual of each row from its fitted straight line."""
+    """Return each row minus its fitted straight line."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     rows = rows - rows.mean(axis=1, keepdims=True)
     return rows - np.outer(rows @ t / (t @ t), t)

@@ -1,7 +1,7 @@
 """Run one trial on an open device: configure, arm, run the loop, bring the handle to rest, and close the recording.
 
-The order at the end is fixed: zero effort first, then the recording is closed, then the reason is reported. None of
-these steps depends on what failed before.
+Hits and motions call `run_trial`. The order at the end is fixed: zero effort first, then the
+recording is closed, then the reason is reported. Each of these three steps is done even if the step before failed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """Request of a trial on an open device: the prepared run, the path of its recording, progress and judge."""
+    """A request of a trial on an open device: prepared run, recording's path, progress and judging functions."""
 
     run: PreparedRun
     recording: Path
@@ -87,7 +87,7 @@ class TrialRequest:
 
 @dataclass(frozen=True, slots=True)
 class TrialEnd:
-    """End of a trial: its reason, and its recording.
+    """An end of a trial: why the trial ended, and its recording.
 
     Attributes
     ----------
@@ -96,13 +96,13 @@ class TrialEnd:
     recording
         Path of the recording.
     reason, counters
-        Reason for the end of the loop, and the loop's counters of the link by name.
+        Reason why the loop ended, and the number of lost, late and damaged messages by name.
     messages
-        Requested scheduling that the system refused, and messages of the loop.
+        Sentences on refused real-time scheduling, and messages of the loop.
     sealed
-        The recording as it was read back from its sealed file; None if it was not sealed.
+        Recording as read from its sealed (compressed, checked) file; None if the recording was not sealed.
     judgement
-        Result of the request's `judge`; None if the recording was not judged.
+        Result of the request's function `judge`; None if the recording was not judged.
     """
 
     experiment: Experiment
@@ -115,13 +115,13 @@ class TrialEnd:
 
 
 def end_of(error: BaseException) -> TrialEnd | None:
-    """Return the end of the trial that raised this error; None if no trial began."""
+    """Return the end of the trial that raised `error`; None if no trial began."""
     end: TrialEnd | None = getattr(error, "end", None)
     return end
 
 
 def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
-    """Run one trial and seal its recording.
+    """Run one trial, seal (compress and check) its recording, and return how the trial ended.
 
     Raises
     ------
@@ -131,7 +131,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         The run ended early. The effort is zero and the recording is closed. The error has two attributes: `recording`,
         the path, and `end`, a `TrialEnd`.
     Exception
-        The caller's `progress` raised it. The run ends in the same way, and the error has the same two attributes.
+        The request's `progress` function failed. The run ends as after the errors above, and the exception has the same
+        two attributes.
     """
     run = request.run
     controller, parameters = run.controller.copy(), run.parameters
@@ -190,7 +191,7 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
 
 
 class _Watch:
-    """Call the caller's progress function; if it raises, stop the loop and store the error in `stopped`."""
+    """A wrapper of the caller's progress function: if it raises, stop the loop and store the error in `stopped`."""
 
     def __init__(self, loop: LoopThread, progress: Progress | None) -> None:
         self._loop, self._progress = loop, progress
@@ -207,7 +208,7 @@ class _Watch:
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
-    """Return the ring of rows that loop and recorder share, in real time also other processes of this user."""
+    """Return the ring buffer of rows that loop and recorder share; in real time other processes can read it."""
     run, gate = request.run, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
@@ -233,7 +234,7 @@ def _arm(
     realtime: Realtime,
     signals: Signals,
 ) -> LoopThread:
-    """Arm the device, and return the loop's thread, not yet started."""
+    """Arm the device, and return the control loop's thread, which is not started yet."""
     run, virtual = request.run, device.link.clock.virtual
     experiment, model = run.experiment, rig_model(run.experiment)
     period_s = 1.0 / experiment.controller.position_rate
@@ -274,14 +275,17 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """Return the rule by which a pressed limit switch ends the run (`limit_switch` of `rig.loop.layout.SETTINGS`)."""
+    """Return the loop's setting for the limit switch: 0 no switch; 1 ends the run at once; n > 1 as follows.
+
+    The run ends only if the switch has been open for n − 1 ticks before it is pressed.
+    """
     if experiment.rig.reference.limit_switch == "none":
         return 0
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
 def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
-    """Compile the loop, and return its thread class: one runs the law on the host, one supervises it on the device."""
+    """Compile the loop; return its thread class, for a law on the host or for the supervision of a device's law."""
     if run.on_device is None:
         LoopThread.prepare(link, run.controller)
         return LoopThread
@@ -301,7 +305,7 @@ def _supervise(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str
 
 
 def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
-    """Stop the loop and the device, so that the effort is zero. Never raises."""
+    """Stop the loop and the device, so that the effort is zero. Never raise."""
     loop.finish()
     streams = loop.handover()
     if streams is not None:
@@ -312,7 +316,7 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
 def _seal(
     request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None
 ) -> tuple[Recording | None, Judgement | None]:
-    """Seal the capture with the judgement of the request's `judge`; return the sealed recording and the judgement.
+    """Judge the recording, seal (compress and check) its file; return the sealed recording and the judgement.
 
     If sealing fails after a run that ended with `error`, add a note to `error`; after any other run raise.
     """
@@ -348,7 +352,8 @@ def _conclude(
 ) -> tuple[LoopEnd, Exception | None]:
     """Read the device's fault report, disarm the device and close the recording; return the loop's end and its error.
 
-    The error is None after a run without problems. `stopped` is the exception of the caller's progress, or None.
+    The error is None after a run without problems. `stopped` is the exception that the caller's progress function
+    raised, or None.
     """
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     exchanges.append(as_exchanges(loop.exchanges()))
@@ -377,7 +382,7 @@ def _conclude(
 
 
 def _too_old_since(rows: NDArray[np.void]) -> bool:
-    """Return True if the last commands arrived at the device after their lifetime, so that it did not activate them."""
+    """Return True if the last commands arrived at the device after their lifetime, so that the device ignored them."""
     since = rows[rows["command_active"] == rows["command_active"][-1:]]
     return bool((since["limits"] & int(LimitFlag.COMMAND_TOO_OLD)).any())
 
@@ -420,7 +425,7 @@ def _header(
 
 
 def _where_the_law_runs(law: LawOnDevice | None, echo: Echo) -> dict[str, Any]:
-    """Return the header's entries on where the law runs: host or device, and the wall as the device computes it."""
+    """Return the header's entries about the law: host or device, arithmetic, and wall as the device computes it."""
     if law is None:
         return {"loop": "host"}
     return {"loop": "device", "arithmetic": law.arithmetic, "wall": law.rendered(echo.values)}

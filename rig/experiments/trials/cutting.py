@@ -1,4 +1,7 @@
-"""Cut a part from a recording; a replay of the cut equals the recorded rows to the last bit."""
+"""Cut a part from a recording; a replay of the cut equals the recorded rows to the last bit.
+
+`rig.cut_recording` is defined here; the console calls it.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from rig.recording.reader import open_recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutResult:
-    """Result of a cut: the saved file.
+    """A saved cut: a new recording with the rows of another recording between two times.
 
     Attributes
     ----------
@@ -26,7 +29,7 @@ class CutResult:
     first_s, last_s
         Times of the first and the last row of the cut, since the first row of the whole recording (s).
     no_replay
-        Reason why the cut cannot be replayed; empty if it can.
+        Reason why the cut cannot be replayed; empty if a replay is possible.
     """
 
     path: Path
@@ -44,12 +47,12 @@ def cut_recording(
     output: str | Path | None = None,
     zero_ns: int | None = None,
 ) -> CutResult:
-    """Save the rows of a recording between two times as a new recording.
+    """Save the rows of a recording between two times as a new recording, and return its path and size.
 
     Parameters
     ----------
     recording
-        A capture that is not being written any more, or a sealed recording.
+        Path of a sealed recording, or of a capture that no process writes any more.
     first_s, last_s
         Beginning and end of the cut, since the first row of the recording (s).
     output
@@ -61,7 +64,7 @@ def cut_recording(
     Raises
     ------
     RecordingError
-        The file is not a recording, fewer than two rows are between these times, ticks are missing between them, or
+        The file is not a recording, fewer than two rows are between the two times, ticks are missing between them, or
         the file cannot be written.
     """
     whole = open_recording(recording)

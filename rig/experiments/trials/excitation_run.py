@@ -1,8 +1,9 @@
-"""Make the records from which an impedance is estimated: whole periods of a rig that is excited about its wall.
+"""Record the signals from which an impedance is estimated: whole periods of a rig that is excited about its wall.
 
-A record (`rig.analysis.impedance._signals.ExcitedRun`) comes from a simulation without bytes (`ExcitedRig`: excited by
-a second actuator or the rig's motor), or from a recording (`record_of`: by the rig's motor). Identification, measured
-impedances, their maps and papers call it. It opens no device, and must not fit an impedance (`rig.analysis.impedance`).
+Identification, measured impedances, their maps and papers call this module. A record
+(`rig.analysis.impedance._signals.ExcitedRun`) comes from a simulation without bytes (`ExcitedRig`: excited by a second
+actuator or the rig's motor), or from a recording (`record_of`: excited by the rig's motor). This module opens no
+device, and must not fit an impedance (`rig.analysis.impedance`).
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ Signal = Literal["count", "truth"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealisationRun:
-    """Run of one realisation of the excitation: its record, or the reason for an early end.
+    """A run of one realisation (one draw of the phases) of the excitation.
 
     Attributes
     ----------
     record
-        Record of whole periods; None if the guard ended the run early.
+        Signals of whole periods of the excitation; None if the guard ended the run early.
     ended
         Reason for the early end in a few words; empty for a complete run.
     ended_s
         Time of the early end since the beginning of the run (s).
     saturated
-        Share of ticks in which the guard clipped the effort (0 to 1).
+        Fraction of ticks in which the guard clipped the effort (0 to 1).
     """
 
     record: ExcitedRun | None
@@ -60,7 +61,10 @@ class RealisationRun:
 
 
 def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
-    """Return the excitation of one realisation by ``[excitation]``; with the device's phases if it generates it."""
+    """Return the multisine of realisation number `realisation` by the section ``[excitation]`` of the experiment.
+
+    If the device generates the excitation, the multisine has the device's phases.
+    """
     if _made_by_the_device(experiment):
         quantum = experiment.rig.amplifier.effort_quantum
         return device_table(experiment, realisation).multisine(experiment.controller.position_rate, quantum)
@@ -80,18 +84,18 @@ def _own_multisine(experiment: Experiment, realisation: int) -> Multisine:
 
 
 def ramp_s(experiment: Experiment) -> float:
-    """Return the time in which the amplitude of the excitation rises at the beginning (s)."""
+    """Return the time in which the amplitude of the excitation rises at the beginning of a run (s)."""
     return SETTLING_SHARE * config.excitation_s(experiment)[1]
 
 
 def device_table(
     experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
 ) -> ExcitationTable:
-    """Return the table by which a device generates one realisation of the excitation.
+    """Return the table of frequencies and phases from which a device generates one realisation of the excitation.
 
-    Lines and amplitude come from ``[excitation]``; each realisation has its own phases. `current_quantum_a` is the
-    current quantum of the device (A); None takes the experiment's. Raise `ConfigError` for an excitation
-    that a device cannot generate.
+    Frequencies and amplitude come from ``[excitation]``; each realisation has its own phases. `current_quantum_a` is
+    the current quantum of the device (A); None: the experiment's quantum. Raise `ConfigError` for an excitation that a
+    device cannot generate.
     """
     given, amplifier = experiment.excitation, experiment.rig.amplifier
     quantum = amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
@@ -132,10 +136,10 @@ def _device_table(
 
 
 def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
-    """Return the law of a bilateral wall to which the excitation of one realisation is added, by the rig's motor.
+    """Return a control law: a bilateral wall, plus one realisation of the excitation as effort of the rig's motor.
 
-    If the device generates the excitation, the law has the device's table, equal to the last bit; `current_quantum_a`
-    is the quantum that the device declares (A).
+    If the device generates the excitation, the law uses the device's table, so that host and device compute equal
+    efforts to the last bit; `current_quantum_a` is the current quantum that the device declares (A).
     """
     if _made_by_the_device(experiment):
         quantum = (
@@ -151,22 +155,25 @@ def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a:
 
 
 class ExcitedRig:
-    """Simulated rig with one sampling scheme, excited at any wall without the byte link. Use one object per thread.
+    """A simulated rig with one sampling scheme that is excited about any wall, without the byte link.
+
+    Use one object per thread.
 
     Parameters
     ----------
     experiment
-        Rig, controller, excitation and wall; the wall's stiffness and damping are not used.
+        Rig, controller, excitation and wall; the wall's stiffness and damping are ignored.
     signal
-        Measured position: encoder counts, or the true position of the handle. The second actuator pushes at the handle;
-        with two masses only the true position is that of this port, whose phase shows if it is passive.
+        Position signal for the impedance: encoder counts ("count"), or the true position of the handle ("truth"). A
+        second actuator pushes at the handle. If motor and handle are two masses, only the true position belongs to this
+        port, so only with it does the phase of the impedance show passivity.
     acquisition_hz
         Lowest rate at which positions are stored (Hz).
 
     Attributes
     ----------
     experiment
-        The experiment, changed to an excited run.
+        The given experiment, changed to an excited run.
     """
 
     def __init__(
@@ -192,12 +199,15 @@ class ExcitedRig:
         self._excitations: dict[int, _Excitation] = {}
 
     def excite(self, stiffness: float, damping: float, realisation: int = 0) -> RealisationRun:
-        """Excite the rig at a wall of this stiffness and damping (N·m/rad or N/m, N·m·s/rad or N·s/m).
+        """Excite the rig at a wall, and return the signals of the run.
+
+        The wall has the given stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m); `realisation` selects the
+        phases.
 
         Raises
         ------
         LawError
-            Estimator or law return a value that is not finite.
+            The estimator or the law returned a value that is not finite.
         """
         x, prepared = self.experiment, self._excitation(realisation)
         wall = asdict(replace(x.wall, stiffness=stiffness, damping=damping))
@@ -245,7 +255,7 @@ class ExcitedRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excitation:
-    """One realisation of the excitation, as signals to be played."""
+    """A realisation of the excitation, as signals for the simulation."""
 
     multisine: Multisine
     external: Floats  # of the second actuator, a value for each inner step
@@ -262,12 +272,12 @@ class _Excitation:
 
 
 def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
-    """Return the record of a realisation, from the recording of a trial of experiment `x` with the law ``excited``.
+    """Return the signals of one realisation from a trial of experiment `x` that was recorded with the law ``excited``.
 
     Raises
     ------
     RecordingError
-        The recording is of another kind of trial, ended early, or lost samples during the excitation.
+        The recorded trial is not excited, ended early, or lost samples during the excitation.
     """
     saved = recording.header["initial_state"]["law"]
     if x.trial.kind != "excitation" or saved["name"] != "excited":
@@ -313,15 +323,15 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
 
 
 def bound_share(recording: Recording) -> float:
-    """Return the share of a trial's ticks in which the guard clipped the effort or its slew rate (0 to 1)."""
+    """Return the fraction of a trial's ticks in which the guard clipped the effort or its slew rate (0 to 1)."""
     flags = recording.rows["flags"][recording.rows["phase"] == Phase.TRIAL]
     return float(np.mean((flags & _BOUND) != 0)) if len(flags) else 0.0
 
 
 def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
-    """Return the most likely delay of commands (ticks), from sent and applied currents of each tick.
+    """Return the most likely delay of commands (ticks), from the sent and the applied current of each tick (quanta).
 
-    The delay is 0 if the command that answers sample k is active at sample k + 1.
+    The delay is 0 if the command computed from sample k is active at sample k + 1.
     """
     count = min(LONGEST_DELAY, len(sent) - 2)
     same = [np.mean(sent[: len(sent) - 1 - d] == applied[1 + d :]) for d in range(max(1, count))]
@@ -331,8 +341,8 @@ def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
 def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
     """Return the ratio of sampled to true motion of the rig at each frequency (complex), while the effort is held.
 
-    The ratio is 1 at low frequencies. It is the sum of all aliases of the response, divided by the response itself. A
-    wall changes both in the same way.
+    The ratio is 1 at low frequencies. It is the sum of all aliases of the frequency response, divided by the response
+    itself. A wall changes sum and response in the same way, so that the ratio does not depend on the wall.
     """
     space = state_space(model.mechanics, model.amplifier)
     a, b, n = space.a, space.b[:, :1], space.order
@@ -349,7 +359,7 @@ def _answer(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
 
 
 def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
-    """Return the sampled positions, corrected by `seen_at_ticks` up to `highest_hz` (Hz); they span whole periods."""
+    """Return positions (rad or m, whole periods) corrected for the motion between samples, up to `highest_hz` (Hz)."""
     spectrum = np.fft.rfft(position)
     frequency = np.asarray(np.fft.rfftfreq(len(position), tick_s), dtype=np.float64)
     inside = (frequency > 0.0) & (frequency <= highest_hz * (1.0 + 1e-9))
@@ -358,7 +368,7 @@ def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float
 
 
 def _apply_lag(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
-    """Return the effort after the amplifier's electrical lag; the signal must span whole periods."""
+    """Return the effort (N·m or N) after the amplifier's electrical lag; the signal must span whole periods."""
     lag_s = model.amplifier.lag_s
     if lag_s == 0.0:
         return np.asarray(effort)

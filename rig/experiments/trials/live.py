@@ -1,11 +1,9 @@
 """Change the wall of a running loop.
 
-A change must pass the same checks as an experiment before its start, the arming gate included. It reaches the loop
-through its mailbox as one parameter set. The loop uses the set as soon as the handle is outside the wall, so that the
-effort does not jump.
-
-`rig set` and the console call it. It must write parameters into the loop's memory only through the mailbox, and must
-not post a set that a check refused.
+`rig set` and the console call this module. It must write parameters into the loop's memory only through the loop's
+mailbox (shared memory for one parameter set), and must not post a parameter set that a check refused. A change must
+pass the same checks as an experiment before its start, the arming gate included. The loop uses the new parameters as
+soon as the handle is outside the wall, so that the effort does not jump.
 """
 
 from __future__ import annotations
@@ -37,22 +35,22 @@ TRIES = 20  # against others who change the same wall
 
 @dataclass(frozen=True, slots=True)
 class LiveChange:
-    """A change of a running wall.
+    """A change of the wall of a running loop.
 
     Attributes
     ----------
     pid
-        Process of the loop.
+        Process identifier of the loop.
     number
-        Number of the parameter set, which the column ``parameter_set`` of the recording shows from then on.
+        Number of the new parameter set; the recording's column ``parameter_set`` has this number while the set is used.
     changes
-        Requested changes, by dotted key.
+        Requested values by dotted key.
     wall
-        The whole section ``[wall]`` after the change.
+        Values of all keys of the section ``[wall]`` after the change.
     active
-        True if the loop used the set, or a newer one, before `change_wall` returned.
+        True if the loop used the new parameter set, or a newer one, before `change_wall` returned.
     ended
-        True if the loop had ended by then.
+        True if the loop had ended before `change_wall` returned.
     """
 
     pid: int
@@ -70,30 +68,31 @@ def change_wall(
     patience_s: float = PATIENCE_S,
     posted: Callable[[int], None] | None = None,
 ) -> LiveChange:
-    """Change the wall of the loop that runs in real time on this computer.
+    """Change the wall of the loop that runs in real time on this computer, and wait until the loop uses the change.
 
     Parameters
     ----------
     changes
         New values by key, ``{"wall.stiffness": 400.0}`` or ``{"stiffness": 400.0}``.
     pid
-        Process of the loop; needed if several loops run.
+        Process identifier of the loop; needed if several loops run.
     patience_s
         Longest time to wait until the loop uses the new wall (s).
     posted
-        Called with the number of the parameter set as soon as it is posted.
+        Called with the number of the parameter set as soon as the set is posted.
 
     Raises
     ------
     ConfigError
         No loop runs, a key may not change while a loop runs, or a value is out of its range.
     PlanError
-        The plan's checks, the arming gate (`rig.doctor.gate`) or the law on the device refuse the wall, or it is
-        bilateral.
+        The plan's checks, the arming gate (`rig.doctor.gate`) or the law on the device refuse the wall, or the wall is
+        bilateral (with a spring on both sides).
     RunEndedError
         The loop has ended.
     RigError
-        Another version started the loop, the loop does not report its experiment, or other programs change the wall.
+        Another version of this software started the loop, the loop does not report its experiment, or other programs
+        change the wall at the same time.
     """
     meant = {_key(name): value for name, value in changes.items()}
     if not meant:
@@ -109,14 +108,14 @@ def change_wall(
 
 
 def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:
-    """Return a parameter set for the loop: the wall's position (rad or m), then the parameters of its law.
+    """Return a parameter set for the loop: the wall's position (rad or m), then the parameters of the wall's law.
 
     Raises
     ------
     ConfigError
-        The law cannot be computed with these values.
+        The law cannot be computed with the experiment's values.
     PlanError
-        A check of this experiment's plan refuses it.
+        A check of the experiment's plan refuses the experiment.
     """
     run = controller.prepare_controller(
         experiment, current_quantum_a=current_quantum_a, reference_count=reference_count
@@ -140,7 +139,10 @@ def _allowed() -> str:
 
 
 def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
-    """Post the parameter set of the changed experiment; return its number and the experiment. Retry on conflicts."""
+    """Post the parameter set of the changed experiment to the loop; return the set's number and the changed experiment.
+
+    Retry if another program changed the wall at the same time.
+    """
     for _ in range(TRIES):
         info, word = ring.info_and_word()
         if "experiment" not in info or "current_quantum_a" not in info:
@@ -178,7 +180,7 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
 
 
 def _check_sides(experiment: Experiment) -> None:
-    """Raise `PlanError` for a wall with a spring on both sides: the handle is always inside, so effort jumps."""
+    """Raise `PlanError` for a wall with a spring on both sides: the handle is always inside, so effort would jump."""
     if experiment.wall.law in BILATERAL:
         raise PlanError(
             f"the spring of a {experiment.wall.law} wall acts on both sides, so it cannot change "
@@ -190,13 +192,13 @@ def _check_sides(experiment: Experiment) -> None:
 def _info_with(
     info: Mapping[str, Any], experiment: Experiment, changes: Mapping[str, Any], number: int
 ) -> dict[str, Any]:
-    """Return the run's new info: the changed experiment, and the list of all changes with the newest last."""
+    """Return the run's public description with the changed experiment and a list of all changes, the newest last."""
     sets = [*info.get("parameter_sets", ()), {"number": number, "changes": dict(changes)}]
     return {**info, "experiment": config.as_mapping(experiment), "parameter_sets": sets[-REMEMBERED:]}
 
 
 def _watch(ring: Ring, number: int, patience_s: float) -> bool:
-    """Return True if the loop uses this parameter set, or a newer one, before it ends or `patience_s` has passed."""
+    """Return True if the loop uses parameter set `number` or a newer one before it ends or `patience_s` has passed."""
     deadline = time.monotonic() + patience_s
     while True:
         ended = ring.get(LOOP_DONE) != 0  # before the number: what is not there now will never come

@@ -1,9 +1,8 @@
-"""List the steps of an experiment, and check if it is permitted, before a person touches the handle.
+"""List the steps of an experiment, and check if the experiment is permitted, before a person touches the handle.
 
-The predictions are those of one rigid mass without damping, the worst case: a real hit is slower and softer.
-
-`rig experiment plan`, the commands that run something, designs, admission and sessions call it. It must not open a
-device or change the experiment that it checks.
+`rig experiment plan`, the commands that run trials, designs, admission and sessions call this module. It must not open
+a device or change the experiment. The predictions are for one rigid mass without damping, the worst case: a real hit is
+slower and softer.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ STANDS_FOR_DEVICE = (
 
 
 def stands_for_device(experiment: Experiment) -> str:
-    """Return a note for results simulated with the host's law on how well they represent a device's or drive's law."""
+    """Return a sentence on how well simulations with the host's law represent a law on a device or in a drive."""
     rates = experiment.controller
     return wall_elsewhere(rates.arithmetic).stands_for if rates.wall_is_elsewhere else STANDS_FOR_DEVICE
 
@@ -76,12 +75,15 @@ LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
 
 def make_plan(experiment: Experiment) -> Plan:
-    """Return steps and checks of an experiment; raise the errors of `rig.config.controller.prepare_controller`."""
+    """Return an experiment's plan (steps, checks); raise the errors of `rig.config.controller.prepare_controller`."""
     return plan_of(controller.prepare_controller(experiment))
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
-    """Return True if a plan must include a link's delay: in real time, with a round trip, or with a real device."""
+    """Return True if a plan must include the delay of a link to a device.
+
+    This is the case in real time, with a given round trip, or if `url` is the address of a real device.
+    """
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
@@ -92,10 +94,11 @@ def plan_of(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> Plan:
-    """Return steps and checks of a prepared run; a run that is `linked` is also checked by `delay_checks`.
+    """Return the plan (steps and checks) of a prepared run.
 
-    `board` names the processor for which the time of a tick is estimated if the law runs on the device. Raise
-    `ConfigError` for an unknown board, and `PlanError` for a round trip that is not above 0.
+    `linked` adds the checks of `delay_checks`, with the round trip `round_trip_s` (s). `board` names the processor for
+    which the time of a tick is estimated if the law runs on the device. Raise `ConfigError` for an unknown board, and
+    `PlanError` for a round trip that is not above 0.
     """
     experiment = run.experiment
     delay = delay_checks(experiment, round_trip_s) if linked else []
@@ -128,9 +131,10 @@ def plan_of(
 
 
 def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
-    """Return the checks of a wall that a drive renders in place of the board; empty for other walls.
+    """Return the checks of a wall that a motor drive renders in place of the board; empty for all other walls.
 
-    With `dictionary` they check that this device can render the wall, else that the experiment can be planned with it.
+    With `dictionary`, the device's description, check that this device can render the wall; without it, check that the
+    experiment can be planned with such a wall.
     """
     if not x.controller.wall_is_elsewhere:
         return []
@@ -139,10 +143,7 @@ def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> li
 
 
 def _tick_checks(x: Experiment, board: str) -> list[Check]:
-    """Warn if the board's processor is too slow for the law at the requested rate; empty if the host runs the law.
-
-    It is only a warning: the processor cycles are estimates, and the device reports a missed tick.
-    """
+    """Warn if the board's processor is too slow for the law at the requested rate; empty if the host runs the law."""
     if x.controller.loop != "device" or x.controller.wall_is_elsewhere:
         return []
     budget, own = named_budget(board), x.controller
@@ -162,13 +163,17 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
 
 
 def _cutoff_checks(x: Experiment) -> list[Check]:
-    """Return a note if a comparison of uniform and dual rate would use different filter cut-offs; else empty."""
+    """Return a note if uniform and dual-rate sampling would get different filter cut-offs; else an empty list."""
     found = describe_cutoffs(default_schemes(x), x)
     return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
 
 
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
-    """Check that the device supports the requested rate, and that the link's capacity is enough for every sample."""
+    """Check that the device supports the requested rate, and that the link's capacity is enough for every sample.
+
+    `rate_maximum` is the device's highest rate (Hz). `bytes_per_second` is the link's capacity; None: the capacity is
+    unknown and not checked.
+    """
     rate = experiment.controller.position_rate
     checks = [
         limited(
@@ -195,17 +200,22 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
 
 
 def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check]:
-    """Return the delay of commands over a link, and the arming gate's checks of the wall with it, as warnings only.
+    """Return a check that states the delay of commands over a link, and the wall's stability checks with this delay.
+
+    No check refuses the run: a wall that is unstable with the delay becomes a warning.
 
     Parameters
     ----------
     x
         Experiment as it would run.
     round_trip_s
-        Measured round trip of the link, and of the drive behind a bridge (s). None: the delay is
-        `rig.simulation.computation_delay_ticks`, or the smallest possible if that is 0.
+        Measured round trip of the link, and of the drive behind a bridge (s). None:
+        `rig.simulation.computation_delay_ticks`, or the smallest possible delay of a link if that key is 0.
 
-    Raises `PlanError` for a round trip that is not above 0.
+    Raises
+    ------
+    PlanError
+        The round trip is not above 0.
     """
     check_positive({"round_trip": round_trip_s})
     tick_s = 1.0 / x.controller.position_rate
@@ -257,14 +267,14 @@ def _batch_check(x: Experiment, usable: float) -> Check:
 
 
 def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
-    """Check that a device accepts the limits of a run, and supports its law if the device must run it.
+    """Check that a device accepts the limits of a run, and supports the law if the law must run on the device.
 
     Parameters
     ----------
     run
         Prepared run.
     dictionary
-        Description that the device sends of itself.
+        Description that the device sends about itself.
     """
     experiment, limits = run.experiment, check_limits(run, dictionary)
     if experiment.controller.loop != "device":
@@ -305,9 +315,16 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
 
 @dataclass(frozen=True, slots=True)
 class PredictedImpact:
-    """Predicted hit of a rigid, undamped mass.
+    """A prediction of a hit by a rigid, undamped mass.
 
-    Velocity at the wall (rad/s or m/s), deepest penetration (rad or m), and the wall's effort there (N·m or N).
+    Attributes
+    ----------
+    velocity
+        Velocity at the first contact with the wall (rad/s or m/s).
+    peak_penetration
+        Deepest penetration (rad or m).
+    peak_effort
+        Effort of the wall's spring at the deepest penetration (N·m or N).
     """
 
     velocity: float
@@ -338,7 +355,10 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
 
 
 def _way_of_the_hand(x: Experiment, distance: float) -> float:
-    """Return how far a hand would move the handle from the start if there were no wall (rad or m)."""
+    """Return the distance that a hand would move the handle from the start if there were no wall (rad or m).
+
+    `distance` is the distance from the start to the wall (rad or m).
+    """
     operator = x.operator
     stretch = math.inf
     if operator.hand_stiffness > 0.0:
@@ -349,7 +369,7 @@ def _way_of_the_hand(x: Experiment, distance: float) -> float:
 def _reach_velocity(x: Experiment, distance: float) -> float:
     """Return the hand's velocity at the wall (rad/s or m/s), at `distance` from the start (rad or m).
 
-    The hand moves like a raised cosine over the whole way that it would move without a wall.
+    The position follows a raised cosine over the whole distance that the hand would move without a wall.
     """
     way = _way_of_the_hand(x, distance)
     if math.isinf(way):
@@ -401,7 +421,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """Check the push against the limit of energy, and list the limit of oscillations (both: `rig.control._watch`)."""
+    """Check the push against the guard's energy limit, and state its limit of oscillations (`rig.control._watch`)."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
@@ -430,9 +450,9 @@ def _watch_checks(x: Experiment) -> list[Check]:
 
 
 def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
-    """Check the limits that protect a person; exceeded ones are refused on a `real` rig, else a warning.
+    """Check the limits that protect a person; an exceeded limit is refused on a `real` rig, else a warning.
 
-    The result is empty for a trial without a person.
+    Return an empty list for a trial without a person.
     """
     if x.trial.kind != "human":
         return []
@@ -464,7 +484,7 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
 
 
 def _saturating(x: Experiment) -> str:
-    """Return the remedy for a hit in which the wall's effort exceeds the limit at the deepest point."""
+    """Return the remedy for a hit in which the wall's effort exceeds the effort limit at the deepest point."""
     if (
         x.trial.kind == "human"
         and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
@@ -538,10 +558,10 @@ def _wall_checks(x: Experiment) -> list[Check]:
 
 
 def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
-    """Return changes with which the handle reaches the wall below the speed limit: `trial.effort`, and K.
+    """Return changes of effort and stiffness with which the handle reaches the wall below the speed limit.
 
-    The estimated speed may exceed the true speed by one count per sample; this is subtracted from the limit. Empty for
-    a person's trial, and if the `velocity` at the wall (rad/s or m/s) is already low enough.
+    `velocity` is the predicted velocity at the wall (rad/s or m/s). Empty for a person's trial, and if `velocity` is
+    low enough.
     """
     way = abs(x.wall.position - x.trial.start)
     count = min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed)
@@ -567,7 +587,7 @@ def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
 
 
 def _let_go_check(x: Experiment) -> Check:
-    """Check that a pressing hand stays within the window when the wall is released at the end of the push."""
+    """Check that a pressing hand stays within the window when the wall is switched off at the end of the push."""
     limits = x.rig.limits
     start = x.trial.start
     end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))

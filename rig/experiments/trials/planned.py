@@ -1,6 +1,6 @@
-"""Plan of a run: its steps, its checks with their outcomes, and the prepared run.
+"""Define the plan of a run: its steps, its checks with their outcomes, and the prepared run.
 
-Hits, motions and excitations have such plans, and commands print them. It must not open a device.
+Hits, motions and excitations have such plans, and commands print them. This module must not open a device.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ ARITHMETIC_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step of a run: its name, a description, and its longest duration (s)."""
+    """A step of a run: its name, a description, and its longest duration (s)."""
 
     name: str
     text: str
@@ -34,7 +34,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Plan(Shown):
-    """Steps and checks of a trial, and the number of its repeats.
+    """A plan of a run: steps and checks, and how often all steps are repeated.
 
     `run` is the prepared run; None if the plan consists of several different runs, as in an identification.
     """
@@ -56,28 +56,31 @@ class Plan(Shown):
         return not refused(self.checks)
 
     def brief(self) -> list[Item]:
-        """Return the steps, and the refused checks."""
+        """Return the lines of a short report: the refused checks, then the steps."""
         refusals = [Row("refused", f"{check.name}: {check.text}") for check in refused(self.checks)]
         steps = [Row(step.name, step.text) for step in self.steps]
         return [f"plan of {self.rig}", *(refusals or [Row("refused", "nothing")]), *steps]
 
     def detailed(self) -> list[Item]:
-        """Return all lines that `rig experiment plan` prints."""
+        """Return the lines of a full report, as `rig experiment plan` prints it."""
         return [f"plan of {self.rig}", *self.items()]
 
     def items(self) -> list[Item]:
-        """Return the steps, their longest duration, and the checks, as lines to print."""
+        """Return the lines to print: the steps, the longest duration of one repeat (s), and the checks."""
         longest = Row("", f"{self.repeats} × at most {written(self.duration_s / self.repeats)} s")
         return [*(Row(step.name, step.text) for step in self.steps), longest, *self.checks]
 
 
 def limited(name: str, holds: bool, text: str, remedy: str, otherwise: Outcome = Outcome.REFUSED) -> Check:
-    """Return the check of a limit: OK if it `holds`, else with the outcome `otherwise`."""
+    """Return a check called `name`: OK if the limit holds, else with the outcome `otherwise`.
+
+    `text` states the value and the limit; `remedy` is advice for the case that the limit is exceeded.
+    """
     return Check(name, Outcome.OK if holds else otherwise, text, remedy)
 
 
 def check_positive(named: Mapping[str, float | None]) -> None:
-    """Raise `PlanError` if one of these values (by name of the argument) is not a finite number above 0; skip None."""
+    """Raise `PlanError` if one of these arguments (values by name) is not a finite number above 0; skip None."""
     for name, value in named.items():
         if value is not None and not 0.0 < value < math.inf:
             raise PlanError(
@@ -87,7 +90,7 @@ def check_positive(named: Mapping[str, float | None]) -> None:
 
 
 def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:
-    """Check the heat of a cold motor after a constant `effort` (N·m or N) for some `seconds`."""
+    """Check that a cold motor does not overheat if it holds a constant `effort` (N·m or N) for `seconds`."""
     limits = x.rig.limits
     load = effort / limits.nominal_effort
     budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
@@ -96,7 +99,7 @@ def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Che
 
 
 def where_it_runs(x: Experiment) -> str:
-    """Return a text on where the law runs; on a device with its arithmetic and its data rate."""
+    """Return a text on where the law runs; for a law on the device also its arithmetic and its data rate."""
     if x.controller.loop == "host":
         return "the law on this computer"
     arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]

@@ -1,7 +1,7 @@
 """Prepare a run on an open device, and find the encoder count at its position zero.
 
-Hits, motions, searches for a reference and sessions call it with a device that they have opened. It only reads from
-the device: it must not move the handle or change a setting.
+Hits, motions, searches for a reference and sessions call this module with a device that they have opened. It only reads
+from the device: it must not move the handle or change a setting.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ def prepared_on(
     reference_count: int = 0,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Prepare a run with `rig.config.controller.prepare_controller`.
+    """Return the run of an experiment, prepared for an open device (`rig.config.controller.prepare_controller`).
 
-    A reference count that the device found by its index (`rig.experiments.motion.reference`) is marked as referenced.
-    Raise `PlanError` if this computer would have to run the law in real time, but its system cannot.
+    `verified` is True if the operator has checked the signs of motor and encoder. `reference_count` is the encoder
+    count at position zero; if the device found this count by the encoder's index, the run is marked as referenced.
+    `law` replaces the experiment's law. Raise `PlanError` if this computer would have to run the law in real time, but
+    its system cannot.
     """
     if experiment.controller.loop == "host" and not device.link.clock.virtual:
         if law is None:
@@ -47,14 +49,14 @@ def prepared_on(
 def position_zero(device: FramedDevice, x: Experiment) -> int:
     """Return the encoder count at position zero of an open device.
 
-    Without an index this is the present count, because the handle must be at position zero now; a simulated rig has
-    count 0 there. With an index it is the reference count that `rig.experiments.motion.reference` found; the device
-    keeps it until it restarts or loses counts.
+    Without an index the result is the present count, because the handle must be at position zero now; 0 for a simulated
+    rig. With an index it is the reference count that `rig.experiments.motion.reference` found; the device stores this
+    count until it restarts or loses counts.
 
     Raises
     ------
     DeviceRefusedError
-        The experiment uses an index, and the device has not found it since it started.
+        The experiment uses an index, and the device has not found the index since the device started.
     """
     simulated = device.dictionary.simulated
     if not x.rig.reference.index:

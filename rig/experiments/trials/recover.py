@@ -1,7 +1,8 @@
-"""After a crash, find the captures that were not sealed, seal them, and report lost rows.
+"""After a crash, find the captures (files that a run writes) that were not sealed, seal them, and report lost rows.
 
-A capture that another process has locked, or to which a running loop writes, is not changed. `rig recording recover`
-calls this module. It must not remove a capture: `rig.recording.seal` does so after it has compared the sealed file.
+`rig recording recover` calls this module. A capture that another process has locked, or to which a running loop writes,
+is not changed. This module must not remove a capture: `rig.recording.seal` does so after a comparison with the sealed
+file.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Progress = Callable[[int, int, Path], None]  # captures done, all of them, the o
 
 
 class CaptureState(StrEnum):
-    """State of a capture after recovery."""
+    """A state of a capture (file that a run writes) after recovery."""
 
     SEALED = "sealed"
     IN_USE = "in use"  # another process writes or seals it
@@ -37,7 +38,7 @@ class CaptureState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """Result of the recovery of one capture, and the rows that were lost in the crash.
+    """A result of the recovery of one capture (file that a run writes), with the number of rows lost in the crash.
 
     Attributes
     ----------
@@ -54,12 +55,12 @@ class Recovered:
     duration_s
         Duration of the rows that were read (s).
     lost_at_most_s
-        Longest time of the run that may be missing at its end and in the middle (s). None if unknown: in virtual time,
-        where the simulation can be run again.
+        Upper bound of the run's time that is missing from the recording (s); None if unknown, as in virtual time, where
+        the simulation can be run again.
     complete
-        True if the file was written to its end, so that no row is missing there.
+        True if the file was written to its end, so that no row is missing at the end.
     reason
-        Reason why the capture was not sealed, with a remedy; empty if it was sealed.
+        Reason why the capture was not sealed, with a remedy; empty if the capture was sealed.
     """
 
     capture: Path
@@ -74,9 +75,10 @@ class Recovered:
 
 
 def unsealed(paths: Iterable[str | Path]) -> list[Path]:
-    """Return the captures at these paths.
+    """Return the captures (files that a run writes) to seal.
 
-    A file is returned as it is; in a directory and below it, all captures without a sealed file beside them.
+    A path of a file is returned unchanged; a directory is searched, with all directories below, for captures without a
+    sealed file beside them.
 
     Raises
     ------
@@ -99,7 +101,10 @@ def unsealed(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) -> list[Recovered]:
-    """Seal the captures at these paths, one after the other; a capture that cannot be sealed is not changed.
+    """Seal the captures (files that a run writes) at `paths`, one after the other; return one result for each capture.
+
+    `paths` are files, or directories to search. `progress` is called before each capture with the number of finished
+    captures, the number of all captures, and the path. A capture that cannot be sealed is not changed.
 
     Raises
     ------
@@ -142,14 +147,17 @@ def _recover(capture: Path) -> Recovered:
 
 
 def _remove_drafts(sealed: Path) -> None:
-    """Remove the draft files (`rig.recording.files.whole_file`) of a sealing that was killed before its end."""
+    """Remove the temporary files (`rig.recording.files.whole_file`) of a sealing process that was killed."""
     for path in sealed.parent.iterdir():
         if path.name.startswith(f".{sealed.name}.") and path.name.endswith(".draft"):
             path.unlink(missing_ok=True)
 
 
 def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
-    """Return the result of a recovery; `sealed` equals `capture` if Parquet cannot be written, so it was not sealed."""
+    """Return the result of a recovery, with the time that may be lost.
+
+    `sealed` equals `capture` if the capture was not sealed, because pyarrow is missing.
+    """
     tick_s = _tick_s(recording)
     missing = sum(loss.rows or 0 for loss in recording.lost)
     at_risk_s: float | None = missing * tick_s
@@ -171,14 +179,14 @@ def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
 
 
 def _tick_s(recording: Recording) -> float:
-    """Return the period of the loop (s); 0 if the header does not contain it."""
+    """Return the period of the loop (s); 0 if the recording's header contains no rate."""
     rate = ((recording.experiment.get("controller") or {}).get("position_rate")) or 0
     return 1.0 / rate if rate > 0 else 0.0
 
 
 @contextmanager
 def _alone(capture: Path) -> Iterator[bool]:
-    """Lock the capture and yield True, or False if another process holds the lock. Raise `OSError` if it is missing."""
+    """Lock the capture; yield True, or False if another process has the lock. Raise `OSError` if it is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
@@ -190,7 +198,7 @@ def _alone(capture: Path) -> Iterator[bool]:
 
 
 def _user_of(capture: Path) -> str | None:
-    """Return a sentence that names the process whose loop writes or is about to seal this capture; None without one."""
+    """Return a sentence that names the process whose loop writes or will seal this capture; None without a loop."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")
         if not isinstance(named, str):
@@ -202,7 +210,7 @@ def _user_of(capture: Path) -> str | None:
 
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
-    """Return one error for all captures that could not be sealed; None if all were sealed or in use."""
+    """Return one error that lists all captures that could not be sealed; None if all were sealed or in use."""
     broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None

@@ -1,10 +1,9 @@
-"""Replay a recording: run the same law, or another one, with the recorded inputs, and compare its commands.
+"""Replay a recording: run its law, or another law, with the recorded inputs, and compare the commands.
 
-A replay is open loop: the recorded motion does not change if another law commands another effort. With the recorded
-settings a replay is bit-exact, also over gaps, because rows and header contain every input of `rig.control.step`.
-
-`rig recording replay`, `rig.experiments.lab`, cuts, the console and pictures call it. It opens no device and must not
-change the recording.
+`rig recording replay`, `rig.experiments.lab`, cuts, the console and plots call this module. It opens no device and must
+not change the recording. A replay is open loop: the recorded motion does not change if another law commands another
+effort. With the recorded settings a replay is bit-exact, also over gaps, because rows and header contain every input of
+`rig.control.step`.
 """
 
 from __future__ import annotations
@@ -46,10 +45,18 @@ COMPUTED = (
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ReplayResult(Shown, Drawn):
-    """Replayed and recorded rows (equal length, `rig.core.sample.ROW`), and their differences.
+    """A result of a replay: recorded and replayed rows of the same ticks, and their differences.
 
-    `exact` is True if every computed column is equal to the last bit. The differences of velocity (rad/s or m/s) and
-    effort (N·m or N) are rms over the rows. `of` is the recording.
+    Attributes
+    ----------
+    of
+        Recording that was replayed.
+    recorded, rows
+        Recorded and replayed rows, one for each tick (`rig.core.sample.ROW`).
+    exact
+        True if every computed column is equal to the last bit.
+    velocity_difference, effort_difference
+        Rms difference of velocity (rad/s or m/s) and effort (N·m or N) over all rows.
     """
 
     of: Recording = field(repr=False)
@@ -67,7 +74,7 @@ class ReplayResult(Shown, Drawn):
         return len(self.rows)
 
     def brief(self) -> list[Item]:
-        """Return estimator and law of the replay, and its differences from the recording."""
+        """Return the lines of a short report: estimator, law, and the differences between replay and recording."""
         velocity, effort = (unit_of(name, self.of.header["motion"]) for name in ("velocity", "effort"))
         return [
             f"{self.of.path or self.of.header['rig']}: {self.ticks} ticks through {self.estimator} and {self.law}",
@@ -80,23 +87,23 @@ class ReplayResult(Shown, Drawn):
 def replay(
     recording: Recording, changes: Mapping[str, Any] | None = None, *, law: Law | None = None
 ) -> ReplayResult:
-    """Run the recorded inputs through the recorded law and estimator, or through changed ones, and compare.
+    """Run the recorded inputs through the recorded law and estimator, or through changed ones, and compare the outputs.
 
     Parameters
     ----------
     recording
-        Recording with its first row; it may be incomplete at the end.
+        Recording with its first row; the recording may be incomplete at the end.
     changes
-        Changes of the experiment by dotted key, like ``{"controller.estimator": "fdm"}``. Without changes the same law
-        runs again. A change of the wall also replaces the changes that were made during the run.
+        Changes of the experiment by dotted key, like ``{"controller.estimator": "fdm"}``. None: the recorded settings.
+        If a key of the wall is changed, the wall's changes that were made during the run are ignored.
     law
-        Law to run instead of the one that the recording names.
+        Control law to run instead of the law that the recording names.
 
     Raises
     ------
     RecordingError
-        The recording lacks its beginning or ticks in the middle; or it is a cut from the middle of a trial, and a
-        change or law is given.
+        The recording lacks its beginning or ticks in the middle; or the recording is a cut from the middle of a trial,
+        and a change or law is given.
     ConfigError
         The changes are invalid, or the law of the recording is not installed here.
     LawError
@@ -121,9 +128,10 @@ def replay(
 
 
 def state_before(recording: Recording, row: int) -> dict[str, Any]:
-    """Return the controller's state before a row (`ControllerState.as_mapping`), by a replay of all rows before it.
+    """Return the controller's state before row number `row`, computed by a replay of all earlier rows.
 
-    Raise `RecordingError` if these rows cannot be replayed; `ConfigError` and `LawError` as in `replay`.
+    The result has the form of `ControllerState.as_mapping`. Raise `RecordingError` if the earlier rows cannot be
+    replayed; `ConfigError` and `LawError` as in `replay`.
     """
     recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
     _run(bundle, recorded, recorded.copy(), _sets(recording, None, None))
@@ -162,7 +170,10 @@ def _rows(recording: Recording) -> NDArray[np.void]:
 
 
 def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
-    """Return the parameter sets that became active during the run; none if the replay has another wall or law."""
+    """Return the parameter sets that became active during the run, one row each: tick, wall position, law parameters.
+
+    Return no row if the replay has another wall or law.
+    """
     sets = recording.trailer.get("parameter_sets") or [] if recording.trailer else []
     if law is not None or any(key.startswith("wall.") for key in changes or ()):
         sets = []
@@ -197,7 +208,7 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
 
 
 def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
-    """Set effort and current of the last replayed row to zero if the loop sent zero there (end or device fault)."""
+    """Set the last replayed row's effort and current to zero if the loop ended there or the device was faulty."""
     last = recorded[-1]
     faulty = last["fault"] != 0 or last["device_state"] == State.FAULT
     if faulty or replayed["phase"][-1] == DONE:

@@ -1,9 +1,8 @@
 """Write results of many trials to disk: a Parquet table with a row for each trial, and a summary in JSON.
 
-The table's metadata contain the unit of each column and the plan.
-
-Maps, designs, measured impedances, studies and papers write their results with it. It must not hold all rows in memory,
-because a table may be larger than the memory, nor depend on the meaning of a column.
+Maps, designs, measured impedances, studies and papers use this module. The table's metadata contain the unit of each
+column and the plan. This module must not load all rows into memory, because a table may be larger than the memory, nor
+depend on the meaning of a column.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ KEY = b"rig.plan"
 
 
 def make_directory(directory: Path) -> None:
-    """Make a directory and its parents; raise `RecordingError` if the system does not allow it."""
+    """Create a directory and its parents; raise `RecordingError` if the system does not allow it."""
     with plain_errors("make", directory):
         directory.mkdir(parents=True, exist_ok=True)
 
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON file, and overwrite an existing one; raise `RecordingError` if it cannot be written."""
+    """Write `document` to a JSON file, and overwrite an existing file; raise `RecordingError` if writing fails."""
     with whole_file(path, overwrite=True) as file:
         file.write(json.dumps(document, ensure_ascii=False, indent=1).encode())
 
@@ -43,11 +42,11 @@ def write_table(
     path
         Path of the file; an existing file is overwritten.
     rows
-        Rows as mappings from column to value, all with the keys of the first row.
+        Rows as mappings from column name to value; all rows have the same columns.
     units
-        Unit of each column; columns that are not listed have no unit.
+        Unit of each column by its name; a column that is missing in `units` has no unit.
     plan
-        Plan of the trials, as JSON values.
+        Plan of the trials, as JSON values, stored in the table's metadata.
 
     Raises
     ------
@@ -80,7 +79,7 @@ def _batches(first: list[Any], left: Iterator[Any]) -> Iterator[list[Any]]:
 
 
 def _type(name: str, rows: list[Any]) -> Any:
-    """Return the Arrow type of a column: that of its first value that is not None, boolean if all values are None."""
+    """Return the Arrow type of a column by its first value that is not None; boolean if all values are None."""
     value = next((row[name] for row in rows if row[name] is not None), False)
     for kind, arrow in ((bool, pyarrow.bool_()), (int, pyarrow.int64()), (float, pyarrow.float64())):
         if isinstance(value, kind):

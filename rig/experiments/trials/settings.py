@@ -1,8 +1,8 @@
-"""Short names for keys of an experiment, like ``stiffness`` for ``wall.stiffness``.
+"""Define short names for keys of an experiment, like ``stiffness`` for ``wall.stiffness``.
 
-All other keys are set with ``changes``, by their full dotted keys. Commands, requests, and the functions of
-`rig.experiments.lab` and `rig.experiments.measure` take their settings from this module. It must not repeat a key's
-type, range or unit, which `rig.config` defines.
+Commands, requests, and the functions of `rig.experiments.lab` and `rig.experiments.measure` use these names for their
+settings. Keys without a short name are set with ``changes``, by their full dotted keys. This module must not repeat a
+key's type, range or unit, which `rig.config` defines.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class ExcitationSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigRequest:
-    """Request of something that a rig does: its experiment, changes and device.
+    """A request to a rig: its experiment, changes and device.
 
     Attributes
     ----------
@@ -112,9 +112,9 @@ class RigRequest:
     url
         URL of the device; None simulates the experiment's rig in this process, in virtual time.
     changes
-        Keys that the user set by hand, dotted; they win over everything else.
+        Values by dotted key that the user set by hand; they override all other values.
     verified
-        True if the operator has checked the signs of motor and encoder, so that a real rig may be moved; without it a
+        True if the operator has checked the signs of motor and encoder, so that a real rig may be moved. If False, a
         real device does not arm.
     """
 
@@ -141,10 +141,10 @@ class RigRequest:
 
 
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
-    """Return the changes of the experiment (by dotted key) for these options; those in ``changes`` override others.
+    """Return the changes of an experiment (values by dotted key) for `options` (values by short name).
 
-    `known` is the TypedDict of the permitted option names. Raise `ConfigError` for an unknown name; the error proposes
-    the closest permitted name.
+    The option ``changes``, values by dotted key, overrides all other options. `known` is the TypedDict of the permitted
+    names. Raise `ConfigError` for an unknown name; the error proposes the closest permitted name.
     """
     names, keys = get_type_hints(known), keywords(known)
     changes: dict[str, Any] = {}
@@ -161,16 +161,16 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
 
 
 def _pushed_by(operator: str) -> dict[str, Any]:
-    """Return the changes for a push by a hand with this grip, or by the motor for "none". The grip is checked later."""
+    """Return the changes for a push by a hand with the grip `operator`, or by the motor if `operator` is "none"."""
     if operator == "none":
         return {"trial.kind": "constant-effort"}
     return {"trial.kind": "human", "operator.grip": operator}
 
 
 def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
-    """Return a decorator that replaces ``**options`` in a function's signature and docstring by keywords.
+    """Return a decorator that replaces ``**options`` in a function's signature and docstring by named keywords.
 
-    The keywords are those of the TypedDict `options`; the dataclass `request` has the defaults of some of them.
+    `options` is the TypedDict of the keywords; the dataclass `request` supplies default values of some keywords.
     """
     hints, own = get_type_hints(options), keywords(request)
     all_keywords = {**own, **keywords(options)}
