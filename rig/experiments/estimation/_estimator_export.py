@@ -1,7 +1,7 @@
-"""Export a tuned estimator as a C99 header, with a test program that runs it on the motion of the tuning.
+"""Export a tuned estimator as a C99 header, with a test program that runs the C code on the motion of the tuning.
 
-`rig estimators export` calls it. The test contains counts, and velocities of the host's estimator in float64; its
-tolerance covers the rounding of float32.
+`rig estimators export` calls this module. The test contains counts, and velocities of the host's estimator in float64;
+its tolerance covers the rounding of float32.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _IN_A_LINE = 4  # samples
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Largest allowed error of the test's velocities: of each velocity, or with `rms` True of their rms."""
+    """A largest allowed error of the test's velocities: of each velocity, or of their rms if `rms` is True."""
 
     limit: float
     unit: str
@@ -59,7 +59,7 @@ class Tolerance:
 
     @property
     def text(self) -> str:
-        """Return the tolerance as a text with its unit."""
+        """Return the tolerance as a text with its unit, or "equal" if it is 0."""
         if self.limit == 0.0:
             return "equal"
         return f"within {self.limit:.2g} {self.unit}" + (" rms" if self.rms else "")
@@ -67,16 +67,16 @@ class Tolerance:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimatorExport:
-    """Exported estimator in C, and its test.
+    """An exported estimator in C, and its test.
 
     Attributes
     ----------
     estimator, settings
-        Name of the estimator, and its settings that were chosen.
+        Name of the estimator, and the settings that are not at their default.
     rig, velocity_rate_hz, resolution
-        Rig, rate (Hz) and resolution (rad or m) for which the constants are computed.
+        Rig, velocity rate (Hz) and travel of a count (rad or m) for which the constants are computed.
     unit
-        Unit of the result of ``…_velocity``: rad/s or m/s, or for integers LSBs with their size.
+        Unit of the result of ``…_velocity``: rad/s or m/s; for integers the size of the least significant bit (LSB).
     motion, samples, tolerance
         Motion, number of samples and tolerance of the test.
     costs
@@ -107,7 +107,7 @@ class EstimatorExport:
         return "integers" if self.estimator == FIXED else "float32"
 
     def items(self) -> list[Row | Table]:
-        """Return description and cost of the export as rows to print."""
+        """Return the lines to print: description of the exported estimator, and its cost on each processor."""
         rate = f"{self.velocity_rate_hz:g} Hz, {self.resolution:.4g} a count"
         rows: list[Row | Table] = [
             Row("estimator", self.estimator, note=f"in {self.arithmetic}, for {self.rig}: {rate}"),
@@ -131,18 +131,19 @@ def export_estimator(
     overwrite: bool = False,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> EstimatorExport:
-    """Write an estimator with the constants for a rig as a C99 header, and a C program that tests it.
+    """Write an estimator with the constants for a rig as a C99 header, and a C program that tests the header.
 
     Parameters
     ----------
     variant
-        Name and settings of the estimator; they override the experiment's settings of the same estimator.
+        Name and settings of the estimator; the settings override the experiment's settings of the same estimator.
     experiment
         Experiment with encoder and velocity rate.
     header
-        Header to write. None: the estimator's name, for example ``kalman.h``. The test is ``kalman_test.c`` beside it.
+        Path of the header. None: the estimator's name, for example ``kalman.h``. The test is ``kalman_test.c`` beside
+        the header.
     case
-        Case for the test, usually that of the tuning. None: `signal`, measured by the rig's encoder.
+        Case for the test, usually the case of the tuning. None: `signal`, measured by the rig's encoder.
     signal
         One of `rig.experiments.estimation._signals.SIGNALS`.
     costs
@@ -150,7 +151,7 @@ def export_estimator(
     overwrite
         True to replace existing files.
     on_progress
-        Called with the name of the present step and the share of it that is done (0 to 1).
+        Called with the name of the present step and the finished fraction of the step (0 to 1).
 
     Raises
     ------
@@ -209,7 +210,7 @@ def export_estimator(
 
 
 def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str]:
-    """Return the settings of the experiment's own estimator, overridden by those of the variant."""
+    """Return the settings of the experiment's own estimator, overridden by the settings of the variant."""
     own = experiment.controller
     tuned = own.parameters if own.estimator == variant.estimator else {}
     return {
@@ -237,7 +238,7 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
 
 
 def _test_efforts(prepared: Prepared, limit: float, samples: int) -> Floats:
-    """Return efforts for the test (N·m or N), zero if the estimator uses none; they need not match the motion."""
+    """Return efforts for the test (N·m or N), zero if the estimator uses no effort; they need not match the motion."""
     if not prepared.estimator.uses_effort:
         return np.zeros(samples)
     # As float32 has them: the test's C and this computer read the same numbers.
@@ -309,7 +310,7 @@ def _cost_table(costs: Sequence[Cost]) -> Table:
 
 
 def _about(export: EstimatorExport) -> str:
-    """Return the comment at the top of the header."""
+    """Return the C comment at the top of the header: estimator, settings, use, test and cost."""
     prefix = _prefix(export)
     chosen = (
         ", ".join(f"{name} = {value}" for name, value in export.settings.items()) or "all at their default"
@@ -360,7 +361,7 @@ def _test_text(
     velocity: Floats,
     effort: Floats,
 ) -> str:
-    """Return the C test program: it prints its largest error, and exits with 0 if this is within the tolerance."""
+    """Return the C test program: it prints its largest error, and exits with 0 if the error is within the tolerance."""
     whole = made.returns != "float"
     wanted = (
         [str(round(v / made.scale)) for v in velocity.tolist()]

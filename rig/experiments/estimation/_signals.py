@@ -1,7 +1,7 @@
-"""Reference motions in closed form: position, velocity and acceleration as functions of time.
+"""Define reference motions in closed form: position, velocity and acceleration as functions of time.
 
-Estimators, filters and experiments are compared with them. Lengths are in position units (m, or rad times a radius).
-Amplitudes and frequencies are those of a hand-held handle: 0.1 to 0.3 m/s, up to 40 Hz.
+Estimators, filters and experiments are compared with these motions. Lengths are in position units (m, or rad times a
+radius). Amplitudes and frequencies are those of a hand-held handle: 0.1 to 0.3 m/s, up to 40 Hz.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BISECTIONS = 60  # halves any interval below the rounding of its ends
 
 
 class Motion(NamedTuple):
-    """Position, velocity and acceleration at given times, each with the shape of the times."""
+    """A motion at given times: position, velocity and acceleration, three arrays with the shape of the times."""
 
     position: Floats
     velocity: Floats
@@ -28,7 +28,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Reference motion, and the time span in which an estimator is judged.
+    """A reference motion, and the time span in which an estimator is judged on it.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Signal:
 
 
 def ramp(speed: float = 0.01 * np.pi) -> Signal:
-    """Return a motion of constant speed (m/s); the default is not a whole number of counts per period."""
+    """Return a motion of constant speed (m/s); the default is not a whole number of counts per sampling period."""
 
     def motion(t: Floats) -> Motion:
         return Motion(speed * t, np.full_like(t, speed), np.zeros_like(t))
@@ -95,9 +95,9 @@ def wall_bounce(
 ) -> Signal:
     """Return the motion of a hit on a stiff wall with little damping: steady approach (m/s), then decaying oscillation.
 
-    The wall is at position 0. From contact on, x = (v/ω)·exp(−ζ·ω₀·τ)·sin(ω·τ), the free motion of a mass on the wall's
-    spring; position and velocity are continuous at the contact. `ring_hz` is the damped frequency ω/2π. The bound of
-    the acceleration is v·ω, 21.4 m/s² with the defaults.
+    The wall is at position 0. From the contact (time `contact_s`) on, x = (v/ω)·exp(−ζ·ω₀·τ)·sin(ω·τ), the free motion
+    of a mass on the wall's spring; position and velocity are continuous at the contact. `ring_hz` is the damped
+    frequency ω/2π. The bound of the acceleration is v·ω, 21.4 m/s² with the defaults.
     """
     w = 2.0 * np.pi * ring_hz
     decay = w * damping_ratio / np.sqrt(1.0 - damping_ratio**2)
@@ -122,7 +122,7 @@ def wall_bounce(
 
 
 def slow_reversal(amplitude: float = 0.001, frequency_hz: float = 1.0) -> Signal:
-    """Return a slow oscillation: counts become rare around each reversal, where estimators differ most."""
+    """Return a slow oscillation (amplitude in m): counts are rare around a reversal, where estimators differ most."""
     return Signal(
         "slow-reversal", "6 mm/s at most, and twice to rest", sine(amplitude, frequency_hz).motion, 0.2, 1.0
     )
@@ -145,7 +145,7 @@ def edge_times(signal: Signal, time_s: ArrayLike, resolution: float, *, offset: 
     resolution
         Travel for one count (position units); its sign does not matter.
     offset
-        Place of position zero within its encoder cell (count), as in `rig.control.estimators.quantise`.
+        Distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1).
 
     Returns
     -------
@@ -155,7 +155,7 @@ def edge_times(signal: Signal, time_s: ArrayLike, resolution: float, *, offset: 
     Notes
     -----
     At an edge the position passes a boundary between two encoder cells. The motion is monotone between samples and
-    turning points, so the last passed boundary is the near one of the last cell; its time is found by bisection.
+    turning points, so the last passed boundary is the near boundary of the last cell; its time is found by bisection.
     """
     times = np.asarray(time_s, dtype=np.float64)
     delta = abs(resolution)

@@ -1,7 +1,8 @@
-"""Test cases of estimators: a count for each velocity sample, and the true velocity.
+"""Define test cases of velocity estimators: a count for each velocity sample, and the true velocity.
 
-A case is made of a reference signal (`rig.experiments.estimation._signals`) with an ideal encoder, of a simulated
-recording with its true velocity, or of a real recording with a reference from a filter that uses future samples.
+Comparison, tuning and export of estimators use this module. A case comes from a reference signal
+(`rig.experiments.estimation._signals`) with an ideal encoder, from a simulated recording with its true velocity, or
+from a real recording with a reference from a filter that uses future samples.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ FEWEST_SAMPLES = 16  # that the filter of the reference takes
 
 @dataclass(frozen=True)
 class Case:
-    """Test case of estimators: a count for each velocity sample, and the true velocity.
+    """A test case of velocity estimators: a count for each velocity sample, and the true velocity.
 
     Attributes
     ----------
@@ -49,7 +50,8 @@ class Case:
     time_s
         Time of each sample (s), shape (n,).
     counts, edge_time, elapsed
-        Inputs of an estimator, as in `rig.control.estimators.estimate`, shape (n,).
+        Encoder count, time of the last encoder edge (s), and velocity periods since the sample before, each of shape
+        (n,).
     judged
         True for the samples from which the score is computed, shape (n,).
     truth
@@ -59,7 +61,7 @@ class Case:
     effort
         Mean effort of the motor since the sample before (N·m or N), shape (n,); None if unknown.
     rig
-        Settings that an estimator takes from the rig, for example ``inertia``.
+        Settings that an estimator reads from the rig, for example ``inertia``.
     """
 
     name: str
@@ -103,7 +105,7 @@ class Case:
 
     @cached_property
     def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
-        """Samples used to find a delay (slice of the judged ones), delays to try (s), truth for each, and its power."""
+        """Return judged samples (slice), delays to try (s), delayed true velocities (rad/s or m/s), their power."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
@@ -120,11 +122,11 @@ def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: fl
     signal
         Signal of `rig.experiments.estimation._signals`.
     rate_hz
-        Velocity samples per second.
+        Velocity samples per second (Hz).
     resolution
         Travel for one count (m).
     offset
-        Place of position zero within its encoder cell (count).
+        Distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1).
     """
     dt = 1.0 / rate_hz
     time_s = dt * np.arange(round(signal.end_s * rate_hz), dtype=np.float64)
@@ -162,15 +164,15 @@ def counts_case(
     Parameters
     ----------
     counts, dt, resolution, edge_time, elapsed, width
-        As in `estimate`: encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel for one
-        count (rad or m).
+        Encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel for one count (rad or m);
+        optional inputs as in `estimate`.
     velocity
-        True velocity at each sample (rad/s or m/s), shape (n,), from a simulation or a better sensor; between
-        samples it is interpolated linearly.
+        True velocity at each sample (rad/s or m/s), shape (n,), from a simulation or a better sensor; between samples
+        it is interpolated linearly.
     effort
-        As in `estimate`, for estimators that use it.
+        Effort of the motor at each sample (N·m or N), shape (n,), for estimators that use it (as in `estimate`).
     settle_s
-        Time from the first sample on that is not judged, because estimators settle (s).
+        Time after the first sample that is not judged, because estimators settle (s).
     motion
         ``"rotary"`` (rad) or ``"linear"`` (m), for the units in tables.
     name
@@ -231,9 +233,10 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     Parameters
     ----------
     recording
-        Recording of any rig; the phase TRIAL is judged, and the estimators settle before it.
+        Recording of any rig; the phase TRIAL is judged, and the estimators settle before this phase.
     rate_hz
-        Velocity samples per second (Hz), which must divide the recording's position rate. None: that of the recording.
+        Velocity samples per second (Hz), which must divide the recording's position rate. None: the recording's own
+        rate.
     name
         Name in tables.
 
@@ -245,8 +248,8 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     Notes
     -----
     The true velocity of a real rig is unknown. Its reference is the derivative of the position after a Butterworth
-    filter of order 4 at `REFERENCE_HZ`, run forwards and backwards. It has no delay, but lacks higher frequencies: use
-    errors against it only to compare estimators.
+    filter of order 4 at 200 Hz, run forwards and backwards. The reference has no delay, but lacks higher frequencies:
+    use errors relative to it only to compare estimators.
     """
     resolution: float
     position_rate: float
@@ -311,7 +314,7 @@ def _mean_efforts(recording: Recording, index: Ints, first: NDArray[np.intp]) ->
 
 
 def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
-    """Return a function of time (s) for the true velocity, and a text on its source."""
+    """Return a function of time (s) for the true velocity (rad/s or m/s), and a text on the source of this velocity."""
     if recording.has_truth:
         true = recording.column("velocity_true")
         known = np.isfinite(true)

@@ -1,7 +1,7 @@
 """Score velocity estimators on motions with a known velocity: error, delay, and noise at rest.
 
-A *case* is a series of counts with its true velocity (`rig.experiments.estimation.cases`). A *variant* is an estimator
-with its settings.
+`rig estimators compare`, tuning, papers and the console use this module. A *case* is a series of counts with its true
+velocity (`rig.experiments.estimation.cases`). A *variant* is an estimator with its settings.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ TIMED_RUNS = 9
 
 @dataclass(frozen=True)
 class Variant:
-    """Estimator with settings; settings that are not given have their default."""
+    """An estimator with settings; a setting that is not given has its default value."""
 
     estimator: str
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
     @classmethod
     def parse(cls, text: str) -> Variant:
-        """Return the variant of a text like ``kalman`` or ``kalman:gain=steady,q=2e4``; raise `ConfigError`."""
+        """Return the variant of a text like ``kalman:gain=steady,q=2e4``; raise `ConfigError` if it is invalid."""
         name, _, rest = text.partition(":")
         settings: dict[str, float | str] = {}
         for part in filter(None, rest.split(",")):
@@ -56,7 +56,7 @@ class Variant:
 
     @property
     def label(self) -> str:
-        """Name and settings, for tables and legends."""
+        """Name and settings of the estimator as text, for tables and legends."""
         settings = (
             f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items()
         )
@@ -65,24 +65,24 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of one variant on one case. Velocities are in rad/s or m/s; a number that does not apply is NaN.
+    """A score of one estimator on one test case. Velocities are in rad/s or m/s; a number that does not apply is NaN.
 
     Attributes
     ----------
     rms
-        Error of the estimated velocity, rms.
+        Rms error of the estimated velocity.
     delay_s
         Delay of the estimate (s): the shift of the true velocity that minimises the error. It is negative for an
-        estimate ahead of time, and NaN if it cannot be identified (see `delay`).
+        estimate ahead of time, and NaN if the delay cannot be identified (see `delay`).
     rms_without_delay
-        Error after correction of the delay, rms.
+        Rms error after correction of the delay.
     rest_rms, toggling_rms
-        Estimated velocity at rest after a motion, rms: with a constant count, and with a count that toggles at random
-        between two neighbours.
+        Rms of the estimated velocity at rest after a motion: with a constant count, and with a count that toggles at
+        random between two neighbours.
     ns_per_sample
         Time of one update on this machine (ns); NaN if it was not measured.
     refused
-        Reason why the estimator cannot run at this rate; all numbers are then NaN. None if it can.
+        Reason why the estimator cannot run at this rate; all numbers are then NaN. None if the estimator can run.
     """
 
     case: str
@@ -101,14 +101,14 @@ class Score:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class EstimatorComparison(Shown, Drawn):
-    """Scores of every variant on every case: `scores` has all variants of the first case, then those of the next."""
+    """A comparison of estimators: the score of each variant on each case, sorted by case, then by variant."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
     scores: tuple[Score, ...]
 
     def brief(self) -> list[Item]:
-        """Return error and delay of each variant on each case."""
+        """Return the lines of a short report: error and delay of each estimator on each test case."""
         rows: list[Item] = []
         number = len(self.variants)
         for case, first in zip(self.cases, range(0, len(self.scores), number), strict=True):
@@ -121,7 +121,7 @@ class EstimatorComparison(Shown, Drawn):
 
 
 def default_variants(names: Iterable[str] | None = None) -> tuple[Variant, ...]:
-    """Return the named estimators with their default settings; None: all estimators that are not broken."""
+    """Return the named estimators with their default settings; None: all installed estimators that can be loaded."""
     if names is None:
         names = (name for name in estimators.names() if not estimators.broken(name))
     return tuple(Variant(name) for name in names)
@@ -137,7 +137,7 @@ def compare_estimators(
     cases
         Counts with their true velocity: `counts_case` makes a case of arrays, `recording_case` of a recording.
     variants
-        Estimators with their settings, like ``"kalman:gain=steady"``. If empty: all, with their defaults.
+        Estimators with their settings, like ``"kalman:gain=steady"``. If empty: all estimators, with default settings.
     timed
         True to measure also the time of one update on this machine (ns).
 
@@ -162,7 +162,7 @@ def compare_estimators(
 
 
 def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
-    """Return the score of one variant on one case."""
+    """Return the score of one estimator on one test case; with `timed` also measure the time of an update."""
     named = (case.name, case.rate_hz, abs(case.resolution), variant.estimator, variant.settings)
     try:
         velocity = estimates(case, variant)
@@ -175,7 +175,10 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
-    """Return the estimated velocity at each sample of a case (rad/s or m/s), shape (n,); raise `ConfigError`."""
+    """Return the estimated velocity at each sample of a case (rad/s or m/s), shape (n,).
+
+    Raise `ConfigError` if the estimator cannot run with these settings, or needs an effort that the case does not have.
+    """
     require_effort(estimators.get(variant.estimator), case.effort)
     return run(_prepared(case, variant), *case.arrays, case.effort)[0]
 
@@ -186,7 +189,7 @@ def _prepared(case: Case, variant: Variant) -> Prepared:
 
 
 def _settings(case: Case, variant: Variant) -> dict[str, float | str]:
-    """Return the settings of a variant, and those that its estimator takes from the rig of the case."""
+    """Return the settings of a variant, and the settings that its estimator reads from the rig of the case."""
     return {**estimators.get(variant.estimator).settings_of(case.rig), **variant.settings}
 
 
@@ -206,10 +209,10 @@ def raw_error(case: Case, velocity: Floats) -> float:
 
 
 def delay(case: Case, velocity: Floats) -> float:
-    """Return the delay of a velocity of shape (n,) against the truth, by least squares (s); NaN if not identifiable.
+    """Return the delay (s) of an estimated velocity of shape (n,), by least squares; NaN if it cannot be identified.
 
-    The delay is searched on the grid of `rig.experiments.estimation.cases`, and interpolated. It is not identifiable if
-    the true velocity is constant, if the best delay is at an end of the grid, or if noise makes its standard error
+    The delay is searched on the grid of `rig.experiments.estimation.cases`, and interpolated. It cannot be identified
+    if the true velocity is constant, if the best delay is at an end of the grid, or if noise makes its standard error
     larger than a step of the grid.
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
@@ -233,7 +236,7 @@ def delay(case: Case, velocity: Floats) -> float:
 def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
     """Return the rms velocity at rest after a steady approach (rad/s or m/s): with a constant and a toggling count.
 
-    The toggling count takes one of two neighbouring values at random at each sample, like a handle that rests on the
+    The toggling count has one of two neighbouring values at random at each sample, like a handle that rests on the
     boundary of an encoder cell. `dt` is the velocity period (s), `resolution` the travel for one count (rad or m).
     """
     return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)

@@ -1,7 +1,7 @@
-"""Public names of this package: compare, score and tune velocity estimators, and export them as C.
+"""Re-export the public names of this package: compare, score and tune velocity estimators, and export them as C.
 
-Commands, pictures and papers import it. It defines nothing, and no file of this package imports it, so that a Lipschitz
-constant alone (`rig.lipschitz_of`) does not load the export of estimators.
+Commands, plots and papers import this module. It defines nothing, and no file of this package imports it, so that a
+Lipschitz constant alone (`rig.lipschitz_of`) does not import the export of estimators.
 """
 
 from rig.experiments.estimation._estimator_export import export_estimator

@@ -1,10 +1,10 @@
-"""Compute the constant C of Levant's differentiator from a motion: fit a sum of sines, take its second derivative.
+"""Compute the constant C of Levant's differentiator from a motion: fit a sum of sines, compute its second derivative.
 
     f(t) = c + Σ A_i·sin(ω_i·t + φ_i),   f̈(t) = −Σ A_i·ω_i²·sin(ω_i·t + φ_i),   C = max |f̈|.
 
-Source: Chawda et al., section IV. They do not report the number of sines and the length of the stretch, and both
-influence the result. Rounding alone causes a `residual_rms` of 1/√12 of a count; if it is many counts, the fit is too
-smooth and C too small.
+`rig estimators lipschitz` and the reproduced paper use this module. Source: Chawda et al., section IV. The authors do
+not report the number of sines and the length of the stretch, and both influence the result. Rounding alone causes a
+`residual_rms` of 1/√12 of a count; if the residual is many counts, the fit is too smooth and C too small.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _PADDING = 8  # of the spectrum in which a first guess is looked for
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LipschitzFit:
-    """Fitted sum of sines.
+    """A sum of sines that was fitted to a motion, and its largest acceleration.
 
     Attributes
     ----------
     lipschitz
-        Constant C: largest magnitude of the fit's second derivative, without the first and last `MARGIN` of the time
-        (rad/s² or m/s²).
+        Constant C: largest magnitude of the fit's second derivative, without the first and last 5 % of the time (rad/s²
+        or m/s²).
     residual_rms
         Rms distance of the samples from the fit (rad or m).
     offset
@@ -45,7 +45,7 @@ class LipschitzFit:
     frequencies_hz, amplitudes, phases
         Frequency (Hz), amplitude (rad or m) and phase at ``time_s[0]`` (rad) of each sine, by falling amplitude.
     time_s, fitted, second_derivative
-        Times of the samples (s), and the fit (rad or m) and its second derivative (rad/s² or m/s²) there.
+        Times of the samples (s), and at these times the fit (rad or m) and its second derivative (rad/s² or m/s²).
     """
 
     lipschitz: float
@@ -66,7 +66,7 @@ def lipschitz_of(
     before_s: float = BEFORE_CONTACT_S,
     after_s: float = AFTER_CONTACT_S,
 ) -> LipschitzFit:
-    """Fit a sum of sines to the measured position around the first contact.
+    """Fit a sum of sines to the measured position around the first contact of a hit; return the fit and its C.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def lipschitz_of(
     sines
         Number of sines; with one sine more C should change little.
     before_s, after_s
-        Begin and end of the fitted stretch, before and after the first contact (s).
+        Lengths of the fitted time span before and after the first contact (s).
 
     Raises
     ------
@@ -95,7 +95,7 @@ def lipschitz_of(
 
 
 def identify_lipschitz(time_s: Floats, position: Floats, *, sines: int = DEFAULT_SINES) -> LipschitzFit:
-    """Fit a sum of sines to a motion and return its largest acceleration.
+    """Fit a sum of sines to a motion; return the fit with its largest acceleration.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _columns(frequencies: Floats, t: Floats) -> Floats:
 
 
 def _linear_part(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Return the offset and the factors of sines and cosines that fit best for these frequencies (Hz)."""
+    """Return offset, factors of the sines and factors of the cosines that fit best for these frequencies (Hz)."""
     return np.asarray(np.linalg.lstsq(_columns(frequencies, t), y, rcond=1e-9)[0])
 
 

@@ -1,7 +1,7 @@
 """Find the settings of an estimator that minimise an objective on one motion, and the sensitivity to each setting.
 
-`rig estimators tune` calls it. An optimum is valid for its motion, rate and resolution. The reported range, in which
-the objective rises by at most a tenth, shows how sensitive it is.
+`rig estimators tune` calls this module. An optimum is valid for its motion, rate and resolution. The reported range, in
+which the objective rises by at most a tenth, shows how sensitive the optimum is.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SettingRange:
-    """Range of a tuned setting in which the objective is at most a tenth worse, with the other settings constant.
+    """A range of a tuned setting in which the objective is at most a tenth worse, with the other settings constant.
 
     `open_below` and `open_above` are True if the search ended at that bound, so that the range may be larger.
     """
@@ -71,7 +71,7 @@ class SettingRange:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tuning(Shown):
-    """Best settings for one case, with the range of each tuned setting.
+    """A result of a tuning: the best settings for one test case, and the range of each tuned setting.
 
     `settings` has the given and the changed settings; all others have their default. `objective_start` and
     `objective_best` are the values of the objective before and after; `before` and `after` are the scores.
@@ -90,7 +90,7 @@ class Tuning(Shown):
     evaluations: int
 
     def brief(self) -> list[Item]:
-        """Return the tuned settings, each with its range."""
+        """Return the lines of a short report: the tuned settings, each with its range."""
         rows = [Row(one.setting, one.value, note=f"within 10 %: {shown_range(one)}") for one in self.ranges]
         changed = f"{self.objective} {self.objective_start:.4g} before, {self.objective_best:.4g} now"
         return [f"{self.estimator} tuned on {self.case}: {changed}", *rows]
@@ -120,7 +120,7 @@ def tune_estimator(
     settings: Settings | None = None,
     free: Sequence[str] | None = None,
 ) -> Tuning:
-    """Find the settings of an estimator that minimise an objective on a case (`rig estimators tune`).
+    """Find the settings of an estimator that minimise an objective on a test case (`rig estimators tune`).
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def tune_estimator(
         Start of the search; other settings start at their default. Settings that are not numbers are not changed.
     free
         Names of the numbers to tune. None: all numbers that can be changed and influence the estimate, except
-        properties of the rig and those that start at zero, which means "not given".
+        properties of the rig and numbers that start at zero, which means "not given".
 
     Returns
     -------
@@ -173,7 +173,7 @@ def tune_estimator(
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """Tuned setting on a scale from 0 to 1: logarithmic if its range is positive; whole numbers if `whole` is True."""
+    """A tuned setting on a scale from 0 to 1, logarithmic if its range is positive; `whole`: whole numbers only."""
 
     setting: Setting
     low: float
@@ -205,7 +205,7 @@ class _Axis:
 
 
 class _TuningWalk:
-    """Search over the tuned settings (`axes`), with the objective as a function of the settings."""
+    """A search for the best values of the tuned settings (`axes`), with a cache of the objective."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class _TuningWalk:
         self.reference = estimates(case, Variant(estimator.name, self.start))
 
     def value(self, settings: Settings) -> float:
-        """Return the objective at these settings; infinite if the estimator cannot run with them."""
+        """Return the objective for these settings; infinite if the estimator cannot run with them."""
         key = tuple(settings.items())
         if key not in self.known:
             self.known[key] = self._evaluate(settings)
@@ -261,12 +261,12 @@ class _TuningWalk:
             )
 
     def begin(self, setting: Setting) -> float:
-        """Return the start value of a setting: the given one, that of the rig, or the default."""
+        """Return the start value of a setting: the given value, else the value of the rig, else the default."""
         known = {**self.estimator.settings_of(self.case.rig), **self.start}
         return float(known.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
-        """Return the axis of a setting; None if no other value is allowed, or none changes the estimate."""
+        """Return the axis of a setting; None if no other value is allowed, or if no value changes the estimate."""
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
@@ -282,7 +282,7 @@ class _TuningWalk:
         return None
 
     def settings_at(self, places: Floats) -> dict[str, float | str]:
-        """Return the settings for `places`, the position of each axis on its scale from 0 to 1."""
+        """Return the settings for `places`, the value of each axis on its scale from 0 to 1."""
         found = dict(self.start)
         for axis, place in zip(self.axes, places, strict=True):
             value = axis.value(float(place))
@@ -291,7 +291,7 @@ class _TuningWalk:
         return found
 
     def descend(self) -> Floats:
-        """Return the best position of each axis on its scale from 0 to 1, by a scan and a descent."""
+        """Return the best value of each axis on its scale from 0 to 1, by a scan and a descent."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
         # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning
@@ -317,7 +317,7 @@ class _TuningWalk:
         return np.asarray(found.x if found.fun <= min(values) else best, dtype=np.float64)
 
     def plain(self, best: Floats) -> Floats:
-        """Return the best point with each setting that has a negligible influence reset to its start."""
+        """Return the best point with each setting of negligible influence reset to its start value."""
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))
@@ -328,7 +328,7 @@ class _TuningWalk:
         return best
 
     def range_of(self, i: int, best: Floats) -> SettingRange:
-        """Return the range of one setting around the optimum in which the objective is at most a tenth worse."""
+        """Return the range of setting `i` around the optimum in which the objective is at most a tenth worse."""
         axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
         ends, opened = [], []
         for direction in (-1.0, 1.0):

@@ -1,4 +1,7 @@
-"""Compute the keys of an experiment from the fits of an identification, with a text on the source of each value."""
+"""Compute the keys of an experiment from the fits of an identification, with a text on the source of each value.
+
+`identify` calls this module.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,18 @@ from rig.core.sample import unit_of
 
 @dataclass(frozen=True)
 class Identified:
-    """New values by key, and for each key a text with its ± interval and the motion that identified it."""
+    """A set of identified values by key, and for each key a text with its ± interval and the motion behind it."""
 
     values: dict[str, Any] = field(default_factory=dict)
     sources: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def put(self, key: str, value: Any, text: str, motion: str) -> None:
-        """Set the value of a key, with its text and the motion that identified it."""
+        """Set the value of a key, with a text on the value and the name of the motion that identified it."""
         self.values[key] = value
         self.sources[key] = (text, motion)
 
     def share(self, m: Mechanics, name: str, total: float, text: str, motion: str) -> None:
-        """Set a motor's and a link's value so that they sum to `total`, in the described proportion."""
+        """Set the motor's and the link's value of a quantity so that their sum is `total`, in the described ratio."""
         described = {side: float(getattr(m, f"{side}_{name}")) for side in ("motor", "link")}
         whole = sum(described.values())
         for side, before in described.items():
@@ -47,7 +50,7 @@ def identified_values(
 ) -> Identified:
     """Return the keys of the experiment with their identified values.
 
-    A single sensor shows only sums over motor and link. They are divided in the described proportion: friction and
+    A single sensor shows only sums over motor and link. The sums are divided in the described proportion: friction and
     damping always, inertia only if no resonance was identified. If the law will run on the board (`on_board`), the
     link's delay in whole ticks is left out.
     """
@@ -85,7 +88,7 @@ def identified_values(
 def _put_cogging(
     found: Identified, map_: CoggingMap, described: Cogging, ripple: Ripple | None, effort: str
 ) -> None:
-    """Set the keys of cogging and ripple, which share one list of orders; ripple that was not measured is unchanged."""
+    """Set the keys of cogging and torque ripple, which share one list of orders; an unmeasured ripple is unchanged."""
     if ripple is None:
         shares = _by_order(described.orders, described.ripple_cosine, described.ripple_sine)
     else:
@@ -116,12 +119,12 @@ def _put_cogging(
 def _by_order(
     orders: Sequence[int], cosine: Sequence[float], sine: Sequence[float]
 ) -> dict[int, tuple[float, float]]:
-    """Return cosine and sine by order, only for harmonics that are not zero."""
+    """Return the pair (cosine, sine) of each harmonic that is not zero, by its order."""
     return {n: (c, s) for n, c, s in zip(orders, cosine, sine, strict=False) if c or s}
 
 
 def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return cosines and sines for these orders; zero for an order without a harmonic."""
+    """Return the cosines and the sines of these orders; zero for an order without a harmonic."""
     rows = [each.get(n, (0.0, 0.0)) for n in orders]
     return [c for c, _ in rows], [s for _, s in rows]
 

@@ -1,4 +1,7 @@
-"""Choose the rate of an identification in real time, so that the measured link carries every command in time."""
+"""Choose the rate of an identification in real time, so that the measured link transmits every command in time.
+
+`identify` calls this module.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +27,13 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
-    """Return the experiment without a wall and with this rate (Hz); `origin` names the source of the change."""
+    """Return the experiment without a wall and at this rate (Hz); messages name the source of the change, `origin`."""
     return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
 
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """Rate of the loop (Hz), why it would fail (empty if it works), and the longest silence of the link (s)."""
+    """A rate of the loop (Hz), the reason why it would fail ("" if it works), and the link's longest gap (s)."""
 
     rate_hz: int
     reason: str
@@ -46,7 +49,7 @@ def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasur
 def choose_rate(
     x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
 ) -> RateChoice:
-    """Return the stated rate, or the highest one of `most_hz` and its halves, at which an identification will work.
+    """Return the stated rate, or the highest of `most_hz` and its halves, at which an identification will work.
 
     Raises
     ------
@@ -71,13 +74,13 @@ def choose_rate(
 
 
 def halves(rate_hz: int) -> list[int]:
-    """Return a half, a quarter … of a rate (Hz), rounded down to `RATE_STEP`, not below `SLOWEST_HZ`."""
+    """Return a half, a quarter … of a rate (Hz), rounded down to multiples of 50 Hz, down to `SLOWEST_HZ`."""
     slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 
 
 def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
-    """Judge a rate by the measured link: lifetime of commands, lost samples, and capacity."""
+    """Judge a rate (Hz) by the measured link: lifetime of commands, lost samples, and capacity."""
     slowed = at_rate(x, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
     pace = pace_of(measurement, rate_hz, x.verdict)

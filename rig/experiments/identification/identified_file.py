@@ -1,4 +1,7 @@
-"""Format the experiment file of an identification: all keys, the identified ones with interval and recordings."""
+"""Format the experiment file of an identification: all keys, the identified keys with interval and recordings.
+
+`rig identify` and `rig.format_identification` use this module.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Identify a rig: record small pushes, slow strokes and excitations, then fit with `rig.analysis.identification`.
 
-`rig identify` and `rig.experiments.measure` call it. It must not change or write an experiment file: `identified_file`
-formats the new file. The same code runs on the simulated rig and on a real one.
+`rig identify` and `rig.experiments.measure` call this module. It must not change or write an experiment file:
+`identified_file` formats the new file. The same code runs on the simulated rig and on a real rig.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ Swept = tuple[Floats, Floats, Floats, list[Stroke]]  # time, effort, position
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyRequest(FreeRigRequest):
-    """Request of an identification; the described rig is the initial guess.
+    """A request of an identification; the described rig is the initial guess.
 
     Attributes
     ----------
@@ -132,8 +132,8 @@ class IdentifyRequest(FreeRigRequest):
         Rate of the loop during the motions only (Hz). None: the experiment's rate, or in real time a rate that the
         device and the measured link permit.
     mass_kg, arm_m
-        Mass (kg) and lever arm (m) with which the sweeps are repeated to measure ripple. Without a mass (None) ripple
-        is not measured; without an arm the radius of the handle is used.
+        Mass (kg) and lever arm (m) with which the sweeps are repeated to measure torque ripple. Without a mass (None)
+        ripple is not measured; without an arm the radius of the handle is used.
     """
 
     realisations: Annotated[int, Keyword("Number of excitations, each with other phases.")] = 6
@@ -184,14 +184,15 @@ class IdentifyRequest(FreeRigRequest):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Identification(Shown, Drawn):
-    """Result of an identification: the fits, their recordings, and the experiment with the identified values.
+    """A result of an identification: the fits, their recordings, and the experiment with the identified values.
 
     Attributes
     ----------
     before, experiment
         Experiment as it was described, and with the identified values.
     signs, sliding, dynamics
-        Fits of the pushes, strokes and excitations; see `rig.analysis.identification`.
+        Fits of the pushes, strokes and excitations (`rig.analysis.identification`): signs, friction, and inertia with
+        delay.
     cogging
         Fit of the sweeps; None if it was not requested.
     ripple
@@ -229,7 +230,7 @@ class Identification(Shown, Drawn):
         return self.experiment.rig.motion
 
     def brief(self) -> list[Item]:
-        """Return friction, damping, inertia and delay, each with its 95 % interval, and the warnings."""
+        """Return the lines of a short report: friction, damping, inertia and delay with intervals, and warnings."""
         x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
         values = {
             "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
@@ -243,7 +244,7 @@ class Identification(Shown, Drawn):
 
 @stop_requests.together()
 def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None = None) -> Identification:
-    """Identify a rig: run the motions, fit them, and return the result.
+    """Identify a rig: run the motions, fit the recorded signals, and return the result.
 
     Parameters
     ----------
@@ -252,7 +253,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     tell
         Called with a line of text about the next step.
     ask
-        Called with the instruction to hang a mass on a real rig; must return when a person has done it.
+        Called with the instruction to hang a mass on a real rig; must return when a person has hung the mass.
 
     Raises
     ------
@@ -352,7 +353,7 @@ def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Exper
     """Return the experiment for the motions: handle free, law on this computer, requested rate.
 
     Boards cannot run these motions. The end mass is removed, except on a rig that ``sim://name`` or another process
-    behind a port (`served`) simulates; there it is subtracted from the result.
+    behind a port (`served`) simulates; there the end mass is subtracted from the result.
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
@@ -387,7 +388,7 @@ def _arm(x: Experiment, request: IdentifyRequest) -> float:
 
 
 class _Session:
-    """Session of trials on an open device, with their recordings."""
+    """A session of trials on an open device, with their recordings."""
 
     def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
         self.device, self._request = device, request
@@ -401,7 +402,7 @@ class _Session:
         self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
-        """Run pushes, sweeps if cogging is requested, strokes and excitations; return their fits."""
+        """Run pushes, sweeps for cogging if requested, strokes and excitations; return all fits except cogging."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
         # The order is one of trust: pushes need no sign to be known and end by themselves after a few counts; strokes
@@ -417,7 +418,7 @@ class _Session:
         return signs, sliding, self.dynamics(x, signs, sliding)
 
     def may_go_slower(self, error: RigError) -> bool:
-        """Return True if the motions may be repeated at a lower rate: timing spoiled them, and no rate was stated."""
+        """Return True if the motions may be repeated at a lower rate: timing spoiled them, and the user set no rate."""
         virtual = self.device.link.clock.virtual
         return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
 
@@ -462,7 +463,7 @@ class _Session:
     def _run_excitation(
         self, x: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
-        """Run one realisation, repeated if a late command disturbed its motion; return record and delay (ticks)."""
+        """Run one realisation, again if a late command disturbed the motion; return its signals and delay (ticks)."""
         motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
@@ -477,12 +478,12 @@ class _Session:
         return run, late
 
     def sweep(self, x: Experiment, most_order: int) -> None:
-        """Run the sweeps and fit cogging with the described inertia; later motions use this first map."""
+        """Run the sweeps and fit cogging with the described inertia; later motions compensate this cogging."""
         self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
         self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
-        """Return the map of cogging, fitted to the recorded sweeps with this inertia and damping."""
+        """Return the map of cogging, fitted to the recorded sweeps with this inertia and damping (SI units)."""
         period, most_order = self._swept_in
         return fit_cogging(
             *self._swept, period=period, most_order=most_order, inertia=inertia, damping=damping
@@ -508,7 +509,7 @@ class _Session:
         return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
     def _compensate_cogging(self, motion: IdentificationMotion) -> IdentificationMotion:
-        """Return the motion with the known cogging compensated, else a handle may jump from detent to detent."""
+        """Return the motion with known cogging compensated, so that the handle does not jump between detents."""
         x = motion.experiment
         if not self._cogging.orders:
             return motion
@@ -523,7 +524,7 @@ class _Session:
     def _run(
         self, motion: IdentificationMotion, name: str, number: int = 0
     ) -> tuple[NDArray[np.void], float]:
-        """Run one trial, repeated if late; return its rows and their rate (Hz)."""
+        """Run one trial, again if samples are late; return the trial's rows and their rate (Hz)."""
         x, request = motion.experiment, self._request
 
         def run() -> tuple[NDArray[np.void], Path]:
@@ -545,10 +546,11 @@ class _Session:
 def excited_run_of(
     rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
 ) -> ExcitedRun:
-    """Return the whole periods of one realisation, without the settling periods.
+    """Return the signals of the whole periods of one realisation, without the periods in which the motion settles.
 
     The effort of a row is held from its sample to the next; a later effect is a delay to be identified. If the last
-    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if too many are lost.
+    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than `LONGEST_FILLED`
+    are lost.
     """
     n = round(rate * multisine.period_s)
     end = (settle_periods(multisine.period_s) + PERIODS) * n
@@ -592,7 +594,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 def _at_rates(
     free: Experiment, request: IdentifyRequest, device: FramedDevice, say: Tell
 ) -> Iterator[Experiment]:
-    """Yield the experiment at the stated rate, or at the highest rate that the link carries, then at lower rates."""
+    """Yield the experiment at the user's rate, or at the highest rate that the link permits, then at its halves."""
     refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
     if device.link.clock.virtual:
         yield free
@@ -614,7 +616,7 @@ def _at_rates(
 
 
 def _stated_rate(request: IdentifyRequest) -> Any:
-    """Return the rate that the user set (Hz); None if none was set."""
+    """Return the rate that the user set (Hz); None if no rate was set."""
     return request.rate_hz or next((request.changes[key] for key in RATES if key in request.changes), None)
 
 

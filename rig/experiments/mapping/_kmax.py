@@ -1,6 +1,7 @@
 """Map the stiffest stable undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
 
-This is a Z-width map with a uniform scheme for each rate and B = 0, where the estimator has no effect.
+`rig zwidth` and the reproduced papers use this module. The map is a Z-width map with a uniform scheme for each rate and
+B = 0, where the estimator has no effect.
 """
 
 from __future__ import annotations
@@ -21,29 +22,29 @@ RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the pap
 
 @dataclass(frozen=True, slots=True)
 class KMax(Drawn):
-    """Limits of the stiffness at B = 0, one for each rate (Hz)."""
+    """A curve of the stiffness limit at B = 0 over the sampling rate (Hz), computed from a map of hits."""
 
     rates: tuple[int, ...]
     map: ZWidth
 
     @staticmethod
     def is_of(plan: MapPlan) -> bool:
-        """Return True if a plan has B = 0 only and uniform schemes in ascending order of their rates."""
+        """Return True if `plan` has B = 0 only and uniform schemes in ascending order of their rates."""
         rates = [scheme.position_rate for scheme in plan.schemes]
         uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
         return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
 
     @classmethod
     def of(cls, found: ZWidth) -> KMax:
-        """Return the limits of a finished map; `is_of` must accept its plan."""
+        """Return the curve of a finished map, whose plan must satisfy `is_of`."""
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return the boundaries under a criterion, in the order of the rates."""
+        """Return the stiffness limit for each rate, ascending, under a criterion ("felt", "heard" or "any")."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
-        """Return the ratio of K_max at the highest rate to K_max at 20 kHz.
+        """Return the ratio of K_max at the highest rate to K_max at 20 kHz, under one criterion of the verdict.
 
         Return None if no rate exceeds 20 kHz, if 20 kHz is missing, or if one of both limits is zero or a lower bound.
         """
@@ -56,7 +57,7 @@ class KMax(Drawn):
         return last.stiffness / reference.stiffness
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return limits and saturation as plain values for JSON."""
+        """Return limits and saturation as JSON values by name."""
         mapping = self.map.as_mapping()
         for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
             scheme["rate_hz"] = rate
@@ -78,7 +79,10 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Return the plan of a map at B = 0 over rates (Hz); wrap the finished map in `KMax`."""
+    """Return the plan of a map at B = 0 with a uniform scheme for each rate (Hz).
+
+    `KMax.of` returns the curve of the finished map.
+    """
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

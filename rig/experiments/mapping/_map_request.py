@@ -1,6 +1,7 @@
-"""Request of a map of hits: options of the command `rig zwidth` and fields of the console's page.
+"""Define the request of a map of hits: options of the command `rig zwidth` and fields of the console's page.
 
-Texts are lists or ranges of numbers (`rig.experiments.mapping._searches.numbers_of`); an empty text is the default.
+Texts are lists or ranges of numbers (`rig.experiments.mapping._searches.numbers_of`); an empty text selects the
+default.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ Text = Annotated[str, MaxLen(4096)]  # a page sends it
 
 @dataclass(frozen=True, kw_only=True)  # without slots: a page's request inherits from another class, too
 class MapRequest:
-    """Request of a map of hits: walls, schemes, search and signals."""
+    """A request of a map of hits: walls, schemes, search and judged signals."""
 
     stiffness: Annotated[
         Text,

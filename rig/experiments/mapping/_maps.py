@@ -1,8 +1,8 @@
 """Run a map of walls as one sweep, and store everything that belongs to one plan in one directory.
 
-Files: ``plan.json`` (the plan, written first), ``journal`` (finished tasks), ``hits.parquet`` or ``walls.parquet`` (a
-row for each trial, with units), ``map.json`` (plan and results). A map of a device has its recordings in the directory
-``hits``.
+`rig zwidth`, `rig impedance map`, `rig.experiments.lab` and the console use this module. Files: ``plan.json`` (the
+plan, written first), ``journal`` (finished tasks), ``hits.parquet`` or ``walls.parquet`` (a row for each trial, with
+units), ``map.json`` (plan and results). A map of a device has its recordings in the directory ``hits``.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ VERSION = 2  # of `PLAN`
 
 
 class Map(Protocol):
-    """Finished map of hits or of impedances."""
+    """An interface of a finished map of hits or of impedances."""
 
     table_name: ClassVar[str]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Return a row for each trial."""
+        """Return the rows of the map's table, one for each trial: values by column."""
         ...
 
     def units(self) -> Mapping[str, str]:
-        """Return the unit of each column that has one."""
+        """Return the unit of each column of the table by name, without the columns that have no unit."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the results as plain values for JSON, without the single trials."""
+        """Return the results as JSON values by name, without the single trials."""
         ...
 
 
@@ -57,7 +57,7 @@ M_co = TypeVar("M_co", bound=Map, covariant=True)
 
 
 class Plan(Protocol[M_co]):
-    """Plan of a map: its tasks, and the function that computes the map from their results."""
+    """An interface of the plan of a map: its tasks, and the function that computes the map from the tasks' results."""
 
     unit: ClassVar[str]  # number in each row of a result that the progress counts
 
@@ -68,15 +68,15 @@ class Plan(Protocol[M_co]):
 
     @property
     def tasks(self) -> Sequence[sweep.Task]:
-        """Tasks of the map, created and checked at the first access; raises `PlanError` for one not permitted."""
+        """Return the tasks of the map, created at the first access; raise `PlanError` if one is not permitted."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as plain values, for the file `PLAN`."""
+        """Return the plan as JSON values by name, for the file ``plan.json``."""
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
-        """Return the finished map from the results of all tasks, in their order."""
+        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
         ...
 
 
@@ -96,9 +96,9 @@ def zwidth(
         Plan of the map: `rig.experiments.mapping.zwidth.MapPlan` or
         `rig.experiments.mapping.zwidth_frequency.FrequencyPlan`.
     journal
-        File that stores finished tasks; a later run of the same plan resumes from it. None: not stored.
+        File that stores finished tasks; a later run of the same plan resumes from this file. None: not stored.
     scheduler, workers, watch
-        As in `rig.experiments.sweep.run`.
+        Address of a Dask scheduler, number of threads, and progress function (as in `rig.experiments.sweep.run`).
 
     Raises
     ------
@@ -121,7 +121,7 @@ def zwidth(
 
 
 def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> Path:
-    """Return the directory of a plan; its name has a digest of all tasks and of this package's code version.
+    """Return the directory of a plan inside `where`; its name has `name` and a hash of all tasks and the code version.
 
     `device` names the mapped device (`rig.experiments.mapping._zwidth_rig.work_of`); empty for the simulation.
     """
@@ -141,7 +141,7 @@ def map_into(
 ) -> M:
     """Map a simulated rig and store plan, journal and results in a directory; raise the errors of `zwidth`.
 
-    Finished tasks of the directory's journal are not run again.
+    Tasks whose results are in the directory's journal (file of finished tasks) are not run again.
     """
     _write_plan(plan, directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
@@ -150,7 +150,7 @@ def map_into(
 
 
 def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
-    """Map a device and store everything in a directory; raise the errors of `zwidth_on_rig`."""
+    """Map a device by hits and store plan, journal and results in a directory; raise the errors of `zwidth_on_rig`."""
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
@@ -169,14 +169,14 @@ def _write_plan(plan: Plan[Any], directory: Path, device: str = "") -> None:
 
 
 def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
-    """Return the plan in a map's directory, and the URL of its device ("" for the simulation).
+    """Return the plan in a map's directory, and the URL of the mapped device ("" for the simulation).
 
     The map may be unfinished.
 
     Raises
     ------
     RecordingError
-        The directory is not a map, or is one of another version.
+        The directory has no map, or has a map of another version.
     ConfigError
         This version cannot read the experiment.
     """
@@ -198,14 +198,14 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) -> Path:
-    """Simulate one hit of a map again over the byte link, and return the path of its recording.
+    """Simulate one hit of a map again over the byte link, and return the path of the new recording in `output`.
 
-    The rows equal those of the map to the last bit. If the recording exists already, it is not made again.
+    The recorded rows equal the hit of the map to the last bit. If the recording exists already, it is not made again.
 
     Raises
     ------
     PlanError
-        A trial may not hit this wall, although a map may: in a soft wall the handle would leave its window.
+        A recorded trial may not hit this wall, although a map may: in a soft wall the handle would leave its window.
     """
     experiment = config.override(plan.experiment_of(series), {"wall.stiffness": stiffness}, "the map")
     experiment = config.override(experiment, {"rig.simulation.initial_position": start_of(experiment)})
@@ -227,13 +227,13 @@ def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) 
 
 
 def write_map(found: Map, directory: Path) -> None:
-    """Write the table of trials and the summary; raise `RecordingError` if a file cannot be written."""
+    """Write the table of trials and the summary of a map; raise `RecordingError` if a file cannot be written."""
     document = summary(found)
     write_table(directory / found.table_name, found.table(), found.units(), document)
     write_document(directory / SUMMARY, document)
 
 
 def summary(found: Map) -> dict[str, Any]:
-    """Return a map as plain values for JSON, without the single trials; for impedances also Table I."""
+    """Return a map's results as JSON values by name, without the single trials; for impedances also Table I."""
     more = {"table_one": plain(table_one(found))} if isinstance(found, FrequencyMap) else {}
     return {**found.as_mapping(), **more}

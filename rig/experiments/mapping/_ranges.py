@@ -1,6 +1,6 @@
-"""Choose default ranges of a map, and compute the limits that linear theory predicts for each of its schemes.
+"""Choose default ranges of a map, and compute the limits that linear theory predicts for each scheme of the map.
 
-Commands, pages and papers call it through `interface`.
+Commands, pages and papers call this module through `rig.experiments.mapping.interface`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ PAPERS_SCHEMES = (
 
 
 def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) -> tuple[float, float]:
-    """Bisect between `low`, for which `holds` is True, and `high`, for which it is False; return the last bounds."""
+    """Bisect between `low`, where `holds` is True, and `high`, where it is False; return the last two bounds."""
     for _ in range(steps):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -100,11 +100,12 @@ def search_for(
     schemes: Sequence[Scheme] = (),
     on_device: bool = False,
 ) -> StiffnessSearch:
-    """Return the stiffnesses of a search, between `lowest` and `highest` (N·m/rad or N/m).
+    """Return a search for the stiffness limit between `lowest` and `highest` (N·m/rad or N/m), with default bounds.
 
-    If not given, `highest` is `highest_stiffness`, and `lowest` is `highest`/`span` or less: down to a fourth of the
+    By default `highest` is `highest_stiffness`, and `lowest` is `highest`/`span` or less: down to a fourth of the
     lowest linear limit at B = 0 among the schemes (`theory.default_schemes` if empty), while the handle stays within
-    its window. On a device `lowest` is at least the softest wall that may be hit.
+    its window. On a device `lowest` is at least the softest wall that may be hit. `way` is the search's method, `ratio`
+    the ratio of two tested stiffnesses.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def search_for(
 
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
-    """Return the lowest linear limit of K at B = 0 among the schemes; inf if a drive renders the wall."""
+    """Return the lowest linear limit of K at B = 0 among the schemes (SI units); inf if a drive renders the wall."""
     if experiment.controller.wall_is_elsewhere:
         return math.inf
     experiment = theory.with_linear_wall(experiment)
@@ -163,7 +164,7 @@ def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
 
 
 def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
-    """Return the lowest stiffness that a trial may hit; with a softer wall the handle would leave its window."""
+    """Return the lowest stiffness (SI units) that a trial may hit; in softer walls the handle leaves its window."""
 
     def refused(logarithm: float) -> bool:
         walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
@@ -182,9 +183,9 @@ def schemes_for(
     *,
     on_device: bool = False,
 ) -> tuple[Scheme, ...]:
-    """Return the schemes of a map of hits: the given schemes, or by default the experiment's and uniform ones.
+    """Return the schemes of a map of hits: the given schemes, or by default the experiment's and uniform schemes.
 
-    The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default are uniform schemes
+    The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default schemes are uniform
     from 100 Hz to 50 kHz, because without damping the velocity rate has no effect.
     """
     if schemes:
@@ -197,7 +198,7 @@ def schemes_for(
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
-    """Return evenly spaced dampings from 0 to `BEYOND` times the highest linear limit among the schemes."""
+    """Return `columns` dampings (SI units), evenly spaced from 0 to 1.1 times the schemes' highest linear limit."""
     widest = max(_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
@@ -235,12 +236,12 @@ def hit_plan(
     schemes
         Sampling schemes; `schemes_for` if empty.
     dampings, search
-        Dampings (N·m·s/rad or N·s/m) and search of the stiffness; `dampings_for` and `search_for` if None.
+        Dampings (N·m·s/rad or N·s/m) and search for the stiffness; `dampings_for` and `search_for` if None.
     offsets
-        Places of position zero within its encoder cell (count). None: `rig.experiments.mapping.zwidth.OFFSETS`, or the
-        rig's only offset on a device.
+        Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). None:
+        `rig.experiments.mapping.zwidth.OFFSETS`, or the rig's only offset on a device.
     repeats
-        As in `MapPlan`.
+        Number of searches for each scheme, damping and offset.
     judged
         Signals that are judged, ``"recorded"`` or ``"true"``; recorded if None.
     on_device
@@ -266,7 +267,7 @@ def hit_plan(
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Return dampings and linear limits of K by the scheme's index; schemes with a nonlinear estimator are left out."""
+    """Return dampings and linear limits of K (SI units) by the scheme's index, if the estimator is linear."""
     if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
@@ -288,7 +289,7 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Return the rates (Hz) and the linear limits of K at B = 0 (N·m/rad or N/m); empty if theory covers none."""
+    """Return rates (Hz) and linear limits of K at B = 0 (N·m/rad or N/m) of all schemes that linear theory covers."""
     plan = found.map.plan
     limits = _linear_only(plan.schemes, lambda scheme: theory.k_max(plan.experiment, scheme, 0.0).stiffness)
     return [float(found.rates[number]) for number in limits], list(limits.values())
@@ -317,8 +318,9 @@ def frequency_plan(
     stiffnesses, dampings
         Values of the grid (N·m/rad or N/m, N·m·s/rad or N·s/m); `default_grid` if None.
     judging, signal
-        As in `FrequencyPlan`. Without `signal` a rigid rig is measured by encoder counts, and a rig of two masses by
-        the true position of the handle, because its encoder is not where it is excited.
+        Thresholds of the verdict, and measured position ("count" or "truth"). Without `signal` a rigid rig is measured
+        by encoder counts, and a rig of two masses by the true position of the handle, because the excitation acts on
+        the handle, not at the encoder.
 
     Raises
     ------
@@ -345,7 +347,7 @@ def frequency_plan(
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
     """Return schemes with the four estimators of Chawda et al., at the experiment's rates.
 
-    At 1 kHz they have the settings of the paper, at other rates their defaults.
+    At 1 kHz the estimators have the settings of the paper, at other rates their default settings.
     """
     rates = experiment.controller.position_rate, experiment.controller.velocity_rate
     if set(rates) == {PAPERS_RATE}:
@@ -358,7 +360,7 @@ def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
 def default_grid(
     experiment: Experiment, schemes: Sequence[Scheme]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return evenly spaced stiffnesses and dampings, up to `SHARE` of the limits of linear theory.
+    """Return evenly spaced stiffnesses and dampings (SI units), up to 40 % of the limits of linear theory.
 
     The limits are the largest stable stiffness over all dampings, and the largest stable damping, with an unfiltered
     difference and the best of the rates. The ends are rounded to two digits. Stiffnesses do not include zero.
@@ -381,10 +383,10 @@ def default_grid(
 def linear_curves(
     plan: FrequencyPlan, points: int = FREQUENCY_POINTS
 ) -> dict[int, tuple[list[float], list[float], list[float]]]:
-    """Return dampings, largest stable K and largest passive K of linear theory, by the scheme's index.
+    """Return dampings, largest stable K and largest passive K of linear theory (SI units), by the scheme's index.
 
-    Schemes with a nonlinear estimator are left out. A wall counts as passive if it is so within the plan's band; the
-    condition of Colgate and Schenkel (all frequencies) is stricter. Friction and quantisation are neglected.
+    Schemes with a nonlinear estimator are left out. A wall counts as passive if it is passive within the plan's band;
+    the condition of Colgate and Schenkel (all frequencies) is stricter. Friction and quantisation are neglected.
     """
     dampings, lines = np.linspace(plan.dampings[0], plan.dampings[-1], points), _lines(plan)
     excited = config.excited(plan.experiment)
@@ -399,7 +401,10 @@ def linear_curves(
 
 
 def passive_limit(loop: LinearLoop, damping: float, highest: float, lines_hz: Floats) -> float:
-    """Return the stiffness up to which linear theory predicts Re Z ≥ 0 at all these frequencies; at most `highest`."""
+    """Return the stiffness up to which linear theory predicts Re Z ≥ 0 at all these frequencies; at most `highest`.
+
+    Stiffnesses are in N·m/rad or N/m, the damping in N·m·s/rad or N·s/m.
+    """
     wall = walls(loop, lines_hz)
 
     def passive(stiffness: float) -> bool:

@@ -1,7 +1,7 @@
-"""Compute the share of a wall's damping that the effort limit lets through during slow motion.
+"""Compute the fraction of a wall's damping that remains below the effort limit during slow motion.
 
-A single encoder count reads as a high velocity, so B times this velocity may exceed the effort limit. Maps and designs
-do not count a wall of which less than `RENDERED` of the damping remains.
+Maps and designs call this module, and ignore a wall of which less than `RENDERED` of the damping remains. A single
+encoder count appears as a high velocity, so that B times this velocity may exceed the effort limit.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ _BISECTIONS = 40
 
 
 def rendered_share(experiment: Experiment, damping: float) -> float:
-    """Return the share of B·velocity that remains below the effort limit in a slow motion of single counts (0 to 1).
+    """Return the fraction of B·velocity that remains below the effort limit in a slow motion of single counts (0 to 1).
 
     Parameters
     ----------
     experiment
-        Estimator, velocity rate, encoder and effort limit; the damping of its wall is not used.
+        Estimator, velocity rate, encoder and effort limit; the damping of its wall is ignored.
     damping
         B of the wall (N·m·s/rad or N·s/m).
     """
@@ -36,7 +36,7 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
 
 
 def rendered_damping(experiment: Experiment) -> float:
-    """Return the largest B (N·m·s/rad or N·s/m) of which at least `RENDERED` is rendered; inf without a bound."""
+    """Return the largest B of which at least 80 % is rendered (N·m·s/rad or N·s/m); inf without an upper bound."""
     high = 1.0
     while rendered_share(experiment, high) >= RENDERED:
         high *= 2.0

@@ -1,7 +1,7 @@
-"""Search the walls that pass: choose the next wall to test, and find the limit for one damping or in a grid.
+"""Search for the walls that pass: choose the next wall to test, and find the limit at one damping or in a grid.
 
-A search is a generator: it yields a wall and receives its outcome by `send`, so that simulations and devices can test
-walls for it. `drive` runs a search.
+Maps of hits and of impedances use this module. A search is a generator: it yields a wall and receives the outcome of
+its test by `send`, so that the caller can test walls in a simulation or on a device. `drive` runs a search.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ Found = TypeVar("Found")
 def check_values(
     name: str, values: Sequence[Any], option: str, *, below: float = math.inf, rising: bool = False
 ) -> None:
-    """Raise `PlanError` if the values of a map's axis are empty, repeated, or numbers outside 0 ≤ value < `below`.
+    """Raise `PlanError` if `values` is empty, or has a repeated value or a number outside 0 ≤ value < `below`.
 
-    With `rising` they must be in ascending order. `option` names the option in the message.
+    With `rising` the values must be in ascending order. `name` and `option` name the values in the message.
     """
     if not values:
         raise PlanError(f"{name} (`{option}`): the list is empty", remedy="give at least one value")
@@ -61,7 +61,7 @@ def check_values(
 def numbers_of(text: str, name: str) -> tuple[float, ...]:
     """Return the numbers of a text: a list ``0,0.5,1``, or an equally spaced range ``0:3.6:17`` (first, last, count).
 
-    Raise `ConfigError`, whose message contains `name`, if it is neither.
+    Raise `ConfigError` for any other text; `name` names the text in the message.
     """
     try:
         if ":" not in text:
@@ -78,7 +78,10 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` with `name` in its message."""
+    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` for any other text.
+
+    `name` names the text in the message.
+    """
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -89,7 +92,7 @@ def bounds_of(text: str, name: str) -> tuple[float, float]:
 
 
 def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:
-    """Run a search: test each wall that it yields and send the outcome back; return the result of the search."""
+    """Run a search: test each wall that the generator yields, send the outcome back, and return the search's result."""
     try:
         wall = next(search)
         while True:
@@ -101,7 +104,7 @@ def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StiffnessSearch:
-    """Search of a stiffness limit: range (N·m/rad or N/m), ratio between two tested stiffnesses, and method (`way`)."""
+    """A search for a stiffness limit: range (N·m/rad or N/m), ratio of two tested stiffnesses, and method (`way`)."""
 
     way: Way = "ladder"
     lowest: float
@@ -122,7 +125,7 @@ class StiffnessSearch:
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to test and receive its outcomes, until the limit of every criterion is found."""
+        """Yield the next stiffness to test and receive its outcomes, until the limit under every criterion is found."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)
@@ -136,7 +139,7 @@ class StiffnessSearch:
 
 
 def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-    """Bisect for each criterion between its highest pass and its lowest failure; test no stiffness twice."""
+    """Yield each stiffness to test once, by bisection for each criterion between highest pass and lowest failure."""
     tried: dict[int, Outcomes] = {}
     for criterion in criteria:
         # The ends first: most dampings have a stable wall, and a cap that is reached needs no search.
@@ -153,14 +156,14 @@ def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Out
 
 @dataclass(frozen=True, slots=True)
 class StiffnessLimit:
-    """Stiffness limit at one damping, from the stiffnesses that were tested.
+    """A limit of the stiffness at one damping, from the outcomes of the tested stiffnesses.
 
     Attributes
     ----------
     stiffness
-        Highest stiffness that passed below every failure (N·m/rad or N/m); 0 if none did.
+        Highest stiffness that passed below every failure (N·m/rad or N/m); 0 if no stiffness passed there.
     failed_at
-        Lowest stiffness that failed; None if none did: the limit is then only a lower bound.
+        Lowest stiffness that failed; None if no stiffness failed, so that the limit is only a lower bound.
     islands
         Ranges (lowest, highest) of stiffnesses that pass above a failure.
     unknown
@@ -174,12 +177,12 @@ class StiffnessLimit:
 
     @property
     def capped(self) -> bool:
-        """Return True if the limit is only a lower bound: some wall passed and none failed."""
+        """Return True if the limit is only a lower bound: a wall passed and no wall failed."""
         return self.failed_at is None and self.stiffness > 0.0
 
 
 def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
-    """Return the limit for these outcomes by stiffness."""
+    """Return the stiffness limit for the outcomes `tried`: True, False or None (invalid) by stiffness (SI unit)."""
     stiffness, failed_at = 0.0, None
     islands: list[tuple[float, float]] = []
     connected = False  # whether the last valid outcome belongs to the current island
@@ -203,14 +206,14 @@ def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Extent of a curve of stiffness limits over the damping.
+    """An extent of the region of stable walls below a curve of stiffness limits over the damping.
 
     Attributes
     ----------
     damping
-        Largest damping at which a wall passes (N·m·s/rad or N·s/m); 0 if none does.
+        Largest damping at which a wall passes (N·m·s/rad or N·s/m); 0 if no wall passes.
     area
-        Area under the curve up to that damping; it is a lower bound if there are holes, where the curve is zero.
+        Area under the curve up to `damping`; a lower bound if there are holes, where the curve is zero.
     holes
         Smaller dampings at which no wall passed: the limit is below the softest tested wall, or does not exist.
     """
@@ -221,7 +224,7 @@ class Extent:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Extent:
-        """Return the extent of limits of K (0: no wall passed) at ascending dampings."""
+        """Return the extent for limits of K (N·m/rad or N/m; 0: no wall passed) at ascending dampings."""
         k, b = np.array(limits), np.array(dampings)
         passing = np.flatnonzero(k > 0.0)
         if not len(passing):
@@ -235,7 +238,7 @@ class Extent:
 
 
 def connected(passive: Flags) -> Flags:
-    """Return True for walls that are passive together with all softer walls of the same damping.
+    """Return an array that is True for walls that are passive together with all softer walls of the same damping.
 
     Argument and result have the axes ``[..., damping, stiffness]``.
     """
@@ -251,19 +254,19 @@ Traced = tuple[tuple[tuple[int, int], ...], tuple[int, ...], Ending]  # edge, ca
 def boundary_search(
     dampings: int, stiffnesses: int, start: Cell = (0, 0), *, looks: bool = True
 ) -> Generator[Cell, bool, Traced]:
-    """Walk along the boundary of a grid: yield each wall to test once, and receive True if it is passive.
+    """Walk along the boundary of passive walls in a grid: yield each wall to test, and receive True if it is passive.
 
     The stiffness rises until a wall is not passive. Then the damping rises by a step, and the stiffness falls until a
     wall is passive, or rises until a wall is not passive, and so on, until no stiffness remains. The search needs a
     tenth of a grid's tests. It assumes that the start is passive, and that each damping has a single limit; in an
-    irregular map it may follow the boundary of an island.
+    irregular map the search may follow the boundary of an island (passive walls above a wall that is not passive).
 
     Parameters
     ----------
     dampings, stiffnesses
         Number of dampings and of stiffnesses in the grid.
     start
-        Wall at which the search starts; it should be passive.
+        Wall at which the search starts (index of damping, index of stiffness); it should be passive.
     looks
         True to try walls with more damping if the start is not passive.
 
@@ -306,16 +309,18 @@ def boundary_search(
 
 @dataclass(frozen=True, slots=True)
 class GridSearch:
-    """Result of a boundary search in a finished grid, and the true edge of the grid to compare with.
+    """A result of a boundary search in a finished grid, and the true edge of the grid for comparison.
 
-    An edge is the highest passive stiffness at a damping. Walls are pairs of indices into `dampings`, `stiffnesses`.
+    An edge is the highest passive stiffness at each damping. A wall is a pair of indices into `dampings` and
+    `stiffnesses`.
 
     Attributes
     ----------
     path
         Walls in the order of their tests.
     edge
-        Edge (damping, stiffness) that the search found, from the start's damping on; stiffness −1: none is passive.
+        Edge that the search found, as pairs (damping, stiffness) from the start's damping on; stiffness −1: no passive
+        wall.
     capped
         Dampings at which even the highest stiffness was passive, so that the true edge is higher.
     ending
@@ -323,8 +328,8 @@ class GridSearch:
     cells
         Number of walls in the grid.
     connected
-        Edge of the grid's connected region at each damping; −1: none is passive.
-
+        Index of the true edge at each damping: highest stiffness up to which all walls are passive; −1: no passive
+        wall.
     dampings, stiffnesses
         Values of the grid.
     """
@@ -340,17 +345,17 @@ class GridSearch:
 
     @property
     def highest(self) -> int:
-        """Return the index of the largest stiffness on the edge that the search found; −1 if none is passive."""
+        """Return the index of the largest stiffness on the edge that the search found; −1 if no wall is passive."""
         return max(stiffness for _, stiffness in self.edge)
 
     @property
     def above(self) -> int:
-        """Number of dampings at which the found edge is above that of the connected region, so on an island."""
+        """Number of dampings at which the found edge is above the true edge, and therefore on an island."""
         return sum(k > self.connected[b] for b, k in self.edge)
 
     @property
     def below(self) -> int:
-        """Number of dampings at which the found edge is below that of the connected region."""
+        """Number of dampings at which the found edge is below the true edge of the grid."""
         return sum(k < self.connected[b] for b, k in self.edge)
 
     @property
@@ -360,7 +365,7 @@ class GridSearch:
         return sum(b not in seen and k >= 0 for b, k in enumerate(self.connected))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values for JSON, in SI units; None stands for a damping without passive walls."""
+        """Return the result as JSON values by name, in SI units; None marks a damping without passive walls."""
         dampings, stiffnesses = self.dampings, self.stiffnesses
 
         def walls(edge: Iterable[tuple[int, int]]) -> list[list[float | None]]:
@@ -389,9 +394,9 @@ def trace_grid(
     start: Cell = (0, 0),
     looks: bool = True,
 ) -> GridSearch:
-    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare both edges.
+    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare found and true edge.
 
-    Without values for `dampings` and `stiffnesses` the indices are used.
+    If `dampings` or `stiffnesses` are not given, their indices are used.
     """
     rows, columns = passive.shape
     path: list[Cell] = []

@@ -1,7 +1,8 @@
 """Map walls by hits on a device: home, ask a person for permission, hit, and let the motor cool, again and again.
 
-`_maps` and `rig zwidth --url` call it. The map is computed from the recordings of its hits. An invalid hit is repeated
-and not used. Finished series stay in the journal, and the same command resumes after them.
+`_maps` calls this module for `rig zwidth --url`. The map is computed from the recordings of its hits. An invalid hit is
+repeated and not used. Results of finished series stay in the journal (file of results), and the same command resumes
+after them.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ CALM_S = 0.5  # pause between hits, whatever the motor's heat
 
 @dataclass(frozen=True, slots=True)
 class Next:
-    """Next hit, which a person must permit."""
+    """A description of the next hit, which a person must permit."""
 
     scheme: str
     stiffness: float
@@ -52,7 +53,7 @@ class Next:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceMap:
-    """Device of a map, and functions for the dialogue with a person.
+    """A device to map, and functions for the dialogue with a person.
 
     Attributes
     ----------
@@ -60,9 +61,9 @@ class DeviceMap:
         Device to map. Walls are armed even if the link makes them dangerous, because the map must find unstable walls;
         a person permits each hit instead.
     agrees
-        Called before each hit; the session ends if it returns False.
+        Called with the next hit before each hit; the session ends if it returns False.
     report
-        Called after each hit with the hit, its measurement, and True if the hit is valid.
+        Called after each hit with the hit, its measured numbers, and True if the hit is valid.
     pause
         Called between two hits with the time to wait (s), which is longer if the motor must cool.
     """
@@ -74,7 +75,7 @@ class DeviceMap:
 
 
 def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
-    """Map a device by hits; store finished series in the journal, and skip series that it contains.
+    """Map a device by hits; store finished series in the journal, and skip series whose results it contains.
 
     Raises
     ------
@@ -82,7 +83,7 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
         The plan needs a simulation (judged by true signals, or several encoder offsets), or the device or its link
         cannot run a scheme or a wall. Nothing has moved.
     StoppedError
-        The person did not agree, or Ctrl-C was pressed; finished series stay in the journal.
+        The person did not agree, or Ctrl-C was pressed; results of finished series stay in the journal.
     RigError
         A hit ended early for another reason than an unstable wall, or was invalid in `ATTEMPTS` attempts.
     """
@@ -117,12 +118,15 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
 
 
 def work_of(url: str, realtime: bool) -> str:
-    """Return the name of a device for the journal, which must not mix the hits of two devices."""
+    """Return the name of a device for the journal, so that the hits of two devices are not mixed."""
     return f"{url} in real time" if realtime else url
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
-    """Return the time of rest after a push (s) with which the mean heat is that of the nominal effort (N·m or N)."""
+    """Return the pause (s) after a push that lowers the mean heat to that of the nominal effort.
+
+    Efforts are in N·m or N; `duration_s` is the duration of the push (s).
+    """
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 
@@ -169,7 +173,7 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
 
 @dataclass(slots=True)
 class _Hits:
-    """Hits on an open device; `thrown_out` is True if the last wall threw the handle out."""
+    """A runner of hits on an open device; `thrown_out` is True if the last wall drove the handle out of its window."""
 
     session: DeviceMap
     trials: Trials
@@ -186,7 +190,7 @@ class _Hits:
         return rows
 
     def _row(self, experiment: Experiment, asked: Next) -> dict[str, Any]:
-        """Hit one wall until a hit is valid, and return its row; raise `RigError` after `ATTEMPTS` invalid hits."""
+        """Hit one wall until a hit is valid; return its numbers. Raise `RigError` after `ATTEMPTS` invalid hits."""
         for attempt in range(1, ATTEMPTS + 1):
             moved = self.thrown_out and self.trials.device is not None
             asked = replace(asked, attempt=attempt, thrown_out=moved)
@@ -212,9 +216,9 @@ class _Hits:
         raise error
 
     def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
-        """Run one hit and return its recording.
+        """Run one hit and return its recording, also if the wall or a lack of processor or link time ended the hit.
 
-        A hit that the wall or a lack of processor or link time ended is returned, too; raise the error of other ends.
+        Raise the error if the hit ended early for another reason.
         """
         self.thrown_out = False
         done = self.trials.run(experiment, {"wall.stiffness": stiffness})
@@ -229,7 +233,7 @@ class _Hits:
 
 
 def _by_the_wall(ended: Ended) -> bool:
-    """Return True if the wall threw the handle out during the push or the release."""
+    """Return True if an unstable wall drove the handle out of its window during the push or the release."""
     early = ended.recorded.judgement.early
     return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""
 

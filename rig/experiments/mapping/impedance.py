@@ -3,8 +3,8 @@
     results = measure_impedance(experiment, walls=[(0.0, 0.0), (20e3, 60.0)])
     results[1].judgement.passive, results[1].fidelity.rms
 
-`rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and pictures call it. Estimators and fits
-are in `rig.analysis.impedance`. It must not load the other kinds of map.
+`rig impedance measure`, maps of impedances, `rig.experiments.measure`, papers and plots call this module. Estimators
+and fits are in `rig.analysis.impedance`. This module must not import the other kinds of map.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ _JUDGEMENT: Final = "Excitation and judgement"  # group of options
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """Settings of the verdict on a measured impedance (`rig.analysis.impedance._verdict.judge`)."""
+    """A set of thresholds for the verdict (passive or not) on a measured impedance (`rig.analysis.impedance`)."""
 
     band_hz: Annotated[
         tuple[float, float] | None,
@@ -134,23 +134,24 @@ class Judging:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ImpedanceResult(Shown, Drawn):
-    """Measured impedance of one wall with one scheme.
+    """A measured impedance of one wall with one sampling scheme.
 
     Attributes
     ----------
     experiment
         Experiment as it ran, with scheme, wall and excitation.
     impedance, judgement, fidelity
-        Impedance at each frequency, its verdict and its fidelity; None if the guard ended a run.
+        Impedance at each frequency, verdict on its passivity, and deviation from the ideal wall; None if the guard
+        ended a run.
     fitted
-        Mass and viscous damping of a bare rig (no wall), without the described back-EMF. None for a wall, whose K and B
-        are in `fidelity`.
+        Mass and viscous damping of the rig without a wall, without the described back-EMF. None for a wall, whose K and
+        B are in `fidelity`.
     method, signal
-        Method of the estimate, and the measured position.
+        Method of the estimate, and the measured position (encoder counts or true position).
     ended, ended_s
         Reason why the guard ended a run, and the time since the run's beginning (s); None for a complete measurement.
     saturated
-        Share of ticks in which the effort was clipped (0 to 1): above zero the rig was not linear.
+        Fraction of ticks in which the effort was clipped (0 to 1): above zero the rig was not linear.
     recordings
         Recordings of a device; empty for a simulation.
     """
@@ -199,12 +200,12 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def scheme(self) -> str:
-        """Return the sampling scheme in its text form."""
+        """Return the sampling scheme as text, like "uniform:1k,estimator=kalman"."""
         return Scheme.of(self.experiment).text
 
     @reported
     def label(self) -> str:
-        """Return the text for legends: wall and scheme."""
+        """Return a label for a plot's legend: wall and sampling scheme."""
         scheme = Scheme.of(self.experiment).label(self.experiment)
         if self.bare:
             return f"bare rig, {scheme}"
@@ -218,12 +219,12 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def note(self) -> str | None:
-        """Return a note if a simulation with the host's law stands for a law on the device, else None."""
+        """Return a sentence if the host's law was simulated in place of a law on the device; else None."""
         return STANDS_FOR_DEVICE if self.loop == "device" and not self.recordings else None
 
     @reported
     def excitation(self) -> dict[str, Any]:
-        """Return the keys of the excitation, with the rms or peak effort in effect (N·m or N)."""
+        """Return the values of the section ``[excitation]`` by key, with the computed rms or peak effort (N·m or N)."""
         x = self.experiment
         return {
             **config.as_mapping(x)["excitation"],
@@ -232,7 +233,7 @@ class ImpedanceResult(Shown, Drawn):
         }
 
     def brief(self) -> list[Item]:
-        """Return the verdict and the fidelity, or the reason for an early end."""
+        """Return the lines of a short report: verdict and fidelity, or the reason for an early end."""
         if self.judgement is None or self.fidelity is None:
             return [self.label, Row("ended", self.ended, note=f"after {self.ended_s:.3g} s")]
         unit, tested = unit_of("damping", self.motion), self.judgement.passivity
@@ -267,7 +268,8 @@ def measure_impedance(
     experiment
         Rig, and all settings that the other parameters do not replace.
     walls
-        Stiffness and damping of each wall; both zero: the bare rig. None: the experiment's wall.
+        Stiffness and damping of each wall (N·m/rad and N·m·s/rad, or N/m and N·s/m); both zero: the rig without a wall.
+        None: the experiment's wall.
     schemes
         Rates and estimators. If empty: the experiment's scheme.
     excitation
@@ -276,11 +278,11 @@ def measure_impedance(
         ``"periodic"``: ratio of effort to velocity at the excited frequencies. ``"welch"``: the method of MATLAB's
         tfestimate.
     signal
-        Encoder counts, or the true position of the simulated handle (see `ExcitedRig`).
+        Measured position: encoder counts ("count"), or the true position of the simulated handle ("truth").
     judging
         Band and thresholds of the verdict.
     watch
-        Called after each run with the number of runs done and their total.
+        Called after each run with the number of finished runs and the number of all runs.
 
     Raises
     ------
@@ -289,7 +291,7 @@ def measure_impedance(
     PlanError
         The excitation exceeds a limit of effort, position or speed; nothing was run.
     LawError
-        Estimator or law return a value that is not finite.
+        The estimator or the law returned a value that is not finite.
     """
     asked = prepared(experiment, walls, schemes, excitation)
     refuse_excitations([one for group in asked for one in group])
@@ -314,7 +316,7 @@ def measure_impedance(
 def unexpected(
     results: Sequence[ImpedanceResult], expected: Collection[str]
 ) -> UnexpectedVerdictError | None:
-    """Return the error for the first wall that is not as expected (``passive``, ``not-passive``), None if all are.
+    """Return an error for the first result whose verdict is not in `expected` ("passive", "not-passive"); else None.
 
     If `expected` is empty, return None.
     """
@@ -342,11 +344,11 @@ def measure_on_device(
     watch: Watch | None = None,
     agrees: Callable[[Experiment], bool] | None = None,
 ) -> Iterator[ImpedanceResult]:
-    """Measure the impedance of a device, real or simulated, by its motor; yield the result of each wall when measured.
+    """Measure the impedance of a real or simulated device, excited by its motor; yield each wall's result in turn.
 
-    Each realisation is a recorded trial. Parameters are those of `measure_impedance`; `agrees` is called with the
-    experiment before each wall, and the measurement ends if it returns False. If the guard ends a trial, the next wall
-    is measured.
+    Each realisation (draw of the phases) is a recorded trial. Parameters are those of `measure_impedance`; `agrees` is
+    called with the experiment before each wall, and the measurement ends if it returns False. If the guard ends a
+    trial, the next wall is measured.
 
     Raises
     ------
@@ -429,7 +431,7 @@ def conclude(
     judging: Judging | None = None,
     recordings: tuple[Path, ...] = (),
 ) -> ImpedanceResult:
-    """Estimate and judge the impedance of one wall from the runs of all its realisations."""
+    """Estimate and judge the impedance of one wall from the runs of all realisations (draws of the phases)."""
     judging = judging or Judging()
     saturated = float(np.mean([run.saturated for run in runs]))
     records = [run.record for run in runs if run.record is not None]
@@ -475,7 +477,7 @@ def conclude(
 def recorded_impedance(
     recordings: Sequence[Recording], *, method: Method = "periodic", judging: Judging | None = None
 ) -> ImpedanceResult:
-    """Estimate and judge one wall from recordings; if a realisation was repeated, only its last recording is used.
+    """Estimate and judge the impedance of one wall from recordings; a repeated realisation replaces the earlier one.
 
     Raises
     ------
@@ -501,7 +503,7 @@ def recorded_impedance(
 
 
 def known_device(experiment: Experiment) -> RigidRig:
-    """Return mass, damping and back-EMF of the rig as described in the experiment."""
+    """Return the rig's model without a wall, as described: mass, damping, back-EMF and the amplifier's lag."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
@@ -514,7 +516,7 @@ def known_device(experiment: Experiment) -> RigidRig:
 def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count") -> Complexes | None:
     """Return the impedance that linear theory predicts at these frequencies (Hz); None for a nonlinear estimator.
 
-    Friction and quantisation are neglected. `signal` is the measured position.
+    Friction and quantisation are neglected. `signal` is the measured position: "count" or "truth".
     """
     wall, seen = experiment.wall, SEEN[signal]
     try:
@@ -526,7 +528,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
 def _record_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
-    """Record one realisation, and repeat it if samples were lost; return the last run and the paths of all attempts."""
+    """Record one realisation, again if samples were lost; return the last run and the paths of all recordings."""
     paths: list[Path] = []
     while True:
         try:
@@ -541,7 +543,7 @@ def _record_whole(
 def _record_realisation(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, Path]:
-    """Run one realisation as a recorded trial; return its run and the path of the recording."""
+    """Run one realisation as a recorded trial; return the run's signals and the path of the recording."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
         experiment,
@@ -564,7 +566,7 @@ def _record_realisation(
 
 
 def write_results(results: Sequence[ImpedanceResult], directory: Path) -> tuple[Path, Path]:
-    """Write a table with a row for each frequency of each result, and all results as JSON; return both paths.
+    """Write a Parquet table with a row for each frequency of each result, and all results as JSON; return both paths.
 
     Raise `rig.core.errors.RecordingError` if a file cannot be written.
     """

@@ -1,7 +1,7 @@
-"""Public names of this package: maps of hits and of impedances, their plans and results, and limits of linear theory.
+"""Re-export the public names of this package: maps of hits and of impedances, their plans and results, and theory.
 
-Commands, pages, pictures and papers import it. It defines nothing, and no file of this package imports it, so that a
-single measured impedance or a table of limit cycles does not load every kind of map.
+Commands, pages, plots and papers import this module. It defines nothing, and no file of this package imports it, so
+that a single measured impedance or a table of limit cycles does not import every kind of map.
 """
 
 from rig.experiments.hits._on_device import OnDevice

@@ -1,8 +1,8 @@
-"""Summarise a map of impedances like Table I of Chawda et al.: widths of the connected region, and its worst fidelity.
+"""Summarise a map of impedances like Table I of Chawda et al.: widths of the passive region, and its worst fidelity.
 
-A wall is connected if it and all softer walls of its damping are passive. *K-width* is the largest connected stiffness,
-*B-width* the largest damping with a connected wall. Both are values of the grid, so accurate to one step; at the end of
-the grid they are only lower bounds.
+`rig impedance map` and the reproduced paper use this module. A wall is connected if it and all softer walls of its
+damping are passive. *K-width* is the largest connected stiffness, *B-width* the largest damping with a connected wall.
+Both are values of the grid, so accurate to one step; at the end of the grid they are only lower bounds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ POINTS = 4  # common walls that are shown
 
 @dataclass(frozen=True, slots=True)
 class PassiveIsland:
-    """Range of passive walls above a wall that is not passive: its damping, lowest and highest stiffness."""
+    """A range of passive walls above a wall that is not passive: damping, lowest and highest stiffness."""
 
     damping: float
     lowest: float
@@ -38,26 +38,28 @@ class PassiveIsland:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyWidth:
-    """Widths of one scheme's map, by one realisation or by all realisations together.
+    """A set of widths of one scheme's map, for one realisation (draw of the phases) or for all realisations together.
 
-    Stiffnesses are in N·m/rad or N/m, dampings and fidelity errors in N·m·s/rad or N·s/m.
+    Stiffnesses are in N·m/rad or N/m, dampings and fidelity errors in N·m·s/rad or N·s/m. A wall is connected if it and
+    all softer walls of its damping are passive.
 
     Attributes
     ----------
     stiffness, at_damping
-        K-width, and its damping; 0 and NaN if no wall is connected.
+        K-width (largest connected stiffness), and its damping; 0 and NaN if no wall is connected.
     stiffness_undamped
         Largest connected stiffness at B = 0; None if the grid does not include B = 0.
     damping
-        B-width; NaN if no wall is connected. 0 means that walls are connected at B = 0 only.
+        B-width (largest damping with a connected wall); NaN if no wall is connected, 0 if walls are connected at B = 0
+        only.
     worst_fidelity, worst_stiffness, worst_damping
-        Largest fidelity error in the connected region, and its wall; NaN if no wall is connected.
+        Largest fidelity error among the connected walls, and its wall; NaN if no wall is connected.
     cells, islands
-        Number of walls in the connected region, and passive ranges outside of it.
+        Number of connected walls, and ranges of passive walls that are not connected.
     gaps
         Dampings below the B-width without a connected wall.
     stiffness_capped, damping_capped
-        True if the connected region reaches the end of the grid, so that the width is a lower bound.
+        True if connected walls reach the end of the grid, so that the width is a lower bound.
     """
 
     stiffness: float
@@ -112,7 +114,7 @@ class FrequencyWidth:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean, standard deviation and range over the `count` realisations that have a finite value."""
+    """A mean, standard deviation and range of a number over the `count` realisations in which it is finite."""
 
     mean: float
     deviation: float
@@ -122,7 +124,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Return the spread of the finite values; the deviation of a single value, and all numbers of none, are NaN."""
+        """Return mean, deviation and range of the finite values; NaN without values, NaN deviation for one."""
         kept = [value for value in values if math.isfinite(value)]
         if not kept:
             return cls(math.nan, math.nan, math.nan, math.nan, 0)
@@ -132,14 +134,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class SchemeWidths:
-    """Widths of one scheme: by all realisations together, and by each realisation alone."""
+    """A set of widths of one scheme: for all realisations together, and for each realisation alone."""
 
     together: FrequencyWidth
     each: tuple[FrequencyWidth, ...]
 
     @classmethod
     def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
-        """Return the widths of a scheme, given by its index in the map."""
+        """Return the widths of the scheme with the index `scheme` in the map `found`."""
         plan = found.plan
         *each, together = (
             FrequencyWidth.of(
@@ -151,23 +153,23 @@ class SchemeWidths:
 
     @reported
     def stiffness(self) -> Spread:
-        """Return the spread of the K-width over realisations; it is 0 for a realisation without connected walls."""
+        """Return mean and range of the K-width (N·m/rad or N/m) over all realisations; 0 without connected walls."""
         return Spread.of([width.stiffness for width in self.each])
 
     @reported
     def damping(self) -> Spread:
-        """Return the spread of the B-width over the realisations with connected walls."""
+        """Return mean and range of the B-width (N·m·s/rad or N·s/m) over the realisations with connected walls."""
         return Spread.of([width.damping for width in self.each])
 
     @reported
     def worst_fidelity(self) -> Spread:
-        """Return the spread of the largest fidelity error over the realisations with connected walls."""
+        """Return mean and range of the largest fidelity error over the realisations with connected walls."""
         return Spread.of([width.worst_fidelity for width in self.each])
 
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """Column of Table I in the paper: K-width (N/m), B-width and worst fidelity (N·s/m), number of tuned values."""
+    """A printed column of Table I: K-width (N/m), B-width and worst fidelity (N·s/m), number of tuned values."""
 
     stiffness: float
     damping: float
@@ -187,24 +189,24 @@ PAPERS_RIG, PAPERS_RATE = "chawda-linear", 1000
 
 @dataclass(frozen=True, slots=True)
 class SchemeRow:
-    """Row of the table: one scheme.
+    """A row of the table: the results of one scheme.
 
     Attributes
     ----------
     scheme, label, estimator
-        Text form of the scheme, text for legends, name of the estimator.
+        Scheme as text, label for a plot's legend, and name of the estimator.
     widths
-        K-width, B-width and worst fidelity, by all realisations together and by each.
+        K-width, B-width and worst fidelity, for all realisations together and for each realisation.
     tuned
         Names of the tuned parameters.
     common
-        Fidelity error at each of `TableOne.points`, as spread over realisations.
+        Fidelity error at each wall of `TableOne.points`: mean and range over realisations.
     common_mean
-        Mean fidelity error over all common walls, as spread over realisations.
+        Mean fidelity error over all common walls: mean and range over realisations.
     search
         Result of the paper's boundary search in this map.
     paper
-        Column of the paper; None for another rig, rate or estimator.
+        Column that the paper prints; None for another rig, rate or estimator.
     """
 
     scheme: str
@@ -220,9 +222,9 @@ class SchemeRow:
 
 @dataclass(frozen=True, slots=True)
 class TableOne:
-    """Table of the widths of all schemes.
+    """A table of the widths of all schemes of a map.
 
-    Common walls have damping and are connected for all `comparable` schemes.
+    Common walls have damping above 0, and all `comparable` schemes render them and all softer walls passively.
 
     Attributes
     ----------
@@ -233,9 +235,9 @@ class TableOne:
     common_walls
         Number of common walls.
     comparable
-        Indices of the schemes that have a connected wall with damping.
+        Indices of the schemes that have a connected wall with damping above 0.
     band_hz, realisations, stiffness_step, damping_step
-        Settings on which all numbers depend.
+        Band (Hz), number of realisations, and largest steps of the grid, on which all numbers depend.
     """
 
     rows: tuple[SchemeRow, ...]
@@ -319,7 +321,7 @@ def _papers(experiment: Experiment, scheme: Scheme, estimator: str) -> Printed |
 
 
 def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
-    """Return up to `POINTS` of the cells, evenly spaced in the order of damping times stiffness."""
+    """Return up to `POINTS` of the walls, evenly spaced in the order of damping times stiffness."""
     if len(cells) == 0:
         return []
     order = np.argsort((cells[:, 0] + 1) * (cells[:, 1] + 1), kind="stable")

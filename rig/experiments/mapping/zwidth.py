@@ -1,8 +1,9 @@
 """Map the Z-width in the time domain: find by hits for which walls (K, B) a rig is stable with each sampling scheme.
 
-A map consists of independent *series*. A series has one scheme, damping, encoder offset and repeat, and searches the
-stiffness limit (`rig.experiments.mapping._searches`). Each map has limits for all criteria (felt, heard, any); its
-table has the numbers of recorded and true signals. Source: Koul et al. 2013, section III and Fig. 6.
+`_maps`, `_zwidth_rig` and designs use this module. A map consists of independent *series*. A series has one scheme,
+damping, encoder offset and repeat, and searches the stiffness limit (`rig.experiments.mapping._searches`). Each map has
+limits for all criteria (felt: velocity ripple; heard: effort ripple; any: also position ripple); its table has the
+numbers of recorded and true signals. Source: Koul et al. 2013, section III and Fig. 6.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not sh
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Search of one stiffness limit: index of the scheme, damping, encoder offset (count), index of the repeat."""
+    """A search for one stiffness limit: index of the scheme, damping, encoder offset (counts), index of the repeat."""
 
     scheme: int
     damping: float
@@ -55,13 +56,13 @@ class Series:
 
     @property
     def key(self) -> str:
-        """Return the key of the series in a journal."""
+        """Return the unique name of the series in the journal (file of finished series)."""
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class MapPlan:
-    """Plan of a map of hits.
+    """A plan of a map of hits.
 
     Attributes
     ----------
@@ -72,15 +73,16 @@ class MapPlan:
     dampings
         Dampings of the walls (N·m·s/rad or N·s/m).
     search
-        Stiffnesses, and the method of the search.
+        Range of stiffnesses, and the method of the search.
     offsets
-        Places of position zero within its encoder cell (count, 0 to below 1), which influence if a stiff wall vibrates.
+        Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1), which influence if a
+        stiff wall vibrates.
     repeats
         Number of series for each scheme, damping and offset; they differ in the exact start and in a hand's tremor.
     judged
-        Signals that are judged: ``"recorded"``, as for a single hit, or ``"true"`` ones of the simulation.
+        Signals that are judged: ``"recorded"``, as for a single hit, or ``"true"``, the truth of the simulation.
     criteria
-        Criteria (felt, heard, any) for each of which a limit is searched, with additional hits.
+        Criteria for each of which a limit is searched, with additional hits: "felt", "heard", "any".
     """
 
     experiment: Experiment
@@ -95,7 +97,7 @@ class MapPlan:
     unit: ClassVar[str] = "ticks"
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` for empty, duplicate or invalid schemes, dampings or offsets, and for no repeats."""
+        """Raise `PlanError` if schemes, dampings or offsets are empty, repeated or invalid, or `repeats` is below 1."""
         check_values("schemes", [scheme.text for scheme in self.schemes], "scheme")
         check_values("dampings", self.dampings, "damping")
         check_values("offsets", self.offsets, "offsets", below=1.0)
@@ -115,7 +117,7 @@ class MapPlan:
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
         """Return the experiment of a series, except for its stiffness.
 
-        `under` is the plan's experiment with the scheme of the series already applied; None: it is applied here.
+        `under` is the plan's experiment with the scheme of the series already applied; None: apply the scheme here.
         """
         changes = {
             "rig.encoder.offset": series.offset,
@@ -127,7 +129,7 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each series; raise `ConfigError` for an invalid experiment, checked only here."""
+        """Return a task for each series; raise `ConfigError` if the experiment of a series is invalid."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
@@ -145,7 +147,7 @@ class MapPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as plain values, from which `from_mapping` restores it."""
+        """Return the plan as JSON values by name, from which `from_mapping` restores the plan."""
         own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
         named = {
             name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
@@ -154,7 +156,7 @@ class MapPlan:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
-        """Return the plan from plain values; a `ConfigError` names their source, `where`."""
+        """Return the plan from JSON values; `where` names their source in the message of a `ConfigError`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -167,7 +169,7 @@ class MapPlan:
         )
 
     def found(self, results: Sequence[Any]) -> ZWidth:
-        """Return the finished map from the results of all tasks, in their order."""
+        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
         return ZWidth.of(self, results)
 
 
@@ -190,7 +192,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """Stiffness limit of one scheme at one damping under one criterion, over all offsets and repeats.
+    """A stiffness limit of one scheme at one damping under one criterion, over all offsets and repeats.
 
     Attributes
     ----------
@@ -206,7 +208,7 @@ class Boundary:
     limits
         Limit of each series.
     rendered
-        Share of the damping that is rendered in slow motion (0 to 1; `rig.experiments.mapping._rendering`).
+        Fraction of the damping that remains below the effort limit in slow motion (0 to 1).
     """
 
     scheme: int
@@ -223,7 +225,7 @@ class Boundary:
 
     @property
     def counted(self) -> float:
-        """Stiffness limit for the computation of a width (N·m/rad or N/m): 0 if the damping is not rendered."""
+        """Stiffness limit that counts for a width (N·m/rad or N/m): 0 if less than 80 % of B is rendered."""
         return self.stiffness if self.rendered >= RENDERED else 0.0
 
     @classmethod
@@ -255,12 +257,12 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """Numbers that summarise a curve of limits over the damping. Dampings that are not rendered are left out.
+    """A summary of a curve of stiffness limits over the damping, without dampings of which less than 80 % is rendered.
 
     Attributes
     ----------
     stiffness_undamped
-        Limit at B = 0 (N·m/rad or N/m); None if the map does not include B = 0, 0 if no wall passed there.
+        Limit at B = 0 (N·m/rad or N/m); None if the map does not include B = 0, 0 if no wall passed at B = 0.
     stiffness_peak, damping_at_peak
         Largest limit (N·m/rad or N/m), and its damping (N·m·s/rad or N·s/m).
     damping_range
@@ -273,9 +275,9 @@ class Width:
     holes
         Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
     not_rendered
-        Dampings that were left out because they are not rendered.
+        Dampings that were left out because less than 80 % of them is rendered.
     lowest
-        Lowest stiffness that was tried (N·m/rad or N/m); if no wall passed, the limit is below it.
+        Lowest stiffness that was tried (N·m/rad or N/m); if no wall passed, the limit is below this stiffness.
     """
 
     stiffness_undamped: float | None
@@ -293,7 +295,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ZWidth(Shown, Drawn):
-    """Finished map: its plan, its boundaries, and the rows of all hits (read from the journal, if there is one)."""
+    """A finished map of hits: its plan, its stiffness limits, and the numbers of all hits."""
 
     table_name: ClassVar[str] = "hits.parquet"
 
@@ -305,17 +307,17 @@ class ZWidth(Shown, Drawn):
 
     @property
     def cutoffs(self) -> str | None:
-        """Return a sentence if schemes that state no cut-off get different ones; None if all are equal."""
+        """Return a sentence if schemes without an explicit cut-off get different cut-offs; None if all are equal."""
         return describe_cutoffs(self.plan.schemes, self.plan.experiment)
 
     @property
     def of_device_loop(self) -> bool:
-        """Return True if hits simulated with the host's law stand for a law on the device."""
+        """Return True if the host's law was simulated in place of a law on the device."""
         return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
     def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Return the map, with boundaries computed from the rows of every series."""
+        """Return the map with stiffness limits computed from the rows of every series."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
         applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
@@ -331,12 +333,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return the boundaries of one scheme (by index) under one criterion, in ascending order of damping."""
+        """Return the limits of a scheme (index) under a criterion ("felt", "heard", "any") by ascending damping."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Return the width of one scheme (by index) under one criterion."""
+        """Return the summary of one scheme's curve (by index) under one criterion ("felt", "heard", "any")."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -368,7 +370,7 @@ class ZWidth(Shown, Drawn):
         return dict(why.most_common())
 
     def brief(self) -> list[Item]:
-        """Return each scheme's width under the criterion "any" of the three ripples."""
+        """Return the lines of a short report: largest stiffness and damping of each scheme's stable walls."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         rows = []
@@ -388,7 +390,7 @@ class ZWidth(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the brief form, and a table with the limit of each scheme at each damping."""
+        """Return the lines of a full report: the short report, and a table of each scheme's limit at each damping."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
@@ -404,7 +406,7 @@ class ZWidth(Shown, Drawn):
                 yield of_series | row
 
     def units(self) -> dict[str, str]:
-        """Return the unit of each column of the table that has one."""
+        """Return the unit of each column of the table by name, without the columns that have no unit."""
         quantities: dict[str, Any] = {"damping": "damping", "stiffness": "stiffness", "offset": "count"}
         for name, quantity in UNITS.items():
             quantities[name] = quantities[name + TRUE] = quantity
@@ -413,7 +415,7 @@ class ZWidth(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plan, boundaries and widths as plain values for JSON, without the single hits."""
+        """Return plan, limits and widths as JSON values by name, without the single hits."""
         plan = self.plan
         labels = [scheme.label(plan.experiment) for scheme in plan.schemes]
         return {
@@ -442,16 +444,16 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return the columns of a measured hit: verdict's kind, result for each criterion, and all numbers.
+    """Return the columns of a measured hit by name: verdict, result for each criterion, and all numbers.
 
-    `suffix` is appended to each name: "" for recorded signals, `TRUE` for true ones.
+    `suffix` is appended to each name: "" for recorded signals, `TRUE` for true signals.
     """
     passes = (measured.passes(criterion) for criterion in CRITERIA)
     return dict(zip(_columns(suffix), (str(measured.kind), *passes, *measured.numbers.item()), strict=True))
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return the result of a row for each criterion, by the recorded or the true signals; None: invalid."""
+    """Return a hit's result by criterion (True: passed; None: invalid), from its recorded or true signals."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

@@ -3,8 +3,9 @@
     found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping._maps, .ranges
     table_one(found)  # rig.experiments.mapping.table_one
 
-A map tests every wall of a grid. Each task of its sweep is a column of the grid: one scheme and one damping. Source:
-Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity are those of `rig.analysis.impedance._verdict`.
+`_maps` uses this module for `rig impedance map`. A map tests every wall of a grid. Each task of its sweep is a column
+of the grid: one scheme and one damping. Source: Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity are
+computed by `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ NUMBERS = (
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class FrequencyPlan:
-    """Plan of a map of impedances.
+    """A plan of a map of impedances.
 
     Attributes
     ----------
@@ -60,7 +61,7 @@ class FrequencyPlan:
     judging
         Band and thresholds of the verdict.
     signal
-        Measured position; see `rig.experiments.trials.excitation_run.ExcitedRig`.
+        Measured position: encoder counts ("count"), or the true position of the simulated handle ("truth").
     """
 
     experiment: Experiment
@@ -80,22 +81,22 @@ class FrequencyPlan:
 
     @property
     def realisations(self) -> int:
-        """Return the number of realisations of the excitation for each wall."""
+        """Return the number of realisations of the excitation (draws of its phases) for each wall."""
         return self.experiment.excitation.realisations
 
     @property
     def band_hz(self) -> tuple[float, float]:
-        """Return the lowest and the highest frequency that are judged (Hz)."""
+        """Return the lowest and the highest frequency at which the impedance is judged (Hz)."""
         excitation = self.experiment.excitation
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 
     def columns(self) -> list[tuple[int, float]]:
-        """Return index of the scheme and damping (N·m·s/rad or N·s/m) of each task."""
+        """Return for each task the index of its scheme and its damping (N·m·s/rad or N·s/m)."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return the tasks of a sweep, one for each column.
+        """Return a task for each scheme and damping.
 
         Raise `PlanError` if the excitation exceeds a limit of the rig at the softest wall of a scheme.
         """
@@ -117,14 +118,14 @@ class FrequencyPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as plain values, from which `from_mapping` restores it."""
+        """Return the plan as JSON values by name, from which `from_mapping` restores the plan."""
         own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
         named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
         return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
-        """Return the plan from plain values; a `ConfigError` names their source, `where`."""
+        """Return the plan from JSON values; `where` names their source in the message of a `ConfigError`."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -135,14 +136,14 @@ class FrequencyPlan:
         )
 
     def found(self, results: Sequence[Any]) -> FrequencyMap:
-        """Return the finished map from the results of all tasks, in their order."""
+        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
         return FrequencyMap.of(self, results)
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Excite every wall of one column; payload and returned rows are JSON values.
+    """Excite a simulated rig at all stiffnesses of one scheme and damping; payload and returned rows are JSON values.
 
-    Each wall has a row for each realisation, and one row for all realisations together.
+    Each wall has a row for each realisation (draw of the phases), and one row for all realisations together.
     """
     experiment = config.restore_experiment(payload["experiment"])
     judging = _restore_judging(payload["judging"])
@@ -157,7 +158,7 @@ def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 def wall_rows(
     bench: ExcitedRig, walled: Experiment, judging: Judging, signal: Signal
 ) -> Iterator[dict[str, Any]]:
-    """Excite one wall; yield a row for each realisation, and at last one row for all realisations together."""
+    """Excite one wall; yield a row for each realisation (draw of the phases), and a last row for all realisations."""
     wall = walled.wall
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
@@ -196,7 +197,7 @@ def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrequencyMap(Shown, Drawn):
-    """Finished map of impedances.
+    """A finished map of impedances.
 
     Attributes
     ----------
@@ -206,7 +207,7 @@ class FrequencyMap(Shown, Drawn):
         Rows of `run_column`, in the order of `FrequencyPlan.columns`.
     passive
         True for passive walls, ``passive[scheme, realisation, damping, stiffness]``; the last index of the realisation
-        stands for all realisations together.
+        means all realisations together.
     fidelity
         Rms fidelity error (N·m·s/rad or N·s/m) with the same axes; NaN if the guard ended the run.
     """
@@ -220,7 +221,7 @@ class FrequencyMap(Shown, Drawn):
 
     @classmethod
     def of(cls, plan: FrequencyPlan, columns: Sequence[list[dict[str, Any]]]) -> FrequencyMap:
-        """Return the map, with arrays from the rows of every column."""
+        """Return the map with its arrays built from the rows of every column."""
         each = plan.realisations + 1
         shape = (len(plan.schemes), len(plan.dampings), len(plan.stiffnesses), each)
 
@@ -232,7 +233,7 @@ class FrequencyMap(Shown, Drawn):
         return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
 
     def brief(self) -> list[Item]:
-        """Return the number of passive walls for each scheme."""
+        """Return the lines of a short report: number of passive walls for each scheme."""
         plan, (low, high) = self.plan, self.plan.band_hz
         walls = len(plan.dampings) * len(plan.stiffnesses)
         rows = [
@@ -242,7 +243,7 @@ class FrequencyMap(Shown, Drawn):
         return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield the rows of all columns with scheme and damping; realisation None stands for all together."""
+        """Yield a row for each wall and realisation, with scheme and damping; realisation None: all together."""
         for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
             for row in rows:
                 of_row = {key: value for key, value in row.items() if key != "runs"}
@@ -251,7 +252,7 @@ class FrequencyMap(Shown, Drawn):
                 yield {"scheme": self.plan.schemes[number].text, "damping": damping} | of_row
 
     def units(self) -> dict[str, str]:
-        """Return the unit of each column of the table that has one."""
+        """Return the unit of each column of the table by name, without the columns that have no unit."""
         motion = self.plan.experiment.rig.motion
         damping = unit_of("damping", motion)
         return {
@@ -265,7 +266,7 @@ class FrequencyMap(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plan and verdicts as plain values for JSON, without the rows of single walls and Table I."""
+        """Return plan and verdicts as JSON values by name, without the rows of single walls and without Table I."""
         plan, x = self.plan, self.plan.experiment
         return {
             "domain": "frequency",

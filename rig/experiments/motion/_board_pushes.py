@@ -3,7 +3,8 @@
     made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
     made.rows, made.recording
 
-`pulse` calls it if the board runs the law (`controller.loop = "device"`). It must not run a law on this computer.
+`pulse` calls this module if the board runs the law (`controller.loop = "device"`). It must not run a law on this
+computer.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def board_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """Run pushes on the board, two in one direction, two in the other, and so on, like `rig.control.motions.nudges`.
+    """Run pushes on the board, two in one direction, two in the other, and so on; return their rows and recording.
 
     Parameters
     ----------
@@ -59,9 +60,9 @@ def board_pushes(
     pushes
         Number of pushes.
     recording
-        Path of the first push's capture; the others are beside it, with numbers.
+        Path of the first push's recording; the recordings of later pushes are beside it, with numbers.
     verified, reference_count
-        As in `rig.experiments.hits.hit.HitRequest`.
+        True if the signs of motor and encoder were checked; encoder count at position zero.
     extra
         Additional entries of the recordings' headers.
 
@@ -108,7 +109,7 @@ def board_pushes(
 
 
 def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Wait until the handle rests, and return its position (rad or m); a count may toggle by one."""
+    """Wait until the handle rests, and return its position (rad or m); the count may alternate between two values."""
     for _ in range(LOOKS):
         counts = [state.count for state in device.states(REST_S)]
         if len(counts) > 1 and max(counts) - min(counts) <= 1:

@@ -1,4 +1,7 @@
-"""Run one motion of a rig with a free handle, as a recorded trial on an open device, and return all its samples."""
+"""Run one motion of a rig with a free handle, as a recorded trial on an open device, and return all its samples.
+
+The torque pulse, the search for the reference, weighing and identification call this module.
+"""
 
 from __future__ import annotations
 
@@ -49,12 +52,12 @@ Result = TypeVar("Result")
 
 
 class TimingError(IdentificationError):
-    """Too many samples of a motion were lost or late; the motion may be repeated."""
+    """An error: too many samples of a motion were lost or late; the motion may be repeated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeRigRequest(RigRequest):
-    """Request of a motion with a free handle: rig and device; the experiment's wall and trial are not used."""
+    """A request of a motion with a free handle: rig and device; wall and trial of the experiment are ignored."""
 
     verified: Annotated[
         bool, Keyword("On a real rig: a push of the wrong sign cannot do harm.", group="Device")
@@ -74,7 +77,7 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
 
 
 def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> float:
-    """Return the position of the handle (rad or m); raise `PlanError` if it is outside of its window."""
+    """Return the position of the handle (rad or m); raise `PlanError` if the handle is outside of its window."""
     at = controller.resolution(x) * (device.count() - reference_count)
     limits = x.rig.limits
     if not limits.position_minimum < at < limits.position_maximum:
@@ -105,13 +108,13 @@ def run_motion(
     motion
         Motion, and its limits.
     recording
-        Path of the capture to write; the file must not exist.
+        Path of the recording to write; the file must not exist.
     verified, reference_count
-        As in `rig.experiments.hits.hit.HitRequest`.
+        True if the signs of motor and encoder were checked; encoder count at position zero.
     extra
         Additional entries of the recording's header.
     leaves_switch
-        As in `rig.experiments.trials._trial.TrialRequest`.
+        True if the motion may begin with a pressed limit switch.
 
     Raises
     ------
@@ -139,16 +142,16 @@ def run_motion(
 
 
 def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -> NDArray[np.void]:
-    """Return the rows of the phase TRIAL, or of these phases, one for each tick; raise the errors of `whole`."""
+    """Return the rows of the given phases of a recording, one for each tick; raise the errors of `whole`."""
     return whole(recording, recording.rows[np.isin(recording.rows["phase"], phases)])
 
 
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return these rows of a recording with lost rows filled in, so that there is one row for each tick.
 
-    Up to `MOST_LOST_SHARE` of the rows, at most `LONGEST_FILLED` in a row, may be lost. Positions are interpolated
-    linearly; the effort that the next sample reports is taken for the lost ticks. The excitation stays in step, because
-    laws count elapsed ticks.
+    Up to 2 % of the rows, at most `LONGEST_FILLED` in succession, may be lost. Positions are interpolated linearly;
+    lost ticks get the effort that the next sample reports. The excitation stays in step, because laws count elapsed
+    ticks.
 
     Raise `TimingError` if more rows are lost, or if too many were late. Lateness is ignored if the board ran the law:
     then only the report was late.
@@ -192,14 +195,14 @@ def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 class Pushes(NamedTuple):
-    """Result of a series of pushes.
+    """A result of a series of pushes.
 
     Attributes
     ----------
     rows
         Rows of all pushes and of the rests between them.
     recording
-        Sealed recording; that of the first push if each push has a file.
+        Path of the recording; the recording of the first push if each push has a file.
     ended
         Fault by which the device ended the last push because nothing moved; None without such a fault.
     """
@@ -230,9 +233,10 @@ def spoiled_by_timing(error: RigError) -> bool:
 
 
 def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int) -> tuple[Result, int]:
-    """Run a motion at a rate (Hz), and repeat it if samples are late or lost; return result and number of repetitions.
+    """Run a motion, and again if samples are late or lost; return its result and the number of repetitions.
 
-    After `ATTEMPTS` attempts raise the error; its remedy names a rate that tolerates the longest silence.
+    `rate_hz` is the rate of the loop (Hz). After `ATTEMPTS` attempts raise the error; its remedy names a rate that
+    tolerates the longest gap between two samples.
     """
     for repeated in range(ATTEMPTS):
         try:
@@ -248,13 +252,13 @@ def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int
 
 
 def bearing_rate(silence_s: float) -> int:
-    """Return the highest rate (Hz) at which the lifetime of a command is at least twice this silence (s)."""
+    """Return the highest rate (Hz) at which the lifetime of a command is at least twice the gap `silence_s` (s)."""
     rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
     return rate_hz - rate_hz % RATE_STEP
 
 
 def advice(silence_s: float, rate_hz: int) -> str:
-    """Return the remedy for a run at a rate (Hz) that failed after this silence of the computer or the link (s)."""
+    """Return the remedy for a run at `rate_hz` (Hz) that failed after a gap of `silence_s` (s) without a command."""
     bearing = bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
         return (
@@ -268,7 +272,7 @@ def advice(silence_s: float, rate_hz: int) -> str:
 
 
 def silence_of(error: RigError) -> float | None:
-    """Return the longest time without a sample in the run that raised this error (s); None without a recording."""
+    """Return the longest time between two samples in the run that raised `error` (s); None without a recording."""
     end = end_of(error)
     if end is None or end.sealed is None or len(end.sealed.rows) < 2:
         return None
@@ -276,10 +280,10 @@ def silence_of(error: RigError) -> float | None:
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
-    """Compare the rows of pushes (`_identify_motions.pushes_motion`), recorded at a rate (Hz), with the described rig.
+    """Compare the rows of pushes, recorded at `rate` (Hz), with the described rig: direction, inertia and friction.
 
-    The effort of a row is the one that the device reports with the next sample, because a slow loop or a late command
-    delays it.
+    The effort of a row is the effort that the device reports with the next sample, because a slow loop or a late
+    command delays it.
     """
     return check_signs(
         np.arange(len(rows)) / rate,

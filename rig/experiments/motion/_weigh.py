@@ -1,11 +1,11 @@
-"""Calibrate the motor's effort by a known mass: the weight is the difference of slow strokes with and without it.
+"""Calibrate the motor's effort by a known mass: the weight is the difference of slow strokes with and without the mass.
 
     found = weigh(WeighRequest(experiment=x, url="usb://…", verified=True, mass_kg=0.1, arm_m=0.05), ask=input)
     found.effort_per_ampere
 
-An error of `rig.amplifier.effort_per_ampere` (torque constant times ratio) is an error of every reported stiffness. The
-mass hangs on a string from a drum of radius `arm_m`: if it hung on the handle itself, the lever arm would shrink by up
-to 2 % within 0.2 rad (cosine), 0.7 % on average.
+`rig identify --weight` calls this module. An error of `rig.amplifier.effort_per_ampere` (torque constant times ratio)
+is an error of every reported stiffness. The mass hangs on a string from a drum of radius `arm_m`: on the handle itself,
+the lever arm would shrink by up to 2 % within 0.2 rad (cosine), 0.7 % on average.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ Ask = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeighRequest(FreeRigRequest):
-    """Request of a calibration: rig, device and mass.
+    """A request of a calibration: rig, device and mass.
 
     Attributes
     ----------
     mass_kg
-        Mass hung on the rig for the second strokes (kg).
+        Mass that hangs on the rig during the second strokes (kg).
     arm_m
         Lever arm of the mass (m); None: the radius of the handle.
     gravity
@@ -71,7 +71,7 @@ class WeighRequest(FreeRigRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class Weighing:
-    """Result of the calibration of the motor's effort by a mass.
+    """A result of the calibration of the motor's effort by a mass.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Weighing:
     mass_kg, arm_m, weight
         Mass (kg) and lever arm (m) of the load, and the effort of its weight (N·m or N).
     measured
-        Effort of the weight measured by the motor's current and the described effort per ampere (N·m or N).
+        Effort of the weight as measured by the motor's current and the described effort per ampere (N·m or N).
     bare, loaded
         Fits of the strokes without and with the mass.
     described
@@ -110,11 +110,11 @@ class Weighing:
 
     @reported
     def agrees(self) -> bool:
-        """Return True if the described effort per ampere lies within the interval."""
+        """Return True if the described effort per ampere lies within the 95 % interval of the measured one."""
         return self.effort_per_ampere.holds(self.described)
 
     def rows(self) -> list[Row]:
-        """Return the results as rows to print."""
+        """Return the results as rows to print: weight, measured effort, friction, effort per ampere, recordings."""
         effort, unit = unit_of("effort", self.motion), unit_of("effort/A", self.motion)
         off = self.effort_per_ampere.value / self.described - 1.0
         agreement = (
@@ -132,14 +132,14 @@ class Weighing:
 
 @stop_requests.together()
 def weigh(request: WeighRequest, ask: Ask) -> Weighing:
-    """Calibrate the effort: run slow strokes, let a person hang a mass on the rig, and run them again.
+    """Calibrate the effort: run slow strokes, let a person hang a mass on the rig, and run the strokes again.
 
     Parameters
     ----------
     request
-        Rig, device and mass. A simulated rig is created again with the mass on it.
+        Rig, device and mass. A simulated rig is created again with the mass.
     ask
-        Called with an instruction to a person; must return when it is done.
+        Called with an instruction to a person; must return when the person has followed it.
 
     Raises
     ------
@@ -232,9 +232,10 @@ def hung(
     arm: float,
     gravity: float = STANDARD_GRAVITY,
 ) -> FramedDevice:
-    """Let a person hang a mass on the rig, and return the device; in simulation open a new one with the mass on it.
+    """Let a person hang a mass on the rig, and return the device; in simulation open a new device with the mass.
 
-    `stack` closes a new device. `loaded` is the experiment from `with_mass`.
+    `stack` closes a new device. `loaded` is the experiment from `with_mass`; `mass_kg` is in kg, `arm` in m, `gravity`
+    in m/s².
     """
     if url.startswith("sim:"):
         # Inertia goes with the square of the arm, weight with the arm.

@@ -3,8 +3,8 @@
     found = pulse(device, experiment, recording=Path("pulse.rigcap"), verified=True, reference_count=0)
     found.ok, found.checks
 
-`rig device check`, the admission of a hit, identification, the search for a reference and sessions call it. A check
-must not pass without an observed motion.
+`rig device check`, the admission of a hit, identification, the search for a reference and sessions call this module. A
+check must not pass without an observed motion.
 """
 
 from __future__ import annotations
@@ -83,14 +83,14 @@ NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
 
 @dataclass(frozen=True, kw_only=True)
 class Pulse:
-    """Result of a torque pulse, which consists of several pushes.
+    """A result of a torque pulse, which consists of several pushes.
 
     Attributes
     ----------
     rig, motion, device
         Name of the rig, its kind of motion (which determines the units), and name of the device.
     recording
-        Recording of the pushes; that of the first push if the board ran each push as a trial.
+        Recording of the pushes; the recording of the first push if the board ran each push as a trial.
     signs
         Measured motion of the pushes.
     checks
@@ -110,7 +110,7 @@ class Pulse:
         return not refused(self.checks)
 
     def insist(self) -> None:
-        """Raise `IdentificationError` with all refused checks and their remedies; do nothing if none is refused."""
+        """Raise `IdentificationError` with all refused checks and their remedies; do nothing if no check is refused."""
         if found := refused(self.checks):
             raise IdentificationError(
                 "the rig does not move as it is described: "
@@ -120,7 +120,7 @@ class Pulse:
 
 
 def check_rig_moves(request: FreeRigRequest) -> Pulse:
-    """Open a device and send it a torque pulse; raise the errors of `pulse` and of opening the device."""
+    """Open a device and send a torque pulse; raise the errors of `pulse` and of opening the device."""
     x = config.override(request.experiment, request.changes)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
     with devices.open_device(url, config.rig_model(still(x))) as device:
@@ -149,9 +149,9 @@ def pulse(
     experiment
         Description of the rig, with its limits.
     recording
-        Path of the capture to write.
+        Path of the recording to write.
     verified, reference_count
-        As in `rig.experiments.hits.hit.HitRequest`.
+        True if the signs of motor and encoder were checked; encoder count at position zero.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _host_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """Run all pushes in one trial, by a law on this computer; parameters as in `board_pushes`."""
+    """Run all pushes in one trial, by a law on this computer; return their rows and recording."""
 
     def run() -> tuple[NDArray[np.void], Path]:
         used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
@@ -233,7 +233,7 @@ def _host_pushes(
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
-    """Return the changes that set the device's default rate, at most `slow_rate`; none in virtual time."""
+    """Return the changes that set the device's default rate, at most `slow_rate`; an empty mapping in virtual time."""
     if device.link.clock.virtual:
         return {}
     rate = min(device.dictionary.position_rate_default, slow_rate(x))
@@ -246,7 +246,7 @@ def energy_of(x: Experiment) -> float:
 
 
 def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
-    """Return the checks of the pushes: that the rig moved, its direction, its size and its delay."""
+    """Return the checks of the pushes: motion, direction, size and delay, compared with the described rig."""
     most, coulomb = most_push(x), coulomb_of(x)
     effort = unit_of("effort", x.rig.motion)
     moved = [push for push in signs.pushes if push.moved]

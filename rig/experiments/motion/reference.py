@@ -3,9 +3,9 @@
     found = find_reference(ReferenceRequest(experiment=x, url="usb://…", verified=True))
     found.reference_count
 
-`rig device reference` calls it. It must not begin a search without the torque pulse, nor run one without limits: the
-speed and effort of homing, a window of the travel plus a margin, and time. Makers of drives call this "homing by limit
-switch and index pulse"; here homing is the servo that moves the handle to the start of a trial.
+`rig device reference` calls this module. It must not begin a search without the torque pulse, nor run a search without
+limits: the speed and effort of homing, a window of the travel plus a margin, and time. Makers of drives call this
+"homing by limit switch and index pulse"; here homing is the servo that moves the handle to the start of a trial.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRequest(FreeRigRequest):
-    """Request of a search for the reference; if a person moves the handle, no sign must be verified."""
+    """A request of a search for the reference; if a person moves the handle, no sign must be verified."""
 
     by_hand: Annotated[bool, Keyword("Move the handle by hand; the motor stays off.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundReference:
-    """Result of a search for the reference.
+    """A result of a search for the reference.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class FoundReference:
     recordings: tuple[Path, ...]
 
     def rows(self) -> list[Row]:
-        """Return the results as rows to print."""
+        """Return the results as rows to print: counts of position zero and index, positions, recordings."""
         unit = unit_of("position", self.motion)
         between = (
             "not measured: the travel contains one index" if self.index_counts is None else self.index_counts
@@ -111,7 +111,10 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device and find its reference; raise the errors of `reference`. `tell` gets a text before each step."""
+    """Open a device and find its reference; raise the errors of `reference`.
+
+    `tell` is called with a text before each step.
+    """
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
@@ -136,7 +139,7 @@ def reference(
     by_hand: bool = False,
     tell: Tell | None = None,
 ) -> FoundReference:
-    """Find the reference of an open device, and store it there as position zero.
+    """Find the reference of an open device, and store the count at position zero in the device.
 
     Parameters
     ----------
@@ -147,7 +150,7 @@ def reference(
     output
         Directory of the recordings.
     verified
-        As in `rig.experiments.hits.hit.HitRequest`; not needed if a person moves the handle.
+        True if the signs of motor and encoder were checked; not needed if a person moves the handle.
     by_hand
         True if a person moves the handle, not the motor.
     tell
@@ -156,7 +159,7 @@ def reference(
     Raises
     ------
     ConfigError
-        There is no index or no limit switch, or the polarity of a real rig is not verified. Nothing has moved.
+        The rig has no index or no limit switch, or the polarity of a real rig is not verified. Nothing has moved.
     IdentificationError
         The rig does not move as described, a switch or an index is not found, or two indices have a wrong distance.
     RigError
@@ -205,7 +208,7 @@ _Found = tuple[int, int | None, int | None]  # counts: of the index, of the swit
 
 
 class _IndexSearch:
-    """Search on an open device, in counts; positions are relative to a provisional zero."""
+    """A search for index and switch on an open device, in counts; positions are relative to a provisional zero."""
 
     def __init__(
         self, device: FramedDevice, x: Experiment, output: Path, tell: Tell, *, verified: bool
@@ -273,7 +276,7 @@ class _IndexSearch:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
 
     def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
-        """Move to a count, and return the rows of the motion; raise `IdentificationError` if the handle stops short."""
+        """Move to a count; return the rows of the motion. Raise `IdentificationError` if the handle stops short."""
         device, zero = self._device, self._zero if zero is None else zero
         at, to = self._scale * (device.count() - zero), self._scale * (count - zero)
         try:
@@ -309,7 +312,7 @@ class _IndexSearch:
         )
 
     def _seek(self) -> None:
-        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` if it is not."""
+        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` without a switch."""
         way = -self._away * round((1.0 + MARGIN) * self._travel / abs(self._scale))
         try:
             self._go(self._device.count() + way, "switch")
@@ -328,7 +331,7 @@ class _IndexSearch:
         )
 
     def _leave(self) -> tuple[int, int]:
-        """Move until the switch opens; return the last count at which it was pressed, and the earlier index count."""
+        """Move until the switch opens; return the last count with it pressed, and the earlier number of index edges."""
         step = max(1, round(LEAVE * self._every))
         for _ in range(round(1.0 / LEAVE)):
             before = self._device.reference().index_edges
@@ -345,7 +348,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ by hand
 
     def by_hand(self) -> _Found:
-        """Observe the index and the switch while a person moves the handle."""
+        """Find index and switch while a person moves the handle; return index count, switch count, index distance."""
         away = "rising" if self._away * self._x.rig.encoder.sign > 0 else "falling"
         switched = self._reference.limit_switch != "none"
         where = "press the limit switch with the handle, then move it" if switched else "move the handle"
@@ -380,7 +383,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ judging
 
     def _one_more(self, before: int) -> int:
-        """Return the count of the index; raise unless exactly one was passed since there were `before` index edges."""
+        """Return the count of the index that was passed; raise unless the number of index edges is `before` + 1."""
         seen = self._device.reference()
         passed = (seen.index_edges - before) % 2**32
         if passed == 1:
@@ -396,7 +399,7 @@ class _IndexSearch:
         )
 
     def _check_near(self, index: int, switch: int) -> None:
-        """Raise if the index is so near to the switch that another index may be found first at another start."""
+        """Raise if the index is so near to the switch that another index may be found first after another start."""
         way = self._away * (index - switch)
         if self._reference.limit_switch == "none":
             if way < 0:
@@ -422,7 +425,7 @@ class _IndexSearch:
             )
 
     def into_the_window(self, zero: int) -> None:
-        """Move the handle into the position window, so that a run may begin."""
+        """Move the handle into the position window, so that a run may begin; `zero` is the count at position zero."""
         limits = self._x.rig.limits
         margin = MARGIN * (limits.position_maximum - limits.position_minimum)
         at = self._scale * (self._device.count() - zero)

@@ -1,6 +1,7 @@
 """Compute the motions of an identification, and the plan that lists them: pushes, strokes, sweeps and excitation.
 
-All numbers follow from the described rig and its limits; no device is opened here.
+`identification`, `motion` and `rig.experiments.trials.plan` call this module. All numbers follow from the described rig
+and its limits; no device is opened here.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ HARD = 5.0  # rms effort of the excitation over Coulomb friction from which fric
 
 @dataclass(frozen=True, slots=True)
 class IdentificationMotion:
-    """Trial of an identification: its experiment, the law that moves the handle, and the phases of the motion.
+    """A trial of an identification: its experiment, the law that moves the handle, and the phases of the motion.
 
     `law` is None if the experiment's own law runs.
     """
@@ -97,9 +98,10 @@ class IdentificationMotion:
 def identification_plan(
     x: Experiment, *, realisations: int, period_s: float, seed: int, cogging: int | None = None
 ) -> Plan:
-    """Return steps and checks of an identification, computed from the described rig; no device is opened.
+    """Return the plan (steps and checks) of an identification, computed from the described rig; no device is opened.
 
-    `period_s` is the period of the excitation (s). `cogging`, the highest harmonic of cogging to identify, adds sweeps.
+    `realisations` is the number of excitations, `period_s` their period (s). `cogging`, the highest harmonic of cogging
+    to identify, adds slow sweeps.
     """
     limits = x.rig.limits
     effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
@@ -153,7 +155,10 @@ def identification_plan(
 
 
 def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Plan:
-    """Add sweeps for cogging with a hung mass to a plan; `weight` is its load (N·m or N), `x` the rig with the mass."""
+    """Return the plan with sweeps for cogging added that run with a mass on the rig.
+
+    `weight` is the load (N·m or N), `x` the rig with the mass, `most_order` the highest harmonic.
+    """
     limits, position, effort = x.rig.limits, _unit(x, "position"), _unit(x, "effort")
     sweeps = cogging_sweeps(x, most_order, loaded=True)[1]
     room = (0.5 - SWEEP_SHARE) * (limits.position_maximum - limits.position_minimum)
@@ -172,7 +177,7 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
 def _follows(x: Experiment, limit: float) -> Check:
     """Check that friction keeps the handle within `limit` (rad or m) of the servo's set point.
 
-    A slower loop permits only a softer servo, which friction holds back more.
+    A slower loop permits only a softer servo, whose position error by friction is larger.
     """
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
@@ -188,7 +193,7 @@ def _follows(x: Experiment, limit: float) -> Check:
 
 
 def _counts(x: Experiment, travel: float) -> Check:
-    """Check that a stroke of ± `travel` (rad or m) has enough counts to measure a speed in a third of it."""
+    """Check that a stroke of ± `travel` (rad or m) has enough counts to measure a speed in a third of the stroke."""
     counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
     return limited(
         "counts of a stroke",
@@ -212,7 +217,7 @@ def _moves(x: Experiment, rms: float) -> Check:
 
 
 def _repeatable(x: Experiment) -> Check:
-    """Check that position zero comes from an index, so that it is the same after each start of the device."""
+    """Check that position zero comes from an index pulse, so that it is the same after each start of the device."""
     if x.rig.reference.index:
         return Check("position zero", Outcome.OK, "comes from the encoder's index")
     return Check(
@@ -225,7 +230,7 @@ def _repeatable(x: Experiment) -> Check:
 
 
 def _whole_period(x: Experiment, measured: float) -> Check:
-    """Check that the sweeps measure (`measured`, rad or m) a whole period of cogging, to separate its harmonics."""
+    """Check that the sweeps, over `measured` (rad or m), contain a whole period, to separate the harmonics."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
         "period of cogging",
@@ -238,8 +243,8 @@ def _whole_period(x: Experiment, measured: float) -> Check:
 def cogging_period(x: Experiment) -> float:
     """Return the travel after which cogging repeats (rad or m).
 
-    This is `rig.cogging.period`, or without that key one turn of motor and rotary encoder. Raise `ConfigError` for a
-    linear rig without that key.
+    The travel is `rig.cogging.period`, or without that key one turn of motor and rotary encoder. Raise `ConfigError`
+    for a linear rig without that key.
     """
     if x.rig.cogging.period is not None:
         return x.rig.cogging.period
@@ -254,7 +259,7 @@ def cogging_period(x: Experiment) -> float:
 
 
 def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> IdentificationMotion:
-    """Return small pushes from the handle's position `at` (rad or m), with a small window and speed limit."""
+    """Return a motion of small pushes from the position `at` (rad or m), with a small window and speed limit."""
     limits, way, rate = x.rig.limits, push_way(x), slow_rate(x)
     speed = min(limits.speed, PUSH_SPEED * way)
     changes = {
@@ -281,10 +286,10 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
-    """Return one push as a trial of the law that every board has, within the limits of `pushes_motion`.
+    """Return one push from `at` (rad or m) in the direction `way`, as a trial of the law that every board has.
 
-    The wall has no stiffness. The slew limit lets the effort grow slowly. The window extends from `at` by the travel
-    of a push to both sides: the guard ends the push in the tick in which the handle has moved so far, for any signs of
+    The wall has no stiffness. The slew limit lets the effort grow slowly. The window extends from `at` by the travel of
+    a push to both sides: the guard ends the push in the tick in which the handle has moved this far, for any signs of
     motor and encoder.
     """
     around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
@@ -306,7 +311,7 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
 
 
 def strokes_motion(x: Experiment) -> IdentificationMotion:
-    """Return strokes at constant speeds, driven by the homing servo with at most the motor's nominal effort."""
+    """Return a motion of strokes at constant speeds, driven by the homing servo with at most the nominal effort."""
     path, _ = strokes_of(x)
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
@@ -352,7 +357,7 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
 
 
 def weighing_motion(x: Experiment) -> IdentificationMotion:
-    """Return slow strokes under a steady load, which the servo carries with at most the motor's nominal effort."""
+    """Return a motion of slow strokes under a steady load, which the servo holds with at most the nominal effort."""
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
@@ -361,7 +366,7 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
 
 
 def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
-    """Return changes of homing for a rig under a load: more effort, and a tolerance for the sag under this load."""
+    """Return changes of homing for a rig under a load: effort up to `limit` (N·m or N), and a tolerance for the sag."""
     hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
     return {
         **_homing(x, rate),
@@ -371,7 +376,7 @@ def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
 
 
 def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
-    """Return path (s; rad or m) and list of strokes about the window's middle, at homing's speed and half of it."""
+    """Return path (time in s, position in rad or m) and list of the strokes, at homing's speed and at half of it."""
     travel = TRAVEL_SHARE * (x.rig.limits.position_maximum - x.rig.limits.position_minimum)
     start, time_s = _middle(x) - travel, HANG_S
     path, strokes = [(0.0, start), (time_s, start)], []
@@ -384,7 +389,7 @@ def weighing_strokes(x: Experiment) -> tuple[list[tuple[float, float]], list[Str
 
 
 def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> IdentificationMotion:
-    """Return slow sweeps in both directions for cogging, by the homing servo with at most the motor's nominal effort.
+    """Return a motion of slow sweeps for cogging, in both directions, with at most the motor's nominal effort.
 
     `most_order` is the highest harmonic. With `loaded` a mass hangs on the rig.
     """
@@ -401,8 +406,8 @@ def cogging_sweeps(
 ) -> tuple[list[tuple[float, float]], list[Stroke]]:
     """Return the path of the sweeps for cogging (time in s, position in rad or m), and a list of the sweeps.
 
-    Each pair, forth and back over most of the window, has another speed. With `loaded` the path begins with a rest, in
-    which the operator lets go of the mass.
+    `most_order` is the highest harmonic. Each pair, forth and back over most of the window, has another speed. With
+    `loaded` the path begins with a rest, in which the operator lets go of the mass.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
     wave = cogging_period(x) / most_order / (2.0 * math.pi)
@@ -422,7 +427,7 @@ def cogging_sweeps(
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
-    """Return one realisation of a multisine about the middle of the window, where a soft spring keeps the handle."""
+    """Return one realisation of a multisine about the middle of the window, where a soft spring centres the handle."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
@@ -433,8 +438,8 @@ def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Id
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
     """Return stiffness and damping of a well damped servo that is stable with the delay of loop and velocity filter.
 
-    The described homing servo is not used, because it may need an end mass that is not mounted now. The damping does
-    not exceed that of homing, because a resonance may limit it.
+    The units are N·m/rad and N·m·s/rad, or N/m and N·s/m. The described homing servo is not used, because it may need
+    an end mass that is not mounted now. The damping is at most that of homing, because a resonance may limit it.
     """
     ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
     delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
@@ -479,10 +484,11 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
 
 
 def _settles(x: Experiment, length_s: float, travel: float) -> bool:
-    """Return True if the servo reaches the constant speed of a stroke before the last third of it.
+    """Return True if the servo reaches a stroke's constant speed before the last third of the stroke.
 
-    After a reversal friction holds the handle until the servo's spring is reversed, too. Then the error of the speed
-    decays with the slower pole of servo, mass and viscous damping.
+    `length_s` is the duration (s) and `travel` half of the length (rad or m) of the stroke. After a reversal friction
+    holds the handle until the servo's spring is reversed, too. Then the error of the speed decays with the slower pole
+    of servo, mass and viscous damping.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
     damping, mass = damping + config.rig_model(x).damping, inertia_of(x)
@@ -495,8 +501,8 @@ def _settles(x: Experiment, length_s: float, travel: float) -> bool:
 def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realisation: int = 0) -> Multisine:
     """Return the largest multisine that the limits of effort, heat, position and speed allow, with margins.
 
-    `period_s` is its period (s), `inertia` that of the whole rig (kg·m² or kg). Raise `ConfigError` if the rate is too
-    low.
+    `period_s` is its period (s), `inertia` the inertia of the whole rig (kg·m² or kg); `seed` and `realisation`
+    determine the phases. Raise `ConfigError` if the rate is too low.
     """
     top = min(HIGHEST_HZ, HIGHEST_SHARE * x.controller.position_rate)
     if top < 2.0 * LOWEST_HZ:
@@ -523,7 +529,7 @@ def excitation(x: Experiment, seed: int, period_s: float, inertia: float, realis
 
 
 def centring(inertia: float) -> float:
-    """Return the stiffness of the spring that centres an excited handle (N·m/rad or N/m)."""
+    """Return the stiffness of the spring that centres an excited handle (N·m/rad or N/m); `inertia` in kg·m² or kg."""
     return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
 
 
@@ -547,8 +553,8 @@ def push_growth(x: Experiment) -> float:
 def most_push(x: Experiment) -> float:
     """Return the highest effort of a push (N·m or N), reached after `PUSH_S` or earlier.
 
-    It is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a handle of
-    inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
+    The effort is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a
+    handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
     """
     growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
     return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
@@ -613,7 +619,7 @@ def pushes_s(pushes: int = PUSHES) -> float:
 
 
 def slow_rate(x: Experiment) -> int:
-    """Return the rate of pushes and strokes (Hz)."""
+    """Return the position rate of pushes and strokes (Hz): the experiment's rate, divided to at most 2 kHz."""
     return _divisor(x.controller.position_rate, SLOW_RATE)
 
 
@@ -669,9 +675,9 @@ def _middle(x: Experiment) -> float:
 
 
 def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
-    """Return a function of frequencies (Hz): the impedance of a rigid rig on its centring spring (N·m·s/rad or N·s/m).
+    """Return a function of frequency (Hz): impedance of a rigid rig on its centring spring (N·m·s/rad or N·s/m).
 
-    Damping and back-EMF are those described; `inertia` is given (kg·m² or kg).
+    Damping and back-EMF are as described; `inertia` is given (kg·m² or kg).
     """
     mechanics, amplifier = x.rig.mechanics, x.rig.amplifier
     damping, stiffness = mechanics.motor_damping + mechanics.link_damping, centring(inertia)
@@ -684,7 +690,7 @@ def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
 
 
 def settle_periods(period_s: float) -> int:
-    """Return the number of excitation periods that are played before the analysed ones, so that transients decay."""
+    """Return the number of excitation periods that run before the analysed periods, so that transients decay."""
     return max(LEAST_SETTLE, math.ceil(EXCITATION_SETTLE_S / period_s - 1e-9))
 
 

@@ -1,7 +1,7 @@
 """Judge a recording: the verdict by its recorded signals, and for a simulation also by its true signals.
 
-Hits, replays, maps, estimator comparisons, sessions, `rig recording show` and `rig.testing` call it. It must not change
-a recording or its recorded verdict, and opens no device.
+Hits, replays, maps, estimator comparisons, sessions, `rig recording show` and `rig.testing` call this module. It must
+not change a recording or its recorded verdict, and opens no device.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ THROWN_OUT = {Fault.POSITION_WINDOW.name, Fault.OVER_SPEED.name, Fault.RUNAWAY.n
 
 
 def experiment_of(recording: Recording) -> Experiment:
-    """Return the experiment in effect during a recording; raise `RecordingError` if this version cannot read it."""
+    """Return the experiment as recorded, with all changes; raise `RecordingError` if this version cannot read it."""
     refuse_counts(recording)
     try:
         return experiment_from_mapping(recording.experiment, "the recording's header")
@@ -50,17 +50,17 @@ def experiment_of(recording: Recording) -> Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdicts:
-    """Verdicts on a recording's wall, stored in its trailer.
+    """A set of verdicts on the wall of a recording, stored in the recording's trailer.
 
     Attributes
     ----------
     verdict, verdict_true
-        Verdict by the recorded signals, and by the true signals of a simulation (None on a real rig). It is invalid for
-        a trial that ended early, or unstable if the wall threw the handle out.
+        Verdict by the recorded signals, and by the true signals of a simulation (None on a real rig). A verdict is
+        invalid for a trial that ended early, or unstable if the wall drove the handle out of its window.
     began
         Position at the beginning of the phase TRIAL (rad or m); None if this phase was not reached.
     motion
-        Encoder's scale before and after the contact; None if effort or friction are unknown (`_motion`).
+        Encoder's scale before and after the contact; None if effort or friction are unknown.
     """
 
     verdict: Verdict
@@ -69,7 +69,7 @@ class Verdicts:
     motion: MotionBalance | None
 
     def rows(self, experiment: Experiment) -> list[Row]:
-        """Return the verdict and its numbers as rows to print; in a simulation with the true values beside them."""
+        """Return the verdict and its numbers as rows to print; in a simulation each row also has the true value."""
         verdict, true, motion = self.verdict, self.verdict_true, experiment.rig.motion
         thresholds, count = verdict_thresholds(experiment), experiment.rig.encoder.resolution
         position, velocity, effort = (unit_of(name, motion) for name in ("position", "velocity", "effort"))
@@ -136,7 +136,7 @@ class Verdicts:
         ]
 
     def _felt(self, unit: str, true: str, threshold: float) -> Row:
-        """Return the row of the velocity ripple; it is not measurable if one toggling count exceeds the threshold."""
+        """Return the row of the velocity ripple; "not measurable" if one toggling count exceeds the threshold."""
         felt, floor, label = self.verdict.felt, self.verdict.felt_floor, "felt (velocity ripple, rms)"
         notes = [f"limit {threshold:.3g}", f"encoder floor {floor:.2g}", true]
         if floor == 0.0 and not felt:
@@ -146,14 +146,14 @@ class Verdicts:
 
 
 def _observed(windows: int) -> str:
-    """Return a text on the check of the motor's current in `windows` windows of 10 ms."""
+    """Return a text on the check of the motor's current; `windows` is the number of checked windows of 10 ms."""
     if windows == 0:
         return "not checked: not measured, or too small compared with the sensor's noise"
     return f"followed the command, in {windows} windows of 10 ms"
 
 
 def _scale_text(motion: MotionBalance | None) -> str:
-    """Return a text on the encoder's scale after the contact, or on why it was not checked."""
+    """Return a text on the encoder's scale after the contact, or on why the scale was not checked."""
     if motion is None:
         return "not checked: the effort that moves the handle is unknown"
     if motion.ratio is None:
@@ -162,20 +162,20 @@ def _scale_text(motion: MotionBalance | None) -> str:
 
 
 def _nothing(value: Any, threshold: float) -> Any:
-    """Return 0 for a value that is negligible against its threshold, which is a filter's rounding error."""
+    """Return 0 for a value below a millionth of its threshold, which is a filter's rounding error; else the value."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement(Verdicts):
-    """Verdicts, and the measurements from which they follow.
+    """A judgement of a recording: the verdicts, and the measurements from which they follow.
 
     Attributes
     ----------
     measured, measured_true
-        Numbers and criteria of the recorded and of the true verdict.
+        Numbers and criteria behind the verdicts by recorded and by true signals.
     early
-        Verdict that follows from an early end (`ended_early`) or from a changed scale of the encoder; else None.
+        Kind and reason of a verdict that follows from an early end or from a changed scale of the encoder; else None.
     """
 
     measured: Measured = field(repr=False)
@@ -184,9 +184,10 @@ class Judgement(Verdicts):
 
 
 def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
-    """Return the verdicts that were stored when a recording was sealed; judge it now if they are missing.
+    """Return the verdicts that were stored when a recording was sealed; judge the recording now if they are missing.
 
-    They are missing in an unsealed capture, in a cut, and in a recording that another version wrote in another format.
+    Verdicts are missing in an unsealed capture, in a cut, and in a recording that another version wrote in another
+    format.
     """
     try:
         stored: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
@@ -196,7 +197,7 @@ def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
 
 
 def judge(recording: Recording, experiment: Experiment) -> Judgement:
-    """Measure and judge a recording; `experiment` is the one in effect, which `experiment_of` returns."""
+    """Measure and judge a recording; `experiment` is the experiment as it ran, which `experiment_of` returns."""
     limits, wall, early = verdict_thresholds(experiment), experiment.wall, ended_early(recording)
     tick_s, thrown_out = 1.0 / experiment.controller.position_rate, early is not None
     elsewhere = recording.header["extra"].get("arithmetic") not in (None, *BOARD_ARITHMETICS)
@@ -273,7 +274,7 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
 
 
 def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> UnexpectedVerdictError | None:
-    """Return the error for the first verdict that is not among the expected kinds (``stable``, ``limit-cycle`` …).
+    """Return an error for the first verdict whose kind is not in `expected` (``stable``, ``limit-cycle`` …).
 
     Return None if all verdicts are expected, or if `expected` is empty.
     """
@@ -307,7 +308,7 @@ FALSE_START = (Kind.INVALID, f"{Opening.FALSE_START}the handle moved before the 
 
 
 def thrown_out(recording: Recording) -> str:
-    """Return a sentence on how the wall threw the handle out and ended the run; empty if it did not."""
+    """Return a sentence on how the wall drove the handle out of its limits and ended the run; empty if it did not."""
     trailer = recording.trailer or {}
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
@@ -320,9 +321,10 @@ def out_of_time(recording: Recording) -> bool:
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """Return kind and reason of the verdict if the run ended before the end of the push, else None.
+    """Return kind and reason of the verdict if the run ended before the end of the push; else None.
 
-    The kind is unstable if the wall threw the handle out, and invalid after any other early end, and for a cut.
+    The kind is unstable if the wall drove the handle out of its limits, and invalid after any other early end, and for
+    a cut.
     """
     if (facts := cut_facts(recording)) is not None:
         return Kind.INVALID, f"a part of a trial: its verdict is that of {facts['recording']}"
