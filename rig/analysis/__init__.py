@@ -1,1 +1,1 @@
-"""Linear theory, impedance and identification: pure computations that take arrays and return numbers."""
+"""Linear theory, impedance and identification of rigs: pure computations with arrays, without a device or a file."""

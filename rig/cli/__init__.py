@@ -1,4 +1,4 @@
-"""The commands of ``rig``: they parse arguments and print results.
+"""The commands of ``rig``, which parse arguments and print results.
 
 An error of `rig.core.errors` is printed as one line with its exit code, without a traceback; set ``RIG_DEBUG=1`` to see
 the origin of an unexpected error. `rig.__main__` calls this package, and the builder of documents lists its commands.
@@ -37,7 +37,7 @@ def rig() -> None:
 
 
 def main(obj: object = None) -> None:
-    """Run the command line of this process and exit; SIGTERM ends it like Ctrl-C. The command receives `obj`."""
+    """Run the command line of this process with click's context object `obj`, and exit; SIGTERM acts like Ctrl-C."""
     # Matrices here are small: threads of a linear algebra library cost more than they give, and a loop its quiet.
     for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
@@ -54,7 +54,7 @@ def main(obj: object = None) -> None:
 
 
 def _flush(code: int) -> int:
-    """Flush standard output and standard error; return `code`, or 74 if code is 0 and not all could be written."""
+    """Flush standard output and error; return `code`, or 74 if `code` is 0 and a stream could not be written."""
     for stream in (sys.stdout, sys.stderr):
         try:
             if stream is not None:
@@ -75,7 +75,7 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def run(arguments: list[str], obj: object = None) -> int:
-    """Run a command line, print its errors, and return its exit code; raise nothing."""
+    """Run a command line with click's context object `obj`, print its errors, and return its exit code."""
     try:
         return _run(arguments, obj)
     except OSError:  # standard error takes no more either

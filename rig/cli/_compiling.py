@@ -1,4 +1,4 @@
-"""Show a notice while machine code is compiled for the running command."""
+"""Show a notice on standard error while machine code is compiled for the running command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPECTED = {"hit": 120}  # kernels that a command compiles first; tests/benchmar
 
 
 class CompilingNotice:
-    """Show the number of kernels compiled so far, and the remaining time if it is known.
+    """A notice with the number of kernels (compiled functions) so far, and the remaining time if it is known.
 
     `expected` is the number of kernels that the command compiles with an empty cache; 0 if unknown.
     """
@@ -30,7 +30,7 @@ class CompilingNotice:
         self._thread = threading.Thread(target=self._show, daemon=True)
 
     def __call__(self, busy: bool) -> None:
-        """Show or hide the notice; `rig.realtime.compiling` calls it when a compilation begins and ends."""
+        """Show the notice if `busy` is True (a compilation begins), hide it otherwise."""
         now = time.monotonic()
         if busy:
             self._began = now

@@ -12,7 +12,7 @@ TEMPLATE, PAGE = "design.html.j2", "design.html"
 
 
 def render(found: Design, command: str, picture: bytes | None) -> str:
-    """Return the page as HTML; `command` is the command line of the design, `picture` the bytes of a PNG."""
+    """Return the page of a design as HTML, with the command line that computed it and a picture (bytes of a PNG)."""
     return fill(
         TEMPLATE,
         found=found,
@@ -24,7 +24,7 @@ def render(found: Design, command: str, picture: bytes | None) -> str:
 
 
 def write_design_report(found: Design, command: str, picture: bytes | None, directory: Path) -> Path:
-    """Write the page into a directory and return its path; raise `RecordingError` if it cannot be written."""
+    """Write the HTML page of a design into a directory and return its path; raise `RecordingError` if this fails."""
     path = directory / PAGE
     with whole_file(path, overwrite=True) as file:
         file.write(render(found, command, picture).encode())

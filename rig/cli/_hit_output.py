@@ -18,7 +18,7 @@ _BRINGS = {"operator.grip": "operator.", "controller.estimator": "controller.par
 
 
 def push_text(experiment: Experiment) -> str:
-    """Return a phrase on what pushes the handle: a simulated hand, or the motor with its effort."""
+    """Return a phrase about what pushes the handle: a simulated hand, or the motor with its effort."""
     trial = experiment.trial
     if trial.kind == "human":
         return f"in a simulated hand ({experiment.operator.grip})"
@@ -26,12 +26,12 @@ def push_text(experiment: Experiment) -> str:
 
 
 def headline(experiment: Experiment) -> str:
-    """Return the rig, wall and scheme in one line."""
+    """Return one line with the rig's name, stiffness and damping of the wall, sampling rates and estimator."""
     return experiment.headline()
 
 
 class ProgressBars:
-    """Progress bars of hits, on a terminal only. `watch` is a `hits.hit.Watch` that starts a bar; `stop` clears it."""
+    """Progress bars of hits, shown only on a terminal; pass the method `watch` to `rig.experiments.hits.hit.hit`."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
@@ -44,13 +44,13 @@ class ProgressBars:
         self.stop()
 
     def stop(self) -> None:
-        """Remove the bar before other output is printed."""
+        """Remove the bar, so that other output can be printed."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
 
     def watch(self, repeat: int, experiment: Experiment) -> Callable[[int, int], None] | None:
-        """Show a bar for a repeat; return the function that updates it, or None without a terminal."""
+        """Show a bar for a repeat; return a function of ticks and phase that updates it, or None without a terminal."""
         if self._quiet:
             return None
         phase = TextColumn("{task.fields[phase]:<8}")
@@ -68,7 +68,7 @@ class ProgressBars:
 
 
 def measuring_link(quiet: bool) -> Callable[[float], None] | None:
-    """Return a function that shows the share (0 … 1) of the measurement of the link; None without a terminal.
+    """Return a function that shows the completed share (0 to 1) of a link measurement; None without a terminal.
 
     The function clears its line when the share is 1.
     """
@@ -83,10 +83,10 @@ def measuring_link(quiet: bool) -> Callable[[float], None] | None:
 
 
 def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:
-    """Return a text for each key whose value in effect differs: ``wall.stiffness = 60.0 instead of 300.0``.
+    """Return a text like ``wall.stiffness = 60.0 instead of 300.0`` for each key whose value differs.
 
-    Keys in `meant` were changed on purpose and are left out; with a grip also all keys of the operator, with an
-    estimator also its settings.
+    `asked` is the requested experiment, `effective` the one that ran. Keys in `meant` were changed on purpose and are
+    left out; with a grip also all keys of the operator, with an estimator also its settings.
     """
     brought = tuple(prefix for key, prefix in _BRINGS.items() if key in meant)
     before = {line.key: line.value for line in describe(asked)}

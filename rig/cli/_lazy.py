@@ -18,12 +18,14 @@ COMMANDS = "Commands"  # title of a group that has no other
 
 
 class LazyGroup(click.Group):
-    """A group with the core's commands and those that extras add; core commands work without the extras' tables.
+    """A group of commands of the core and of extras (optional packages), each imported on use.
+
+    Commands of the core work even if an extra cannot be loaded.
 
     Parameters
     ----------
     titles
-        Title in ``--help`` → the commands under it.
+        For each title in ``--help``, the table of the commands below it.
     words
         Words that call the group on the command line, without ``rig``.
     """
@@ -35,7 +37,7 @@ class LazyGroup(click.Group):
 
     @cached_property
     def _listed(self) -> dict[str, list[str]]:
-        """Return title → names of commands; an extra's command is before the command that its table names, or last."""
+        """Return the names of the commands below each title of ``--help``, with the commands of extras."""
         listed = {title: list(table) for title, table in self._titles.items()}
         for row in extras.added("commands").values():
             above, _, name = row.name.rpartition(" ")
@@ -50,7 +52,7 @@ class LazyGroup(click.Group):
         return [name for names in self._listed.values() for name in names]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command, or create the group of a table; None if the name is unknown."""
+        """Import and return the command `cmd_name`, or create the group of this name; None if the name is unknown."""
         words = f"{self._words} {cmd_name}".strip()
         entry = self._core.get(cmd_name)
         if isinstance(entry, tuple):
@@ -62,7 +64,7 @@ class LazyGroup(click.Group):
         return None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands without importing them, and above it the extras that cannot be loaded."""
+        """Write the list of commands for ``--help`` without importing them, and the extras that cannot be loaded."""
         for title, names in self._listed.items():
             with formatter.section(title):
                 formatter.write_dl([(name, help_line(f"{self._words} {name}".strip())) for name in names])

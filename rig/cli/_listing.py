@@ -15,7 +15,7 @@ FILE = os.path.join(os.path.dirname(__file__), NAME)  # pathlib takes longer to 
 
 @cache
 def listing() -> dict[str, Any]:
-    """Return the content of the core's ``completion.json``: commands by their words, and names of built-in parts."""
+    """Return the content of the core's ``completion.json``: rows of commands, names of estimators and signals."""
     with open(FILE, encoding="utf-8") as file:
         read: dict[str, Any] = json.load(file)
     return read
@@ -23,7 +23,7 @@ def listing() -> dict[str, Any]:
 
 @cache
 def commands() -> dict[str, Any]:
-    """Return all commands by their words; those of an extra are from the file beside its table, if it is readable."""
+    """Return the row of ``completion.json`` (help line, options) of each command, extras included, by its words."""
     found = dict(listing()["commands"])
     for table in extras.tables():
         if "commands" in table.rows:
@@ -36,5 +36,5 @@ def commands() -> dict[str, Any]:
 
 
 def help_line(words: str) -> str:
-    """Return the first sentence of a command's help; empty if the file of its extra cannot be read."""
+    """Return the first sentence of the help of the command with these words; "" if its extra's file is unreadable."""
     return str(commands().get(words, {}).get("help", ""))

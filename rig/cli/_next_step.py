@@ -1,4 +1,4 @@
-"""Name at the end of a command the next one on the way from the description of a rig to its map."""
+"""Print at the end of a command which command usually follows, from the description of a rig to its map."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NEXT: Mapping[str, str] = {
 
 
 def name_next() -> None:
-    """Print the next command to standard error, unless the running command prints JSON or has ``-q``."""
+    """Print the command that usually follows to standard error, unless this command prints JSON or has ``-q``."""
     context = click.get_current_context()
     given = context.params
     if given.get("as_json"):

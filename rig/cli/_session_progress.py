@@ -1,4 +1,4 @@
-"""Show the progress of a rehearsal on standard error: one updated line on a terminal, otherwise a line per event."""
+"""Show the progress of a rehearsal (a session with a simulated person) on standard error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ _SURE = 2  # trials that are timed before the remaining time is shown
 
 
 class Rehearsed:
-    """Progress of a rehearsal. The engine calls `looks` with each view of the desk and `on_event` with each event.
+    """Progress display of a rehearsal, used as a context manager.
+
+    The session calls `on_event` with each event, and `looks` with each view of the operator's console.
 
     Parameters
     ----------
@@ -45,7 +47,7 @@ class Rehearsed:
             click.echo(f"  {line_of_event(event)}", err=True)
 
     def looks(self, view: DeskView) -> None:
-        """Show the trial's number and the remaining time on the progress line."""
+        """Show the trial's number and the remaining time on the progress line; `view` is the state of the console."""
         if self._quiet or view.state != "ready":
             return
         left = self._left_s(view)

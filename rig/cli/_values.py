@@ -35,7 +35,7 @@ class Named(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
 
 
 class Files(click.Path):
-    """A path value; the shell completes directories and files with the given endings."""
+    """A path value; the shell completes directories, and files with the given endings."""
 
     def __init__(self, name: str, *endings: str) -> None:
         super().__init__(path_type=Path)
@@ -55,7 +55,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
     name = "band"
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
-        """Return the lowest and the highest frequency (Hz) of a text LOW:HIGH."""
+        """Return the lowest and the highest frequency (Hz) of a text LOW:HIGH; raise `ConfigError` for another text."""
         try:
             low, high = (float(part) for part in value.split(":"))
         except ValueError:
@@ -70,7 +70,7 @@ class FrequencyBand(click.ParamType):  # type: ignore[type-arg]  # as above
 
 
 def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
-    """Yield directories, and files with one of the endings, whose path begins with the incomplete word."""
+    """Yield the path of each directory, and of each file with one of the endings, that completes the word."""
     place, _, begun = incomplete.rpartition("/")
     before = f"{place}/" if "/" in incomplete else ""
     try:
@@ -88,12 +88,12 @@ def paths(incomplete: str, endings: tuple[str, ...]) -> Iterator[str]:
 
 
 def presets() -> list[str]:
-    """Return the names of the built-in rigs, sorted."""
+    """Return the sorted names of the built-in rigs."""
     return sorted(path.stem for path in _PRESETS.glob("*.toml"))
 
 
 def estimators() -> list[str]:
-    """Return the names of all estimators, plug-ins included."""
+    """Return the names of all velocity estimators, plug-ins included."""
     known: list[str] = listing()["estimators"]
     return [*known, *(point.name for point in plugins.find_plugins("rig.estimators", known))]
 
@@ -104,7 +104,7 @@ def _rigs(incomplete: str) -> Iterator[str]:
 
 
 def _schemes(incomplete: str) -> Iterator[str]:
-    """Yield completions of a scheme: first its kind, then after each comma a setting; rates are not completed."""
+    """Yield completions of a sampling scheme: first its kind, then after each comma a setting, but no rates."""
     begun, comma, _ = incomplete.rpartition(",")
     if not comma:
         yield from ("none", "uniform:", "dual:")

@@ -1,4 +1,4 @@
-"""Dialogue with the person at a rig that is mapped: ask before hits and show results, on standard error."""
+"""Dialogue with the person at a rig whose walls are mapped: ask before hits, show results, on standard error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHOWN_PAUSE_S = 2.0
 
 
 class Dialogue:
-    """Map the walls of a device with a person beside it.
+    """A dialogue that maps the walls of a device while a person stands beside it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Dialogue:
         self._confirm = confirm or ("no" if simulated else "each")
 
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
-        """Map the device; return the new directory of the map (below `directory`) and the map."""
+        """Map the walls of the device; return the new directory of the map (below `directory`) and the map."""
         place = maps.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
         session = DeviceMap(
             where=OnDevice(
@@ -105,12 +105,12 @@ class Dialogue:
 
 
 def load_device(url: str) -> None:
-    """Import the backend for hits on a device, which compiles its kernels."""
+    """Import the backend (driver) for a device URL and compile the kernels for hits on this device."""
     load_backend(url)
 
 
 def refuse_without_device(verified: bool, confirm: str | None) -> None:
-    """Raise `ConfigError` for options of a device that are given without --url."""
+    """Raise `ConfigError` if an option for a device (--verified, --confirm) is given without --url."""
     given = [name for name, value in (("--verified", verified), ("--confirm", confirm)) if value]
     if given:
         raise ConfigError(
@@ -120,7 +120,7 @@ def refuse_without_device(verified: bool, confirm: str | None) -> None:
 
 
 def _ask(text: str) -> bool:
-    """Ask and return True for Enter, False for q or the end of the input."""
+    """Print a question; return True for Enter, False for q or the end of the input."""
     while True:
         click.echo(text, nl=False, err=True)
         line = sys.stdin.readline()

@@ -26,11 +26,11 @@ from rig.experiments.motion.pulse import (
 @options.request_options(FreeRigRequest, options.free_rig_options)
 @options.json_option
 def check(request: FreeRigRequest, as_json: bool) -> None:
-    """MOVE THE MOTOR by four small pushes, and compare the motion with the described one: direction, size, delay.
+    """MOVE THE MOTOR by four small pushes, and compare the motion with the rig's description: direction, size, delay.
 
-    Two pushes each way end after a few counts whatever the signs are. Keep hands off the handle. It finds a dead or
-    reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions on a real rig do
-    the same before each block. Ends with 12 when the rig does not move as described.
+    Two pushes in each direction end after a few counts, even if a sign is wrong. Keep hands off the handle. The command
+    detects a dead or reversed motor, a dead or swapped encoder and a wrong scale without any current sensor; sessions
+    on a real rig run this check before each block. Exits with 12 if the rig does not move as described.
     """
     load_backend(request.url or "sim://")
     x = config.override(request.experiment, request.changes)

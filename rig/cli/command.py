@@ -31,7 +31,7 @@ json_option = option("--json", "as_json", group=RESULT, is_flag=True, help="Prin
 
 
 def quiet() -> bool:
-    """Return True if the running command was given ``-q``."""
+    """Return True if the running command was called with ``-q``."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.meta.get(_QUIET))
 
@@ -41,12 +41,12 @@ def _be_quiet(context: click.Context, parameter: click.Parameter, value: bool) -
 
 
 class GroupedCommand(click.Command):
-    """A command whose options are listed by group.
+    """A command whose options are listed in groups on its help page.
 
     Parameters
     ----------
     quiet
-        True if the command accepts ``-q``; a dialogue does not.
+        True if the command accepts ``-q``; an interactive dialogue does not.
     """
 
     def __init__(self, *arguments: Any, quiet: bool = True, **more: Any) -> None:
@@ -65,7 +65,7 @@ class GroupedCommand(click.Command):
             )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one section for each group of options: the experiment, the command's own, the device, the result."""
+        """Write a section of the help page for each group of options: experiment, the command's own, device, result."""
         groups: dict[str, list[tuple[str, str]]] = {EXPERIMENT: [], OWN: []}
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx) if isinstance(parameter, click.Option) else None
@@ -80,7 +80,7 @@ class GroupedCommand(click.Command):
                     formatter.write_dl(records)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; with ``-q`` only JSON is written to standard output."""
+        """Run the command; with ``-q`` suppress standard output, except JSON."""
         if not ctx.meta.get(_QUIET) or ctx.params.get("as_json"):
             return super().invoke(ctx)
         with open(os.devnull, "w", encoding="utf-8") as nothing, redirect_stdout(nothing):
@@ -88,5 +88,5 @@ class GroupedCommand(click.Command):
 
 
 def command(name: str | None = None, *, quiet: bool = True) -> Callable[[Callable[..., Any]], GroupedCommand]:
-    """Return a decorator that creates a command from a function, like `click.command`."""
+    """Return a decorator that creates a command `name` from a function; `quiet` is True if it accepts ``-q``."""
     return click.command(name, cls=GroupedCommand, quiet=quiet)

@@ -40,8 +40,8 @@ def compare(
 ) -> None:
     """Compare one simulated hit without damping, with uniform and with dual-rate sampling; nothing is recorded.
 
-    Every hit starts alike, so that the handle arrives alike, at four places of the encoder's edges. FILE is an
-    experiment in TOML. On a device run `rig hit --rate T1/T2` once for each scheme.
+    Every scheme gets the same hits, at four offsets of the encoder's edges. FILE is an experiment in TOML. On a device,
+    run `rig hit --rate T1/T2` once for each scheme.
     """
     changes = options.changes(**changed)
     refuse_unused(changes)

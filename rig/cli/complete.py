@@ -1,6 +1,6 @@
-"""Answer a shell's requests for completion.
+"""Reply to a shell's requests for completion.
 
-A shell must not wait, and most commands import numpy and a compiler, so the answers come from files named
+A shell must not wait, and most commands import numpy and a compiler, so the replies come from files named
 ``completion.json``, which `rig.cli.completion_table` writes. `rig.__main__` calls this file before all other imports.
 It must not import a command.
 """
@@ -60,9 +60,9 @@ SHELLS: dict[str, type[ShellComplete]] = {"bash": Bash, "zsh": ZshComplete, "fis
 
 
 def answer(instruction: str) -> int:
-    """Answer a request of the shell and return the exit code.
+    """Print the reply to a shell's completion request and return the exit code.
 
-    Instructions are those of click: ``bash_source`` requests the completion script, and that script requests
+    `instruction` is click's: ``bash_source`` requests the completion script, and that script requests
     ``bash_complete``. The words of the command line are in environment variables, which the script sets.
     """
     shell, _, what = instruction.partition("_")

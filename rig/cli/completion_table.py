@@ -1,4 +1,4 @@
-"""Write ``completion.json`` for the core's commands and for those of each extra.
+"""Write ``completion.json`` for the core's commands and for those of each extra (optional package).
 
 Run ``python -m rig.cli.completion_table`` after a change of a command; a test fails if a file is stale. The builder of
 documents reads the rows. No command may import this file.
@@ -22,7 +22,7 @@ from rig.experiments.estimation.interface import SIGNALS
 
 
 def made() -> dict[Path, str]:
-    """Return path and up-to-date text of each ``completion.json``, with a line for each command."""
+    """Return the up-to-date text of each file ``completion.json``, by its path, with a line for each command."""
     added = extras.added("commands")
     rows = dict(command_rows())
     core = {name: row for name, row in rows.items() if name not in added}
@@ -51,7 +51,7 @@ def _json(part: Any) -> str:
 
 
 def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the words and the row of each command below a group; a group is before its commands, without options."""
+    """Yield the words and the row of each command below a group; a row without options is a group."""
     context = click.Context(group)
     for last in group.list_commands(context):
         one, name = group.get_command(context, last), f"{above} {last}".strip()

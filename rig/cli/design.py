@@ -167,14 +167,14 @@ def design_(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Find rates, estimator and filter for a rig: a search for stated wishes, and a [controller] section to paste.
+    """Find rates, estimator and filter for a rig that fulfil given wishes, and write a [controller] section to paste.
 
-    First a listed set of schemes by linear theory, then simulated hits of the best, on coarse rungs first. The same
-    command resumes a search that was stopped. The result has a front of what can be traded, the margin on rigs that
-    differ by 20 % and in other hands, a picture and a page.
+    The search computes a list of schemes by linear theory, and then simulates hits with the best of them, with a coarse
+    stiffness step first. The same command resumes a search that was stopped. The result has the Pareto front of the
+    schemes, the stability margin on rigs that differ by 20 % and in other hands, a picture and a page.
 
-    With --url the set is what device and link carry, and the recommended scheme and the experiment's own are then hit
-    on the rig, as rig zwidth --url does: a person agrees.
+    With --url the list is limited to what device and link permit, and the walls of the recommended scheme and of the
+    experiment's own scheme are then mapped on the rig, as with rig zwidth --url: a person must agree.
     """
     if url is None:
         refuse_without_device(verified, confirm)
@@ -226,7 +226,7 @@ def design_(
 
 
 def _ticks(request: DesignRequest, board: str) -> list[str]:
-    """Return notes on the cycles of a law on the device, and a note if the experiment's own law is too slow."""
+    """Return notes on the processor cycles of a law on the device, and if the experiment's own law is too slow."""
     if not any(one.loop == "device" for one in request.places):
         return []
     budget, own = named_budget(board), request.experiment.controller
@@ -266,7 +266,7 @@ def _wall(
 
 
 def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[LawPlace, ...]:
-    """Return the places at which the law may run (host, device), from the options or from the device at `url`."""
+    """Return where the law may run (host, device) with its limits, from the options or from the device at `url`."""
     loop, names = asked["loop"], ("most_rate", "round_trip", "link")
     if url is None:
         rate, round_trip_s, link = (asked[name] for name in names)

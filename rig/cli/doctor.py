@@ -18,13 +18,13 @@ from rig.experiments.hits.examine import ExaminationRequest, examine
 @click.option("--print-udev", is_flag=True, help="Print udev rules for rigs, and exit.")
 @options.json_option
 def doctor(request: ExaminationRequest, print_udev: bool, as_json: bool) -> None:
-    """Examine this machine and a link to a device, and print a remedy for each problem; changes nothing.
+    """Examine this computer and the link to a device, and print a remedy for each problem; nothing is changed.
 
-    The machine: rights, limits, kernel, timers, ports. With --url the device, too: its identity, the round trip, the
-    rate that a loop can have, the walls that are stable with that delay, and whether the wall of the experiment may be
-    armed. Commands that remedy something are printed, never run.
+    The computer: permissions, limits, kernel, timers, ports. With --url also the device: its identity, the round trip,
+    the highest rate of a loop, the walls that are stable with the measured delay, and whether the wall of the
+    experiment may be armed. Remedies are printed as commands and never run.
 
-    Exits with 2 when the wall must not be armed.
+    Exits with 2 if the wall must not be armed.
     """
     if print_udev:
         click.echo(rules_for_rigs(), nl=False)

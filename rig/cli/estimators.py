@@ -51,7 +51,7 @@ resolution_option = option(
 @option("--rate", default=DEFAULT_RATE, show_default=True, help="Velocity rate at which the delay is stated.")
 @options.json_option
 def list_(names: tuple[str, ...], rate: str, as_json: bool) -> None:
-    """Show the estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
+    """List the velocity estimators (or NAMES): parameters with range, unit and meaning, delay, source."""
     hertz = _rate(rate)
     case = signal_case(SIGNALS["sine"], hertz, DEFAULT_RESOLUTION)
     facts: list[dict[str, Any]] = []
@@ -113,8 +113,8 @@ def compare(
 ) -> None:
     """Score estimators on reference signals and RECORDINGS: raw error, delay, error without delay, noise at rest, cost.
 
-    All errors are rms. "at rest" is the velocity read after a motion has ended, "toggling" the same while the count
-    falls at random on one of two neighbours.
+    All errors are rms. "at rest" is the estimated velocity after a motion has ended; "toggling" is the same while the
+    count toggles at random between two neighbours.
     """
     cases = [
         _signal_case(name, rate, resolution)
@@ -165,9 +165,9 @@ def tune(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Find the settings of ESTIMATOR that suit RECORDING or a signal, say how much they matter, and write them as TOML.
+    """Find the best settings of ESTIMATOR for RECORDING or a signal, and how much each matters; write them as TOML.
 
-    ESTIMATOR is a name, or name:setting=value,… to fix choices and start elsewhere. The file is a fragment of an
+    ESTIMATOR is a name, or name:setting=value,… to fix choices and to set start values. The file is a fragment of an
     experiment: put `preset = "…"` above it and run `rig hit` with it.
     """
     variant = Variant.parse(estimator)
@@ -217,11 +217,11 @@ def export(
 ) -> None:
     """Write ESTIMATOR as one C99 header with the numbers that suit a rig, and a program that tests it.
 
-    ESTIMATOR is a name, or name:setting=value,…; where the rig's file uses that estimator, its settings are taken. The
-    code is the firmware's own, in float32, or in integers where it has them. The test holds the counts of RECORDING,
-    which it was tuned on, and what the estimator makes of them on this computer.
+    ESTIMATOR is a name, or name:setting=value,…; if the rig's file uses the same estimator, its settings apply. The
+    code is the firmware's own, in float32, or in integers if the estimator exists in integers. The test contains the
+    counts of RECORDING (or of a signal) and the velocities that the estimator computes from them on this computer.
 
-    Instructions and cycles on Cortex-M are counted in a simulator: arm-none-eabi-gcc and haptic-rig[cycles].
+    A simulator counts instructions and cycles on Cortex-M; it needs arm-none-eabi-gcc and haptic-rig[cycles].
     """
     opened = None if recording is None else open_recording(recording)
     if preset is None and opened is not None:
@@ -340,8 +340,8 @@ def _recording_case(path: Path, rate_hz: int | None) -> Case:
 def lipschitz(recording: Path, sines: int, as_json: bool) -> None:
     """Identify C, the acceleration bound of Levant's differentiator, from RECORDING of a hit.
 
-    Fits a sum of sines to the position around first contact and takes the largest second derivative of the fit, as
-    Chawda et al. do. Compare a fit with one more sine: where C changes much, a fast mode dominates and C is not known.
+    C is the largest second derivative of a sum of sines that is fitted to the position around the first contact, as in
+    Chawda et al. Compare with the fit with one more sine: if C changes much, a fast mode dominates and C is not known.
     """
     opened = open_recording(recording)
     fit, richer = (lipschitz_of(opened, sines=n) for n in (sines, sines + 1))

@@ -26,10 +26,10 @@ from rig.recording.export import export as write
 @options.overwrite_option
 @options.json_option
 def export(recording: Path, target: Path, kind: str | None, overwrite: bool, as_json: bool) -> None:
-    """Write RECORDING to TARGET for another program, in the format that its name ends in.
+    """Write RECORDING to TARGET for another program, in the format that the ending of TARGET selects.
 
-    csv: all columns, with a JSON file of units beside it. xy: force of the wall over penetration, as CSV. parquet: for
-    data frames. mat: for MATLAB and Octave. mcap: for Foxglove and PlotJuggler (haptic-rig[mcap]).
+    csv: all columns, and a JSON file of their units beside the CSV. xy: force of the wall over penetration, as CSV.
+    parquet: for data frames. mat: for MATLAB and Octave. mcap: for Foxglove and PlotJuggler (haptic-rig[mcap]).
     """
     path = write(recording, target, kind, overwrite=overwrite)
     if as_json:

@@ -86,7 +86,7 @@ def build(
     for_check: bool,
     as_json: bool,
 ) -> None:
-    """Build the firmware of a board for one rig: ELF, BIN, UF2 where the board takes it, and a description as JSON.
+    """Build the firmware of a board for one rig: ELF, BIN, UF2 if the board accepts it, and a description as JSON.
 
     Needs the cross compiler of the distribution (gcc-arm-none-eabi, libnewlib-arm-none-eabi). The same inputs give the
     same bytes.
@@ -128,7 +128,7 @@ def build(
 @command()
 @options.json_option
 def amplifiers(as_json: bool) -> None:
-    """List the known amplifiers: keys of a rig and a board that each needs, and what to set in the amplifier."""
+    """List the known amplifiers: keys of a rig and a board that each one needs, and what to set in the amplifier."""
     found = [profiles.load(name) for name in profiles.names()]
     if as_json:
         output.print_json(found)
@@ -157,9 +157,9 @@ def wiring(board: str, sets: tuple[str, ...], drawing: Path, as_json: bool) -> N
 @click.argument("source", metavar="FILE|URL", type=values.URL)
 @options.json_option
 def info(source: str, as_json: bool) -> None:
-    """Identify an image, or the firmware of the device at a URL, and check whether this package can run it.
+    """Identify an image, or the firmware of the device at a URL, and check whether this package supports it.
 
-    Exits with 4 when it cannot.
+    Exits with 4 if the firmware is not supported.
     """
     found = look(source)
     if as_json:
@@ -188,9 +188,10 @@ def info(source: str, as_json: bool) -> None:
 )
 @options.json_option
 def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> None:
-    """Copy an image (.uf2) to a board that shows its drive, and wait until the board has started it.
+    """Copy an image (.uf2) to the drive of a board in its boot loader, and wait until the board has started it.
 
-    Hold BOOTSEL while you plug the board in, or name the device with --url: its drive appears. Motor power must be off.
+    Hold BOOTSEL while you connect the board, or name the device with --url: then the drive appears. Motor power must be
+    off.
     """
     with output.StatusLine(quiet=as_json) as status:
         done = copy_image(image, drive, status.on_progress, url=url)
@@ -215,7 +216,7 @@ def flash(image: Path, drive: Path | None, url: str | None, as_json: bool) -> No
 def selftest(url: str, preset: str | None, rate: int | None, request: SelfTestRequest, as_json: bool) -> None:
     """Test the device at URL and its link. Nothing moves: no command requests a current.
 
-    Exits with 5 when a check fails.
+    Exits with 5 if a check fails.
     """
     experiment = None if preset is None else presets.load_named(preset)
     if request.move and not as_json:
@@ -238,10 +239,12 @@ def selftest(url: str, preset: str | None, rate: int | None, request: SelfTestRe
 @gathered_options(PortCheckRequest, "request")
 @options.json_option
 def check_port(url: str, request: PortCheckRequest, as_json: bool) -> None:
-    """Test the port of the board at URL, duty by duty; rig firmware build --check-port builds the program for it.
+    """Test each hardware function (duty) that firmware needs on the board at URL, with a special program.
 
-    Without --current nothing is switched on. The board is reset by its watchdog twice. Exits with 5 when a duty is
-    broken.
+    `rig firmware build --check-port` builds the program.
+
+    Without --current no motor current is switched on. The watchdog resets the board twice. Exits with 5 if a function
+    fails.
     """
     with output.StatusLine(quiet=as_json) as status:
         found = try_port(lambda: open_link(url), request, status.on_progress)

@@ -33,14 +33,14 @@ from rig.experiments.trials.judgement import unexpected
 def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json: bool) -> None:
     """Hit a virtual wall: home to the start, push into the wall, judge, record and draw.
 
-    Without arguments: the dual-rate wall of Koul et al. on the simulated rig koul-compliant, in virtual
-    time. FILE is an experiment in TOML (`rig experiment preset koul-compliant` prints one). Ctrl-C ends with zero
-    effort and a valid recording.
+    Without arguments: the dual-rate wall of Koul et al. on the simulated rig koul-compliant, in virtual time. FILE is
+    an experiment in TOML (`rig experiment preset koul-compliant` prints one). Ctrl-C ends with zero effort and a valid
+    recording.
 
-    The verdict goes by the last part of the trial: an oscillation is felt (velocity of the handle), heard (ripple of
-    the effort) or moved (position, peak to peak) when it exceeds the threshold printed beside it.
+    The last part of the trial decides the verdict: an oscillation is felt (velocity of the handle), heard (ripple of
+    the effort) or moved (position, peak to peak) if it exceeds the threshold that is printed beside it.
 
-    For scripts, --expect stable ends with 17 where a hit's verdict is another one.
+    For scripts: with --expect stable, the exit code is 17 if a hit has another verdict.
     """
     load_backend(request.url or "sim://")
     request = replace(
@@ -80,7 +80,7 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
 
 
 class Artist:
-    """A separate process that draws pictures; it imports its libraries while the trial runs.
+    """A separate process that draws pictures of recordings; it imports its libraries while the trial runs.
 
     If a picture fails, this is only reported, because the recording is already on disk.
     """
@@ -108,7 +108,7 @@ class Artist:
             self._process.communicate()
 
     def draw(self, recording: Path) -> str | None:
-        """Draw a recording; return the picture's path, or None if no picture is requested or it cannot be drawn."""
+        """Draw a recording; return the path of the picture, or None if no picture is requested or drawing fails."""
         process = self._process
         if process is None or process.stdin is None or process.stdout is None:
             return None

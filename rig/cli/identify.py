@@ -57,17 +57,17 @@ def identify(
 ) -> None:
     """Identify a rig: signs, friction, inertia, damping, delay, and the first structural mode.
 
-    Moves the free handle, without its end mass: small pushes that stop after a few counts whatever the signs are, slow
+    Moves the free handle, without its end mass: small pushes that stop after a few counts even if a sign is wrong, slow
     strokes at constant speeds, and excitation by random-phase multisines. FILE or --rig describes the rig as far as it
     is known; its limits of effort, speed and window are observed, and checked before anything moves. Every motion is
     recorded. Keep hands off the handle.
 
-    With --cogging ORDER it also maps the motor's effort over position, in both directions to separate friction. The
-    map needs a position zero from the encoder's index ([rig.reference]); it is written to the file ([rig.cogging]).
+    With --cogging ORDER it also maps the motor's effort over position, in both directions to separate friction. The map
+    needs a position zero from the encoder's index ([rig.reference]); it is written to the file ([rig.cogging]).
 
     With --weight it measures only effort_per_ampere, with a known mass that the operator hangs on the rig when asked.
-    With both it sweeps once more at the end with the mass, to measure the ripple of the motor's effort: a variation
-    with position that looks like varying friction in sweeps without a mass.
+    With --cogging and --weight it sweeps once more at the end with the mass, to measure the ripple of the motor's
+    effort: a variation with position that looks like varying friction in sweeps without a mass.
     """
     if file_out is not None and file_out.exists() and file_out.is_dir():
         raise ConfigError(f"{file_out} is a directory", remedy="give the name of a file, such as rig.toml")
@@ -119,7 +119,7 @@ def _weigh(request: WeighRequest, as_json: bool) -> None:
 
 
 def _ask(text: str) -> None:
-    """Ask the person to do something, and wait for Enter."""
+    """Ask the person to do something, and wait for Enter; raise `ConfigError` at the end of the input."""
     click.echo(f"  {text}; then press Enter", err=True)
     if not sys.stdin.readline():
         raise ConfigError("standard input ended before Enter was pressed", remedy="run it in a terminal")

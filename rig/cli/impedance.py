@@ -76,8 +76,8 @@ def measure(
 ) -> None:
     """Measure the impedance that a rig renders: excite it about a wall, and judge passivity and fidelity line by line.
 
-    Without arguments: the bare rig chawda-linear and its wall, simulated, as in Fig. 4 and Fig. 6 of Chawda et al.
-    With --url the rig's own motor excites it, and every run is recorded.
+    A line is a frequency of the excitation. Without arguments: the bare rig chawda-linear and its wall, simulated, as
+    in Fig. 4 and Fig. 6 of Chawda et al. With --url the rig's own motor excites it, and every run is recorded.
     """
     experiment = options.excited_experiment(url=url, **rig)
     walls = _walls(experiment, stiffness, damping, bare)
@@ -134,7 +134,7 @@ def measure(
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
-    """Return stiffness and damping of the walls that the options select; the bare rig (0, 0) is the first."""
+    """Return stiffness and damping of the walls that the options select; the rig without a wall (0, 0) is the first."""
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]

@@ -59,7 +59,7 @@ def map_(
     scheduler: str | None,
     **rig: Any,
 ) -> None:
-    """Map where the impedance of a simulated rig's walls (K, B) is passive; its fidelity is the colour.
+    """Map where the impedance of a simulated rig's walls (K, B) is passive; the colour shows the fidelity.
 
     Every wall of a grid is excited. Without arguments: Figs. 5 to 8 and Table I of Chawda et al. on the simulated rig
     chawda-linear. The same command resumes a map that was stopped.
@@ -220,5 +220,5 @@ def _spread(spread: Spread) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number with four significant digits and without an exponent."""
+    """Return a number as text with four significant digits and without an exponent."""
     return "–" if math.isnan(value) else f"{float(f'{value:.4g}'):.9g}"

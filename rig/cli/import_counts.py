@@ -53,10 +53,10 @@ def import_counts(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Make a recording of FILE, a CSV of times and counts from another logger.
+    """Convert FILE, a CSV of times and counts from another logger, to a recording.
 
-    `rig show`, `rig estimators compare` and `rig estimators tune` take it. Lost samples are found by the times and by
-    empty cells; an interval may differ from whole periods by 10 % of a period.
+    `rig show`, `rig estimators compare` and `rig estimators tune` accept the recording. Lost samples are detected by
+    the times and by empty cells; an interval may differ from whole periods by 10 % of a period.
     """
     recording = read_counts(
         file,

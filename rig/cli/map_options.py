@@ -48,7 +48,7 @@ def chosen(
     url: str | None = None,
     device: bool = False,
 ) -> Experiment:
-    """Return the experiment to map; a simulated built-in rig is held by a hand unless the options say otherwise."""
+    """Return the experiment to map; by default a simulated hand holds the handle of a simulated built-in rig."""
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:

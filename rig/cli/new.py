@@ -20,7 +20,7 @@ from rig.experiments.new_rig import DataSheetQuestion, questions, questions_for
 
 
 def _answer_options(function: options.F) -> options.F:
-    """Add an option for each question about the data sheets."""
+    """Add a command-line option for each question about the data sheets of motor and encoder."""
     return reduce(
         lambda decorated, add: add(decorated),
         reversed([_option(*one) for one in questions().items()]),
@@ -46,8 +46,9 @@ def _flag(name: str) -> str:
 def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None:
     """Write FILE, an experiment file for a rig of your own, from the data sheets of its motor and encoder.
 
-    Asks for what no option gives, in a terminal. Numbers are in SI units, or have a unit: 38.5mNm/A, 110gcm², 8cm, 60g.
-    Every number of the file has its unit and its source; what no data sheet says is assumed, marked and listed.
+    In a terminal it asks for each value that no option gives. Numbers are in SI units, or have a unit: 38.5mNm/A,
+    110gcm², 8cm, 60g. The file has the unit and the source of every number; values that no data sheet gives are
+    assumed, marked and listed.
 
     Example: rig experiment new mine.toml --mechanism lever --torque-constant 38.5mNm/A --rotor-inertia 110gcm2
     --nominal-current 2.5A --encoder-lines 2048 --transmission 12 --handle-length 8cm --handle-mass 60g
@@ -76,7 +77,7 @@ def _is_complete(given: dict[str, str | None]) -> bool:
 
 
 def _ask(answers: dict[str, Any]) -> None:
-    """Ask all questions that have no answer yet; repeat a question after an invalid answer."""
+    """Ask all questions that have no answer yet and store the answers in `answers`; repeat after an invalid answer."""
     click.echo(
         "From the data sheets of motor and encoder. Numbers in SI units, or with a unit: 38.5mNm/A, 110gcm2, 8cm."
     )

@@ -37,7 +37,7 @@ json_option = command.json_option
 
 
 def added(*options: Callable[[F], F]) -> Callable[[F], F]:
-    """Return one decorator that adds several options, shown in this order."""
+    """Return one decorator that adds several options, shown in this order on the help page."""
 
     def add(function: F) -> F:
         for one in reversed(options):
@@ -53,7 +53,7 @@ file_argument = click.argument("file", required=False, type=values.EXPERIMENT_FI
 
 
 def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callable[[F], F]:
-    """Add --rig. Without the option the command receives the default if `given` is True, otherwise None."""
+    """Return a decorator that adds --rig (built-in rig or TOML file); with `given`, `default` is its default value."""
     more: dict[str, Any] = {"default": default, "show_default": True} if given else {}
     help = "Built-in rig or TOML file." + ("" if given or not default else f" [{default}]")
     return option(
@@ -62,7 +62,7 @@ def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callabl
 
 
 class CommandSettings(HitSettings, total=False):
-    """Settings of the experiment that have their own options, besides rates and operator."""
+    """Settings of the experiment that have their own options, except rates and operator."""
 
     estimator: Annotated[str, Keyword(key="controller.estimator")]
     cutoff: Annotated[
@@ -81,7 +81,7 @@ wall_options = keyword_options(CommandSettings, "stiffness", "damping")
 
 
 def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
-    """Add --stiffness and --damping as lists of values for several walls; the parameters are the help texts."""
+    """Return a decorator that adds --stiffness and --damping as lists of values, with these help texts."""
     return added(
         option("-K", "--stiffness", group=EXPERIMENT, metavar="K,…|FROM:TO[:N]", help=stiffness),
         option("-B", "--damping", group=EXPERIMENT, metavar="B,…|FROM:TO:N", help=damping),
@@ -89,7 +89,7 @@ def walls_options(stiffness: str, damping: str) -> Callable[[F], F]:
 
 
 class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cannot subscript it
-    """A rate in hertz, written as 2000 or 2k."""
+    """A rate in hertz as the value of an option, written as 2000 or 2k."""
 
     name = "rate"
 
@@ -97,7 +97,7 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
         self._lowest, self._highest = lowest, highest
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the rate in Hz; fail if it is outside of the allowed range."""
+        """Return the rate in Hz; fail with a usage error if it is outside of the allowed range."""
         if isinstance(value, int):
             return value
         try:
@@ -115,12 +115,12 @@ class Hertz(click.ParamType):  # type: ignore[type-arg]  # click before 8.4 cann
 
 
 def rate_option(help: str, metavar: str = "T1[/T2]") -> Callable[[F], F]:
-    """Add --rate, the position rate and velocity rate of the loop."""
+    """Return a decorator that adds the option --rate, the position rate and velocity rate of the loop."""
     return option("--rate", group=EXPERIMENT, metavar=metavar, help=help)
 
 
 def estimator_option(help: str = "Velocity estimator.", **more: Any) -> Callable[[F], F]:
-    """Add --estimator, the name of a velocity estimator."""
+    """Return a decorator that adds the option --estimator, the name of a velocity estimator."""
     return option(
         "--estimator", *more.pop("names", ()), group=EXPERIMENT, type=values.ESTIMATOR, help=help, **more
     )
@@ -130,7 +130,7 @@ cutoff_option = keyword_options(CommandSettings, "cutoff")
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Add --scheme, the schemes to compare (`default` describes the default), and their common cut-off option."""
+    """Return a decorator that adds --scheme (sampling schemes to compare; `default` describes them) and --cutoff."""
     return added(
         option(
             "--scheme",
@@ -146,7 +146,7 @@ def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
 
 
 def operator_option(help: str) -> Callable[[F], F]:
-    """Add --operator, the grip of the hand on the handle."""
+    """Return a decorator that adds the option --operator, the grip of the hand on the handle."""
     return option("--operator", group=EXPERIMENT, metavar="GRIP", type=values.GRIP, help=help)
 
 
@@ -162,17 +162,17 @@ set_option = option(
 
 
 def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F], F]:
-    """Add --seed, the seed of the command's random numbers."""
+    """Return a decorator that adds the option --seed, the seed of the command's random numbers."""
     return option("--seed", group=group, type=click.IntRange(0), help=help, **more)
 
 
 def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
-    """Add --repeats, the number of equal runs."""
+    """Return a decorator that adds the option --repeats, the number of equal runs."""
     return option("--repeats", group=EXPERIMENT, type=click.IntRange(1, 10_000), help=help, **more)
 
 
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    """Add --signal, a reference signal of `rig.experiments.estimation._signals`."""
+    """Return a decorator that adds --signal, a reference signal of `rig.experiments.estimation._signals`."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 
@@ -189,7 +189,7 @@ judge_option = option(
 
 
 def url_option(default: str) -> Callable[[F], F]:
-    """Add --url, the device; the text `default` says what the command does without a device."""
+    """Return a decorator that adds --url, the device; `default` describes what the command does without a device."""
     return option(
         "--url",
         group=DEVICE,
@@ -199,7 +199,7 @@ def url_option(default: str) -> Callable[[F], F]:
 
 
 def realtime_option(help: str) -> Callable[[F], F]:
-    """Add --realtime, a run in real time."""
+    """Return a decorator that adds the flag --realtime, a run in real time."""
     return option("--realtime", group=DEVICE, is_flag=True, help=help)
 
 
@@ -221,7 +221,7 @@ across_option = option(
 
 
 def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
-    """Add --confirm: when the operator is asked before something moves."""
+    """Return a decorator that adds the option --confirm: when the operator is asked before something moves."""
     return option(
         "--confirm",
         group=DEVICE,
@@ -234,7 +234,7 @@ def confirm_option(choices: tuple[str, ...], default: str) -> Callable[[F], F]:
 
 
 def output_option(default: str | None, help: str, *names: str) -> Callable[[F], F]:
-    """Add -o and --output, the directory or file of the command's result."""
+    """Return a decorator that adds -o and --output, the directory or file of the command's result."""
     more: dict[str, Any] = {} if default is None else {"default": Path(default), "show_default": True}
     return option("-o", "--output", *names, group=RESULT, type=click.Path(path_type=Path), help=help, **more)
 
@@ -247,7 +247,7 @@ overwrite_option = option("--overwrite", group=RESULT, is_flag=True, help="Repla
 
 
 def expect_option(verdicts: tuple[str, ...]) -> Callable[[F], F]:
-    """Add --expect, for scripts: the command ends with exit code 17 unless the verdict is one of the given ones."""
+    """Return a decorator that adds --expect, for scripts: exit code 17 unless the verdict is one of the given ones."""
     return option(
         "--expect",
         "expected",
@@ -267,7 +267,7 @@ def _plot_option(help: str, default: bool) -> Callable[[F], F]:
 
 
 def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_ENDING) -> Callable[[F], F]:
-    """Add --format, the file format of pictures."""
+    """Return a decorator that adds the option --format, the file format of pictures."""
     return option(
         "--format",
         "ending",
@@ -280,7 +280,7 @@ def format_option(help: str = "Of the picture.", default: str | None = _DEFAULT_
 
 
 def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Callable[[F], F]:
-    """Add the options of a picture among other files; the command receives its format as `plot`, empty for none."""
+    """Return a decorator that adds --plot and --format; the command receives the format as `plot` ("": no picture)."""
 
     def add(function: F) -> F:
         @wraps(function)
@@ -294,7 +294,7 @@ def plot_options(help: str = "Draw a picture.", *, default: bool = True) -> Call
 
 @dataclass(slots=True)
 class PictureOption:
-    """User's choice of a picture and its path; after `draw` also the drawn path or the failure."""
+    """The user's choice of a picture and its path; after `draw` also the path of the drawn picture, or the error."""
 
     wanted: bool
     path: Path | None
@@ -303,7 +303,7 @@ class PictureOption:
     failure: RigError | None = None
 
     def draw(self, stem: Path, draw: Callable[[Path], Path]) -> None:
-        """Draw the picture if it is wanted, into the named file or beside `stem`; report a failure without raising."""
+        """Draw the picture, if wanted, by the function `draw` into its file (beside `stem`); report a failure."""
         if not self.wanted:
             return
         try:
@@ -320,10 +320,10 @@ class PictureOption:
 
 
 def picture_options(help: str, *, default: bool, place: str) -> Callable[[F], F]:
-    """Add the options of a picture that is the command's only file; the command receives a `PictureOption`.
+    """Return a decorator that adds the options of a picture that is the command's only file.
 
-    If a file that the user names cannot be drawn, the command still prints its numbers and ends with the exit code of
-    the failure.
+    The command receives a `PictureOption` as the argument `picture`. If a file that the user names cannot be drawn, the
+    command still prints its numbers and ends with the exit code of the failure.
     """
 
     def add(function: F) -> F:
@@ -368,7 +368,7 @@ free_rig_options = added(file_argument, rig_option(), set_option)
 
 
 def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
-    """Add the options in `which` and those of all keywords of a `RigRequest`; the command receives the request."""
+    """Return a decorator that adds the options in `which` and those of a `RigRequest`, which the command receives."""
 
     def add(function: F) -> F:
         @wraps(function)
@@ -393,7 +393,7 @@ def excited_experiment(
     cutoff: str | None,
     **named: Any,
 ) -> Experiment:
-    """Return the experiment of a rig that is excited; `named` are `ExcitationSettings`, None if not given."""
+    """Return the experiment of a rig that is excited; `named` are `ExcitationSettings` (None: not changed)."""
     given = {name: value for name, value in named.items() if value is not None}
     if url is not None:
         given.setdefault("channel", "motor")
@@ -408,7 +408,7 @@ def excited_experiment(
 
 
 def chosen_experiment(file: Path | None, preset: str | None) -> Experiment:
-    """Return the experiment of the file, of the named preset, or of the default preset."""
+    """Return the experiment of the file, of the named preset, or of the default preset; raise if both are given."""
     if file is not None and preset is not None:
         raise ConfigError(
             "both a file and --rig are given", remedy='write preset = "…" into the file, or drop --rig'
@@ -426,7 +426,7 @@ def preset_of(url: str | None, file: Path | None) -> str | None:
 
 
 def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -> dict[str, Any]:
-    """Return the values that the options change, by dotted key; `named` are `CommandSettings`."""
+    """Return the changed values by dotted key, from --rate, --set KEY=VALUE and `CommandSettings` (`named`)."""
     changed = changes_of({name: value for name, value in named.items() if value is not None}, CommandSettings)
     if rate is not None:
         changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
@@ -453,7 +453,7 @@ def key_values(texts: tuple[str, ...]) -> dict[str, Any]:
 
 
 def parse_rate(text: str) -> tuple[int, int]:
-    """Return position rate and velocity rate (Hz) of an option ``--rate``, such as 20k/2k."""
+    """Return position rate and velocity rate (Hz) of the value of an option ``--rate``, such as 20k/2k."""
     try:
         return parse_rates(text)
     except ConfigError as error:
@@ -461,7 +461,7 @@ def parse_rate(text: str) -> tuple[int, int]:
 
 
 def _value(text: str) -> Any:
-    """Return a text parsed as a TOML value; other text is returned as a string, so quotes may be left out."""
+    """Return a text parsed as a TOML value; text that is not valid TOML is returned as a string."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

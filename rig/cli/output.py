@@ -33,7 +33,7 @@ _MARKS = {
 
 
 def print_json(result: Any) -> None:
-    """Print one JSON document as UTF-8, converted by `rig.core.present.plain`; remedies name options of the command."""
+    """Print a result as JSON in UTF-8; remedies in it name options of the command instead of arguments."""
     text = json.dumps(_remedies_for_terminal(plain(result)), ensure_ascii=False, indent=2)
     takes_bytes = hasattr(sys.stdout, "buffer")  # not where a program redirected it into a string
     # \udcff of a file's name is JSON.
@@ -78,7 +78,7 @@ def show(items: Iterable[Item]) -> None:
 
 
 def print_rows(rows: Sequence[Row]) -> None:
-    """Print a line with label and text for each row, aligned; verdicts are coloured."""
+    """Print a line with label and text for each row, aligned in columns; verdicts are coloured."""
     print_pairs([(row.label, _in_colour(row)) for row in rows])
 
 
@@ -89,7 +89,7 @@ def _in_colour(row: Row) -> str:
 
 
 def print_pairs(pairs: Sequence[tuple[str, str]]) -> None:
-    """Print a line with name and value for each pair, aligned."""
+    """Print a line with name and value for each pair, aligned in columns."""
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         click.echo(f"  {name:<{width}}  {value}")
@@ -110,7 +110,7 @@ def print_table(table: Table) -> None:
 
 
 def print_check(check: Check) -> None:
-    """Print mark, name and text of a check; if it is not ok, also why it matters and the remedy."""
+    """Print mark, name and text of a check; if the check is not passed, also why it matters and the remedy."""
     mark, colour = _MARKS[check.outcome]
     click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {for_terminal(check.text)}")
     if check.outcome is not Outcome.OK:
@@ -120,17 +120,17 @@ def print_check(check: Check) -> None:
 
 
 def coloured(kind: str) -> str:
-    """Return a verdict with the terminal codes of its colour."""
+    """Return a verdict, such as ``stable``, with the terminal codes of its colour."""
     return click.style(kind, fg=_COLOURS.get(kind), bold=True)
 
 
 def drawn(result: Drawn, path: Path) -> str | None:
-    """Draw a result into a file and return its path; report a failure and return None without raising."""
+    """Draw a result into a file and return its path; if this fails, report the error and return None."""
     return drawn_by(lambda: result.plot().save(path))
 
 
 def drawn_by(draw: Callable[[], Path]) -> str | None:
-    """Call `draw` and return the path of its picture; report a failure and return None without raising."""
+    """Call `draw` and return the path of its picture; if this fails, report the error and return None."""
     try:
         return str(draw())
     except Exception as error:  # a picture has many ways to fail, and its data are on disk
@@ -139,7 +139,7 @@ def drawn_by(draw: Callable[[], Path]) -> str | None:
 
 
 def no_picture(error: Exception, name: str = "") -> None:
-    """Report on standard error why a picture was not drawn."""
+    """Report on standard error why a picture was not drawn; `name` is the picture's name."""
     click.echo(f"rig: no picture{name and f' {name}'}: {error}", err=True)
 
 
@@ -150,18 +150,18 @@ def note(text: str) -> None:
 
 
 def on_terminal() -> bool:
-    """Return True if progress can be drawn: standard error is a terminal that moves its cursor."""
+    """Return True if progress can be drawn: standard error is a terminal that moves its cursor, without ``-q``."""
     is_terminal = sys.stderr is not None and sys.stderr.isatty()
     return not told_quiet() and is_terminal and os.environ.get("TERM") not in ("dumb", "unknown")
 
 
 def error_facts(error: RigError) -> dict[str, Any]:
-    """Return an error as plain values for JSON; its message names options of the command."""
+    """Return an error as plain values for JSON; its message names options of the command instead of arguments."""
     return {**error.as_mapping(), "error": _with_options(error.message)}
 
 
 class StatusLine:
-    """Show progress on one line of standard error; without a terminal, print a line for each step."""
+    """A progress display on one line of standard error; without a terminal, a line for each step."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or told_quiet()
@@ -175,7 +175,7 @@ class StatusLine:
             click.echo("\r\033[K", nl=False, err=True)
 
     def on_progress(self, what: str, share: float) -> None:
-        """Show the name of a step and the completed share, 0 … 1."""
+        """Show the name of a step, `what`, and the completed share of it (0 to 1)."""
         if self._quiet:
             return
         if on_terminal():

@@ -47,8 +47,8 @@ def plan(
 ) -> None:
     """Check an experiment against its limits before it runs, and list what it will do; nothing moves.
 
-    With --url, --round-trip or --realtime the wall is also judged with the delay of a link, as the arming gate will
-    judge it with the measured one. Exits with an error when something is refused.
+    With --url, --round-trip or --realtime the wall is also checked with an assumed delay of the link, as the arming
+    gate will check it with the measured delay. Exits with an error if a check refuses the experiment.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)

@@ -1,6 +1,6 @@
-"""Show the progress of a sweep on standard error: a bar on a terminal, otherwise a line every ten seconds.
+"""Show the progress of a sweep (a computation of many tasks): a bar on a terminal, otherwise a line every ten seconds.
 
-Commands that run a sweep use it. It must not write to standard output, which is for results.
+Commands that run a sweep use it. It writes to standard error, because standard output is for results.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MINUTE_S, _HOUR_S = 60, 3600
 
 
 class _Bar:
-    """Base of `SweepBar` and `CountBar`: a bar with a text, removed at the end of its ``with`` block, or lines."""
+    """Base of `SweepBar` and `CountBar`: a bar in a ``with`` block, or lines if there is no terminal."""
 
     def __init__(self, what: str, *, plain: bool = False) -> None:
         self._what = what
@@ -62,7 +62,7 @@ class _Bar:
 
 
 class SweepBar(_Bar):
-    """Show the progress of one sweep within a ``with`` block; pass `watch` to `rig.experiments.sweep.run`.
+    """A progress bar of one sweep, for a ``with`` block; pass `watch` to `rig.experiments.sweep.run`.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _time(seconds: float) -> str:
 
 
 class CountBar(_Bar):
-    """Show the number of finished items within a ``with`` block; call `watch` with (done, total)."""
+    """A bar with the number of finished items, for a ``with`` block; call `watch` with (done, total)."""
 
     def watch(self, done: int, total: int) -> None:
         """Show the number of finished items and the total number."""

@@ -21,9 +21,10 @@ from rig.experiments.trials.recover import Recovered
 @click.argument("paths", nargs=-1, required=True, type=values.RECORDING, metavar="PATH…")
 @options.json_option
 def recover(paths: tuple[Path, ...], as_json: bool) -> None:
-    """Seal the captures (.rigcap) that a crash left without their sealed file, at PATH or anywhere below it.
+    """Recover recordings from captures (.rigcap) that a crash left unfinished, at PATH or anywhere below it.
 
-    Prints for each what was lost. A capture that a running loop still writes is skipped; nothing is overwritten.
+    Prints for each capture what was lost. A capture that a running loop still writes is skipped; nothing is
+    overwritten.
     """
     with _bar(quiet=as_json) as progress:
         results = recovering.recover(paths, progress=progress)
@@ -43,7 +44,7 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
 
 @contextmanager
 def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Yield a function that shows on a terminal the number of the capture in work and the total; None otherwise."""
+    """Yield a function that shows which capture is recovered and how many there are; None without a terminal."""
     if quiet or not output.on_terminal():
         yield None
         return

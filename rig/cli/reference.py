@@ -18,9 +18,10 @@ def reference(request: ReferenceRequest, as_json: bool) -> None:
     """Find position zero by the encoder's index, which rig.reference of FILE describes.
 
     After a torque pulse the handle moves to the limit switch, at the speed and with the effort of [homing], and back
-    over two indices. The first one is rig.reference.position from then on, until the device restarts or loses counts:
-    walls stand at the same place of the mechanism every day, and each recording names the reference. Ends with 12 when
-    the switch, an index or the distance between two is not as described; with 10 or 7 when a limit ended a motion.
+    over two index marks. The first mark defines the position rig.reference.position until the device restarts or loses
+    counts, so that walls are at the same mechanical position every day; each recording names the reference. Exits with
+    12 if the switch, a mark or the distance between two marks is not as described; with 10 or 7 if a limit ended a
+    motion.
     """
     load_backend(request.url or "sim://")
     found = find_reference(request, lambda text: click.echo(text, err=True))

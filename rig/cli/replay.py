@@ -25,10 +25,10 @@ from rig.recording.reader import open_recording
 @options.picture_options("Draw recorded and replayed.", default=False, place="RECORDING-replay.png")
 @options.json_option
 def replay(recording: Path, picture: options.PictureOption, as_json: bool, **changed: Any) -> None:
-    """Run the inputs of RECORDING through the same law (bit-exact) or another one.
+    """Compute the law again from the inputs of RECORDING, with the same law (bit-exact) or another one.
 
-    The handle moves as it was recorded: this shows what another estimator or law would have commanded, not
-    what it would have done to the motion.
+    The recorded motion is the input: the result shows what another estimator or law would have commanded, not how the
+    motion would have changed.
     """
     opened = open_recording(recording)
     result = run(opened, options.changes(**changed))

@@ -29,7 +29,7 @@ from rig.realtime.scheduling import Realtime
 @options.seed_option("Seed of the sensor noise.", default=0, show_default=True)
 @options.json_option
 def serve(preset: str, rate: int | None, firmware: bool, seed: int, as_json: bool) -> None:
-    """Run a simulated rig in real time behind a pseudo-terminal; prints the port to open. Ctrl-C ends it."""
+    """Run a simulated rig in real time behind a pseudo-terminal, and print the port to open. Ctrl-C ends it."""
     experiment = presets.load_named(preset)
 
     def announce(port: str) -> None:

@@ -42,7 +42,8 @@ MOST_ORDERS = 24  # participants whose order is printed; --json has all
 def new(file: Path | None, template: str | None, listed: bool, as_json: bool) -> None:
     """Write a commented protocol into FILE, named after its template if not given. Nothing is overwritten.
 
-    Beside it goes the JSON schema by which editors complete and check it (taplo, Even Better TOML in VS Code).
+    The JSON schema, by which editors complete and check the protocol (taplo, Even Better TOML in VS Code), is written
+    into the same directory.
     """
     if listed:
         subjects = {name: protocols.template_subject(name) for name in protocols.template_names()}
@@ -99,9 +100,9 @@ def check(
 
     Shows trials, time, heat of the motor, the order of each participant and who sees what, and compares every wall that
     a search rule may reach with the limits of the rig and with linear theory. If the operator is blinded, the order is
-    left out, so the operator may run it too.
+    left out, so that the operator may run this command too.
 
-    Exits with an error when something is refused.
+    Exits with an error if a check refuses the protocol.
     """
     protocol = load_protocol(file)
     plan = protocols.check(
@@ -210,7 +211,7 @@ def _print_orders(plan: StudyPlan) -> None:
 
 
 def _letters(place: int) -> str:
-    """Return the letter of a condition by its place: A, B … Z, A1, B1 and so on."""
+    """Return the letter of a condition by its index: A, B … Z, then A1, B1 and so on."""
     return chr(ord("A") + place % 26) + (str(place // 26) if place >= 26 else "")
 
 

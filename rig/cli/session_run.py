@@ -136,13 +136,13 @@ def run(
     lsl: bool,
     as_json: bool,
 ) -> None:
-    """Run the session of participant CODE as PROTOCOL says.
+    """Run the session of participant CODE as described in PROTOCOL.
 
     With --rehearse a simulated person hits and judges, and time is virtual. Without --url the rig is simulated: in real
     time, with the console, and the simulated hand or the keyboard moves the handle.
 
-    Everything is kept below the study's directory, one directory a participant. Ctrl-C ends with zero effort; `rig
-    session resume` continues it.
+    Everything is stored below the study's directory, in one directory for each participant. Ctrl-C ends with zero
+    effort; `rig session resume` continues the session.
     """
     given = {"spread": spread, "lapse_rate": lapse_rate, "people_sd": people_sd}
     known = {name: value for name, value in given.items() if value is not None}
@@ -216,8 +216,8 @@ def resume(
 ) -> None:
     """Resume the session in DIRECTORY after any end: Ctrl-C, kill -9, a power cut, an unplugged rig.
 
-    Without --url it uses the device in the log. A real rig needs --verified again: the signs of motor and encoder are
-    checked, and the handle is at position zero.
+    Without --url the session continues on the device in its log. A real rig needs --verified again: the signs of motor
+    and encoder are checked, and the handle is at position zero.
     """
     if drop_damaged_line and (directory / LOG).is_file():
         kept = set_damaged_line_aside(directory / LOG)
@@ -249,7 +249,7 @@ def resume(
 )
 @options.json_option
 def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
-    """Show the progress of the session in DIRECTORY; also while it runs."""
+    """Show the progress of the session in DIRECTORY, also while it runs."""
     damage = None
     try:
         state, events = session_state(directory)
@@ -287,7 +287,10 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
 
 
 def _when(at_s: float) -> tuple[str, str]:
-    """Return local date and time of day of a time (s); of virtual time, which begins at 0, the time since the start."""
+    """Return date and time of day (local) of an event at `at_s` (s since 1970), as two texts.
+
+    For an event in simulated time, which begins at 0, return the time since the start instead.
+    """
     if at_s < _VIRTUAL_S:
         whole = int(at_s)
         return "in the simulation's time", f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
@@ -304,8 +307,8 @@ def _when(at_s: float) -> tuple[str, str]:
 def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, as_json: bool) -> None:
     """Correct the log in DIRECTORY: the verdict of a trial, whether a trial counts, a note, an answer.
 
-    With --trial N, VALUE is another verdict, or void: the trial does not count (counts takes that back). EVENT is a
-    number of `rig session show --log`. Nothing is erased: the correction is an event of its own.
+    With --trial N, VALUE is another verdict; or void, so that the trial does not count; or counts, to undo void. EVENT
+    is a number of `rig session show --log`. Nothing is erased: the correction is a separate event.
     """
     value = words[-1]
     numbers = [int(text) for text in words[:-1] if text.isdecimal()]
@@ -326,7 +329,7 @@ def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, 
 def _agrees_to_other_protocol(
     protocol: Path, code: str, study: Path | None, person: Person | None, *, as_json: bool
 ) -> bool:
-    """Return True if the protocol differs from the earlier sessions and the operator agrees at a terminal to use it."""
+    """Return True if the protocol differs from earlier sessions and the operator agrees at a terminal to use it."""
     if as_json or not _is_interactive():
         return False
     try:
@@ -342,7 +345,7 @@ def _is_interactive() -> bool:
 
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str) -> DeskFor:
-    """Return the factory of the session's desk: the console, or a simulated person with a progress line."""
+    """Return a function that creates the session's console: the operator's, or that of a simulated person."""
     return _console(hand) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
@@ -355,7 +358,10 @@ def _runner(
 
 
 def _console(hand: str) -> DeskFor:
-    """Return the factory of the console at the operator's terminal; raise `ConfigError` without a terminal."""
+    """Return a function that creates the operator's console at this terminal.
+
+    The function raises `ConfigError` on a system without such terminals.
+    """
 
     def desk(*about: Any) -> Desk:  # made when the session begins: an invalid code is reported first
         if sys.platform == "win32":

@@ -43,7 +43,7 @@ def show(
     expected: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Show what RECORDING holds: rig, wall, why it ended, verdict, losses, columns."""
+    """Show the content of RECORDING: rig, wall, reason of the end, verdict, lost samples, columns."""
     opened = _open(recording, every_column=marks)
     if (facts := counts_facts(opened)) is not None:
         if xy or expected:
@@ -127,7 +127,7 @@ def _print(
 
 
 def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
-    """Return each mark with its time (s) since the start of the trial, or since the first mark without a trial."""
+    """Return name and text of each mark; the text has its time (s) since the trial's start, or since the first mark."""
     pairs = []
     for mark in happened:
         start = next((one for one in happened if one.name == "trial"), happened[0])
@@ -140,7 +140,7 @@ def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
 
 
 def _where(header: dict[str, Any]) -> str:
-    """Return a text on where the law ran (host or device), and on the wall as the device renders it."""
+    """Return a text about where the law ran (host or device), and on a device about the wall that it rendered."""
     extra = header["extra"]
     if "wall" not in extra:
         return "the host"
@@ -151,7 +151,7 @@ def _where(header: dict[str, Any]) -> str:
 
 
 def _agreement(found: dict[str, Any]) -> str:
-    """Return a text on the agreement between the device's current and the same law run on this computer."""
+    """Return a text on how far the device's current agrees with the same law computed on this computer."""
     return (
         f"{found['differing']} of {found['compared']} currents differ, by {found['greatest_quanta']} quanta at most"
         + (

@@ -22,7 +22,7 @@ from rig.realtime.memories import LoopMemory
 def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_json: bool) -> None:
     """Stop the loops that run in real time, all of this user or that of process PID: zero effort within a tick.
 
-    Their programs then come to rest, close their recordings and end by themselves.
+    Their programs then bring the handle to rest, close their recordings and end.
     """
     if only_list:
         loops = [loop for loop in running.running() if pid is None or loop.pid == pid]
@@ -58,7 +58,7 @@ def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
 
 
 def _line(loop: dict[str, Any]) -> str:
-    """Return a line like ``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, 3 s, ….rigcap``."""
+    """Return a line like ``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, ….rigcap``."""
     did = {None: "runs,", True: "stopped after", False: "asked to stop after"}[loop.get("ended")]
     parts = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
     if loop["since"]:

@@ -58,9 +58,9 @@ def walls(
     """Compute which walls are stable on a rig by exact linear theory, and which condition limits K; no simulation.
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
-    stability beyond, and the conditions for passivity. Friction, quantum and saturation are left out: on the papers'
-    rigs, with their Coulomb friction, `rig zwidth -B 0` finds 1.1 to 2.5 times this K_max, without it 0.4 to 0.9 times;
-    the quantum takes 30 to 50 % off the range of B. `rig theory disagreement` shows where that matters.
+    stability above the limit, and the conditions for passivity. Friction, quantum and saturation are left out: on the
+    papers' rigs, with their Coulomb friction, `rig zwidth -B 0` finds 1.1 to 2.5 times this K_max, without friction 0.4
+    to 0.9 times; the quantum reduces the range of B by 30 to 50 %. `rig theory disagreement` shows where that matters.
     """
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping, cutoff=cutoff)

@@ -18,10 +18,10 @@ from rig.recording.timing_report import timing_of
 @options.picture_options("Draw it.", default=True, place="RECORDING-timing.png")
 @options.json_option
 def timing(recording: Path, picture: options.PictureOption, as_json: bool) -> None:
-    """Show where the time of each tick in RECORDING went: sampled, received, computed, sent, applied.
+    """Show the duration of each stage of a tick in RECORDING: sampled, received, computed, sent, applied.
 
-    Sampled and applied are times of the device, put on the host's clock by the exchanges of the run; without them only
-    the host's share is known.
+    The times of sampling and applying are the device's, converted to the host's clock by the clock exchanges of the
+    run; without exchanges only the host's stages are known.
     """
     found = timing_of(recording)
     picture.draw(

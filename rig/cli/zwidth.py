@@ -51,10 +51,10 @@ def zwidth(
 
     With -B 0: the stiffest undamped wall at each sampling rate, as in Fig. 5 of Koul et al.
 
-    With --url the walls are hit on a device, one after the other: a person agrees, the handle goes to its start and
+    With --url the walls are hit on a device, one after the other: a person agrees, the handle moves to its start and
     into the wall, the motor cools. Every hit is recorded.
 
-    `rig theory disagreement` says where linear theory and these hits differ, and why; `rig impedance map` maps where
+    `rig theory disagreement` shows where linear theory and these hits differ, and why; `rig impedance map` maps where
     the rendered impedance is passive.
     """
     device = url is not None or realtime
@@ -181,7 +181,7 @@ def _notes(found: ZWidth) -> list[str]:
 
 
 def _holes(found: ZWidth) -> list[str]:
-    """Return a note for each scheme on dampings at which no wall passed although some passed at a larger damping."""
+    """Return a note for each scheme that has dampings without a stable wall below a damping with one."""
     notes = []
     for number, scheme in enumerate(found.plan.schemes):
         holes = {name: found.width(number, name).holes for name in CRITERIA}

@@ -1,9 +1,9 @@
-"""Experiment files: read, check, change and list them, and derive values that depend on several keys.
+"""Read, check, change and list experiment files, and compute values that depend on several of their keys.
 
 Every higher package calls it. It does not prepare a run (`rig.config.controller` does), does not depend on a device,
-and stores nothing between two calls.
+and keeps no data between two calls.
 
-pydantic is loaded at the first validation, not by this import.
+pydantic is imported at the first validation, not by this import.
 """
 
 from rig.config._derive import (

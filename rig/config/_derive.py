@@ -1,4 +1,4 @@
-"""Values derived from an experiment: physics of the rig, thresholds of the verdict; and a check of its plug-ins."""
+"""Compute values from an experiment: rig model, excitation size, verdict thresholds; check its estimator and law."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
 
 
 def rig_model(described: Experiment | Rig) -> RigModel:
-    """Return the physics of a rig, for simulation and theory.
+    """Return the physical model of a rig, for simulation and theory.
 
-    If a person performs the trial, it includes the hand and its reach, but not the end mass.
+    If a person performs the experiment's trial, it includes the hand and its movement, but not the mass at the link's
+    end.
     """
     rig = described.rig if isinstance(described, Experiment) else described
     model = RigModel(
@@ -47,7 +48,7 @@ def rig_model(described: Experiment | Rig) -> RigModel:
 
 
 def free_s(experiment: Experiment) -> float:
-    """Return the time in free space before the cue (s): the baseline plus a foreperiod drawn by the trial's seed."""
+    """Return the time (s) in free space before the cue: the baseline plus a foreperiod, random by `trial.seed`."""
     trial = experiment.trial
     return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
 
@@ -65,17 +66,17 @@ def _reach(x: Experiment) -> OperatorReach:
 
 
 def motor_push(experiment: Experiment) -> float:
-    """Return the constant effort of the motor in a trial (N·m or N); 0 under a person's push or an excitation."""
+    """Return the constant effort of the motor's push in a trial (N·m or N); 0 with a person or an excitation."""
     return experiment.trial.effort if experiment.trial.kind == "constant-effort" else 0.0
 
 
 def push_s(experiment: Experiment) -> float:
-    """Return the longest duration of the push in a trial (s)."""
+    """Return the longest duration (s) of the push in a trial: `trial.hold_s`, or if it is 0, `trial.duration_s`."""
     return experiment.trial.hold_s or experiment.trial.duration_s
 
 
 def push_at_rest(experiment: Experiment) -> float:
-    """Return the final effort into the wall (N·m or N, ≥ 0): of the motor, or of the hand with its press and spring."""
+    """Return the effort (N·m or N, at least 0) of motor or hand that presses the resting handle into the wall."""
     wall = experiment.wall
     if experiment.trial.kind != "human":
         return max(0.0, wall.side * motor_push(experiment))
@@ -88,7 +89,7 @@ def push_at_rest(experiment: Experiment) -> float:
 
 
 def press_for(experiment: Experiment, push: float) -> float:
-    """Return the press of the hand (N, at the handle) for which `push_at_rest` is `push` (N·m or N)."""
+    """Return the press of the hand (N, at the handle) for which `push_at_rest` would return `push` (N·m or N)."""
     operator, given = experiment.operator, push_at_rest(experiment)
     if given == 0.0:
         return operator.press
@@ -97,17 +98,17 @@ def press_for(experiment: Experiment, push: float) -> float:
 
 
 class Size(TypedDict, total=False):
-    """Size of an excitation (N·m or N), given as either rms or peak."""
+    """Size of an excitation: either its rms or its peak effort (N·m or N), by the keys ``rms`` and ``peak``."""
 
     rms: float
     peak: float
 
 
 def excitation_size(experiment: Experiment) -> Size:
-    """Return the size of the excitation (N·m or N): its rms or its peak.
+    """Return the size of the excitation (N·m or N): either its rms or its peak.
 
-    By default, the rms is ten times the Coulomb friction, so that friction hardly distorts the motion, but at least 2 %
-    of the effort limit.
+    If the experiment gives neither, the rms is ten times the Coulomb friction, so that friction hardly distorts the
+    motion, but at least 2 % of the effort limit.
     """
     given, mechanics = experiment.excitation, experiment.rig.mechanics
     if given.peak is not None:
@@ -119,13 +120,13 @@ def excitation_size(experiment: Experiment) -> Size:
 
 
 def excitation_s(experiment: Experiment) -> tuple[float, float]:
-    """Return the duration of an excited run, and of its part before the analysed periods (s)."""
+    """Return the duration (s) of a run with excitation, and the duration (s) of its settling periods (not analysed)."""
     given = experiment.excitation
     return (given.settle_periods + given.periods) * given.period_s, given.settle_periods * given.period_s
 
 
 def excited(experiment: Experiment) -> Experiment:
-    """Return the experiment as an excited run: start at the wall, no push, duration of all excitation periods."""
+    """Return the experiment changed into a run with excitation, which starts at the wall and has no push."""
     trial = replace(
         experiment.trial,
         kind="excitation",
@@ -137,7 +138,7 @@ def excited(experiment: Experiment) -> Experiment:
 
 
 def verdict_thresholds(experiment: Experiment) -> Thresholds:
-    """Return the thresholds of the verdict at the link, in the units of the rig; the file gives them at the handle.
+    """Return the thresholds of the verdict, converted from the handle to the link (rotary rig: to rad and N·m).
 
     A travel x of the handle is x / radius at the link; a force F at the handle is a torque F · radius at the link.
     """
@@ -159,14 +160,14 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
 
 
 def check_plugins(experiment: Experiment, source: str) -> None:
-    """Check estimator, law and the estimator's settings, which `load_experiment` does not check.
+    """Check the names of estimator and law and the estimator's settings, which `load_experiment` does not check.
 
     It imports the estimator, and with it numba; code that plans or runs an experiment calls it first.
 
     Raises
     ------
     ConfigError
-        A name is unknown (the message has the closest known one), or a setting is unknown or out of range.
+        A name is unknown (the message has the closest known name), or a setting is unknown or out of range.
     """
     controller = experiment.controller
     problems: list[Problem] = []
@@ -186,9 +187,10 @@ def check_plugins(experiment: Experiment, source: str) -> None:
 
 
 def prepare_estimator(experiment: Experiment, resolution: float, period_s: float) -> Prepared:
-    """Prepare the estimator of an experiment; settings about the rig that are not given follow from its mechanics.
+    """Prepare the velocity estimator of an experiment; raise the errors of `Estimator.prepare`.
 
-    `resolution` is the travel per count (rad or m), `period_s` the velocity period (s). Errors as `Estimator.prepare`.
+    `resolution` is the travel per count (rad or m), `period_s` the velocity period (s). Settings about the rig that the
+    experiment leaves out, such as its inertia, are taken from the rig's mechanics.
     """
     estimator = estimators.get(experiment.controller.estimator)
     own = estimator.settings_of(settings_of_rig(experiment))
@@ -196,7 +198,7 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return the inertia of the rig without a hand (kg·m² or kg), by the name of the estimators' setting."""
+    """Return the rig's inertia without a hand (kg·m² or kg), as a mapping with the setting's name ``inertia``."""
     return {"inertia": moved_mechanics(rig_model(experiment.rig)).inertia}
 
 

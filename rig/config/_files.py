@@ -1,4 +1,7 @@
-"""Experiment files and presets as nested tables: read TOML, and overlay one table on another."""
+"""Read experiment files and presets (TOML) as nested dicts, and overlay one dict on another.
+
+A *table* is a section of a TOML file, and the dict that represents it.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,9 @@ DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stac
 
 
 def read_toml(path: Path, kind: str = "an experiment") -> Table:
-    """Return the content of a TOML file; raise `ConfigError` if it is missing, unreadable or not TOML.
+    """Return the content of a TOML file as nested dicts; raise `ConfigError` if it is missing, unreadable or not TOML.
 
-    `kind` is used in messages, such as "an experiment".
+    `kind` names the kind of file in messages, such as "an experiment".
     """
     try:
         text = read_regular(path).decode("utf-8-sig")
@@ -43,7 +46,7 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
 
 
 def parse_toml(text: str, source: str) -> Table:
-    """Parse TOML text; raise `ConfigError` with the line of a syntax error. `source` names the text in messages."""
+    """Return TOML text as nested dicts; raise `ConfigError` with `source` and the line of a syntax error."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -58,7 +61,7 @@ def parse_toml(text: str, source: str) -> Table:
 
 
 def _misleading(text: str, reason: str) -> str:
-    """Return the names of non-ASCII or invisible characters outside quotes in the line of a syntax error; else ""."""
+    """Return the names of invisible or non-ASCII characters outside quotes in the line of a syntax error, or ""."""
     place = re.search(r"at line (\d+)", reason)
     if place is None:
         return ""
@@ -69,13 +72,13 @@ def _misleading(text: str, reason: str) -> str:
 
 @cache
 def preset_names() -> tuple[str, ...]:
-    """Return the names of the presets in this package, sorted."""
+    """Return the sorted names of the presets (built-in experiment files)."""
     found = (files("rig.config") / "presets").iterdir()
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in found if entry.name.endswith(".toml")))
 
 
 def preset_text(name: str) -> str:
-    """Return the TOML text of a preset with its comments; raise `ConfigError` for an unknown name."""
+    """Return the TOML text of a preset (built-in experiment file); raise `ConfigError` for an unknown name."""
     if name not in preset_names():
         choice = f"choose one of: {', '.join(preset_names())}"
         raise ConfigError(f"unknown preset {name!r}", remedy=did_you_mean(name, preset_names(), choice))
@@ -84,12 +87,12 @@ def preset_text(name: str) -> str:
 
 @cache
 def preset_table(name: str) -> Table:
-    """Return the table of a preset, parsed once; callers share it and must not change it."""
+    """Return a preset as nested dicts, parsed once; callers share the result and must not change it."""
     return parse_toml(preset_text(name), f"preset {name}")
 
 
 def tidy(value: Any, depth: int = 0) -> Any:
-    """Copy a table into dicts with text keys and lists, cut off below `DEPTH` levels; other values are unchanged."""
+    """Copy nested mappings and sequences into dicts and lists, cut off below `DEPTH` levels; keep other values."""
     if type(value) in LEAVES or not isinstance(value, Mapping | list | tuple):
         return value
     if depth == DEPTH:
@@ -100,9 +103,10 @@ def tidy(value: Any, depth: int = 0) -> Any:
 
 
 def overlay(base: Table, top: Table) -> Table:
-    """Return `base` with the keys of `top` replaced or added, table by table; the arguments are not changed.
+    """Return a copy of `base` in which the keys of `top` are replaced or added, also inside nested tables.
 
-    If `top` names another estimator or grip than `base`, the settings in `base` for its estimator or grip are dropped.
+    If `top` names another estimator or grip than `base`, the settings in `base` of the old estimator or grip are
+    dropped.
     """
     merged = dict(base)
     for key, value in top.items():
@@ -116,7 +120,7 @@ def overlay(base: Table, top: Table) -> Table:
 
 
 def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the leaves of nested tables by dotted key; an empty table is a leaf."""
+    """Yield dotted key and value of each entry in nested tables; an empty table is yielded as a value."""
     for key, value in table.items():
         if isinstance(value, dict) and value:
             yield from flatten(value, f"{prefix}{key}.")
@@ -125,7 +129,7 @@ def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def nest(flat: Mapping[str, Any]) -> Table:
-    """Return nested tables from dotted keys: the inverse of `flatten`."""
+    """Return nested tables from a mapping of dotted keys to values: the inverse of `flatten`."""
     root: Table = {}
     for dotted, value in flat.items():
         *path, leaf = dotted.split(".")

@@ -1,4 +1,4 @@
-"""Make a checked `Experiment` from a file, a mapping or options; or raise one error with all problems."""
+"""Create a checked `Experiment` from a file, a mapping or options; or raise one error that lists all problems."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experiment:
-    """Return the checked experiment from nested tables like those of a file; `source` names them in errors.
+    """Return the checked experiment from nested mappings with the structure of an experiment file.
 
-    If a table names a preset but another rig, the keys of ``[homing]`` that it does not give are computed from the
-    friction, inertia, resolution and delays of the rig (`rig.config.homing`).
+    `source` names the mapping in messages. If the mapping names a preset but another rig, keys of ``[homing]`` that the
+    mapping leaves out are computed from the rig's friction, inertia, resolution and delays (`rig.config.homing`).
     """
     table = tidy(mapping)
     if not isinstance(table, dict):
@@ -87,7 +87,7 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
 
 
 def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
-    """Return the experiment that `as_mapping` converted to these values, without checking the rules again."""
+    """Return the experiment that `as_mapping` converted to `mapping`, without a check of the rules between keys."""
     parsed = parse_table(EXPERIMENT, dict(mapping), None)
     if parsed[0] is None:
         raise config_error(parsed[1], "a checked experiment")
@@ -103,8 +103,8 @@ def override(
 ) -> Experiment:
     """Return the experiment with some keys changed; check each new value, and then the rules between keys.
 
-    If the estimator or grip changes, the settings of the old one are dropped. A changed key applies in real time too:
-    it is removed from ``[realtime]``. If ``trial.kind`` becomes "human", the limits for people are set.
+    If the estimator or grip changes, the settings of the old estimator or grip are dropped. A changed key also applies
+    in real time: it is removed from ``[realtime]``. If ``trial.kind`` becomes "human", the limits for people are set.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def override(
     source
         Name of the changes in error messages.
     check_rules
-        False if further changes follow, before which the experiment may be inconsistent.
+        False skips the rules between keys, for an experiment that further changes will complete.
     """
     wanted = nest(tidy(changes))
     start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
@@ -136,12 +136,12 @@ def override(
 
 
 def _keys_of(table: Table) -> set[str]:
-    """Return the dotted keys that a table sets, except those of ``[realtime]``."""
+    """Return the dotted keys that `table` sets, except the keys in ``[realtime]``."""
     return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
 def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
-    """Return the experiment without the settings of its estimator or grip, if `wanted` names another one."""
+    """Return the experiment without the settings of its estimator or grip, if `wanted` names a different one."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
@@ -151,9 +151,9 @@ def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
 
 
 def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changes in ``[realtime]`` together with the user's `changes`, which take precedence, by dotted key.
+    """Return the changes for a run in real time, by dotted key: those of ``[realtime]`` and the user's `changes`.
 
-    If the device runs the law, only the keys ``host.…`` of ``[realtime]`` apply.
+    The user's changes take precedence. If the device runs the law, only the keys ``host.…`` of ``[realtime]`` apply.
     """
     gentler: dict[str, Any] = dict(experiment.realtime)
     if changes.get(LOOP, experiment.controller.loop) == "device":
@@ -162,7 +162,7 @@ def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict
 
 
 def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the checked experiment as it runs in real time, with the changes of `realtime_changes`."""
+    """Return the checked experiment with the changes for real time: those of ``[realtime]``, then `changes`."""
     wanted = realtime_changes(experiment, changes or {})
     return override(experiment, wanted, f"[realtime] of {experiment.rig.name}")
 
@@ -205,7 +205,7 @@ def _stack(base: Table, top: Table) -> Table:
 
 
 def _own_servo(preset: Table, table: Table) -> frozenset[str]:
-    """Return the keys of ``[homing]`` to compute for the rig: those not given, if its name is not the preset's."""
+    """Return the keys of ``[homing]`` to compute: those that `table` lacks, if its rig is not the preset's rig."""
     name, given = value_at(table, ("rig", "name")), table.get("homing", {})
     if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
         return frozenset()
@@ -213,7 +213,7 @@ def _own_servo(preset: Table, table: Table) -> frozenset[str]:
 
 
 def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
-    """Return the experiment with these keys of ``[homing]`` computed, for its rates and for those of ``[realtime]``."""
+    """Return the experiment with the keys `names` of ``[homing]`` computed for its rig, also for real time."""
     if not names:
         return x
     servo = asdict(homing.stable_servo(x))
@@ -237,9 +237,10 @@ def _computable(source: str) -> Iterator[None]:
 
 
 def _with_defaults(table: Table) -> Table:
-    """Return a table with defaults that depend on other keys.
+    """Return `table` with the defaults that depend on other keys.
 
-    The default effort limit is the nominal effort, safe for people; the default operator follows from its grip.
+    Without an effort limit, the limit is the motor's nominal effort, which is safe for people; without settings of the
+    operator's hand, the settings of the grip are used.
     """
     limits = value_at(table, ("rig", "limits"))
     if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:
@@ -255,7 +256,7 @@ def _with_defaults(table: Table) -> Table:
 
 
 def _wrong_realtime(changes: Any) -> Iterator[Problem]:
-    """Yield a problem for each unknown key of ``[realtime]``; its values are checked when they are applied."""
+    """Yield a problem for each unknown key of ``[realtime]``; the values are checked only when a run uses them."""
     for key, value in changes.items() if isinstance(changes, dict) else ():
         section, _, leaf = key.rpartition(".")
         if key not in parameters() and section != FREE:

@@ -1,4 +1,4 @@
-"""Limits for people: default limits of a trial with ``trial.kind = "human"``.
+"""Set and check limits for people: limits of a trial in which a person holds the handle (``trial.kind = "human"``).
 
 The effort is at most ``nominal_effort``, and violent oscillations end the trial (`rig.control._watch`).
 """
@@ -17,9 +17,9 @@ HARD = 1e12  # N·m/rad or N/m: nothing gives but the hand, so the press holds f
 
 
 def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experiment:
-    """Return the experiment with the limits for people, if the user's keys `meant` set ``trial.kind = "human"``.
+    """Return the experiment with the limits for people, if the user's keys `meant` set ``trial.kind`` to "human".
 
-    A simulated hand presses less if the lower effort limit requires it. Keys in `meant` are not changed:
+    If the lower effort limit requires it, a simulated hand presses less. Keys in `meant` are not changed:
     `rig.config._rules` and `human_limits_exceeded` check them.
     """
     limits = experiment.rig.limits
@@ -43,7 +43,7 @@ def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experim
 
 
 def human_limits_exceeded(experiment: Experiment) -> list[str]:
-    """Return each key that exceeds the limits for people, as ``key = value``; on a real rig such a trial is refused."""
+    """Return ``key = value`` for each key that exceeds the limits for people; a real rig refuses such a trial."""
     limits = experiment.rig.limits
     if experiment.trial.kind != "human":
         return []

@@ -1,4 +1,4 @@
-"""Problems of an experiment, joined into one error with a line for each problem."""
+"""Describe problems of an experiment, and join them into one error with a line for each problem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.core.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Problem of one key: ``key = value`` (or only the key), the allowed values, and what to do."""
+    """A problem of one key in a file: the key with its value, the requirement that it violates, and what to do."""
 
     key: str
     value: str  # as `rig.config._table.shown` writes it; empty when the key has no value
@@ -19,19 +19,19 @@ class Problem:
     remedy: str
 
     def text(self, source: str) -> str:
-        """Return one line: source, key with value, and the violated requirement."""
+        """Return one line: source (name of the file), key with value, and the violated requirement."""
         subject = f"{self.key} = {self.value}" if self.value else self.key
         return f"{source}: {subject}: {self.must}"
 
 
 def config_error(problems: Sequence[Problem], source: str) -> ConfigError:
-    """Join problems into one `ConfigError`, one per line, each with file, key, value, range and remedy."""
+    """Return one `ConfigError` with a line for each problem: file, key, value, requirement and remedy."""
     if len(problems) == 1:
         return ConfigError(problems[0].text(source), remedy=problems[0].remedy)
     return ConfigError("\n".join(f"{p.text(source)}; {p.remedy}" for p in problems))
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return a question with the known name closest to `name`, or `otherwise` if no known name is close."""
+    """Return the question "did you mean …?" with the known name closest to `name`; `otherwise` if no name is close."""
     close = get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else otherwise

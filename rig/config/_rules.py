@@ -1,6 +1,6 @@
-"""Rules between several keys of an experiment; each rule is a function that yields the problems it finds.
+"""Check rules between several keys of an experiment; each rule is a function that yields the problems that it finds.
 
-They run after each single value has been checked for its type and range.
+The rules run after the type and range of each key have been checked.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
 
 def broken_rules(experiment: Experiment) -> list[Problem]:
-    """Return the problems that all rules find; an empty list for a consistent experiment."""
+    """Return the problems that all rules find in the experiment; an empty list if there is no problem."""
     return [problem for rule in RULES for problem in rule(experiment)]
 
 
 def magnitudes(x: Experiment) -> Iterator[Problem]:
-    """Refuse numbers so small or large that their squares and products overflow.
+    """Yield a problem for each number so small or large that its square or product could overflow.
 
     Settings of laws and estimators have their own ranges and are not checked here.
     """
@@ -47,7 +47,7 @@ def magnitudes(x: Experiment) -> Iterator[Problem]:
 
 
 def rates(x: Experiment) -> Iterator[Problem]:
-    """Require that the position rate is an integer multiple of the velocity rate."""
+    """Yield a problem if the position rate is not an integer multiple of the velocity rate."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if fast % slow == 0:
         return
@@ -64,7 +64,7 @@ def rates(x: Experiment) -> Iterator[Problem]:
 
 
 def wall_position(x: Experiment) -> Iterator[Problem]:
-    """Require uniform sampling if the law uses the estimator's position, which is unknown between velocity samples."""
+    """Yield a problem if the law uses the estimator's position although position and velocity rate differ."""
     fast, slow = x.controller.position_rate, x.controller.velocity_rate
     if x.wall.position_from == "estimator" and fast != slow:
         yield _problem(
@@ -76,7 +76,7 @@ def wall_position(x: Experiment) -> Iterator[Problem]:
 
 
 def slow_rate(x: Experiment) -> Iterator[Problem]:
-    """Require that the slow velocity rate of adaptive sampling divides the velocity rate."""
+    """Yield a problem if the slow velocity rate of adaptive sampling does not divide the velocity rate."""
     slow, rate = x.controller.slow_velocity_rate, x.controller.velocity_rate
     if slow is not None and (slow > rate or rate % slow):
         yield _problem(
@@ -88,7 +88,7 @@ def slow_rate(x: Experiment) -> Iterator[Problem]:
 
 
 def encoder(x: Experiment) -> Iterator[Problem]:
-    """Require the number of lines for a rotary encoder, and the quantum (m per count) for a linear encoder."""
+    """Yield a problem if a rotary encoder lacks its number of lines, or a linear encoder its quantum (m per count)."""
     motion, lines = x.rig.motion, x.rig.encoder.counts_per_revolution
     if motion == "rotary" and lines is None:
         yield _wrong_encoder(x, "quantum", "counts_per_revolution", "linear")
@@ -111,7 +111,7 @@ def _wrong_encoder(x: Experiment, given: str, wanted: str, other: Motion) -> Pro
 
 
 def reference(x: Experiment) -> Iterator[Problem]:
-    """Require that the travel contains only one index of the encoder, or that a limit switch identifies one."""
+    """Yield a problem if the encoder's index does not identify a single position in the travel of the handle."""
     given, key, unit = x.rig.reference, "rig.reference", _unit(x, "position")
     if not given.index:
         if given.limit_switch != "none":
@@ -161,7 +161,7 @@ def reference(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging(x: Experiment) -> Iterator[Problem]:
-    """Require valid orders, one cosine and one sine for each order, a period, and a valid range of the cogging map."""
+    """Yield problems of the cogging map: wrong orders, lists of unequal length, missing period, or an invalid range."""
     given, key = x.rig.cogging, "rig.cogging"
     if len(set(given.orders)) < len(given.orders) or not all(1 <= n <= MOST_ORDER for n in given.orders):
         yield _problem(
@@ -210,7 +210,7 @@ def _ripple(x: Experiment) -> Iterator[Problem]:
 
 
 def cogging_compensation(x: Experiment) -> Iterator[Problem]:
-    """Require a cogging map with its range, an encoder index, and a law on the host for cogging compensation."""
+    """Yield a problem for each missing requirement of cogging compensation: map, encoder index, law on the host."""
     if not x.controller.cogging_compensation:
         return
     given, key = x.rig.cogging, "controller.cogging_compensation"
@@ -238,7 +238,7 @@ def cogging_compensation(x: Experiment) -> Iterator[Problem]:
 
 
 def handle(x: Experiment) -> Iterator[Problem]:
-    """Require a handle radius of 1 on a linear rig, where the handle moves as far as the encoder."""
+    """Yield a problem if a linear rig, which has no lever arm, has a handle radius other than 1."""
     if x.rig.motion == "linear" and x.rig.mechanics.handle_radius != 1.0:
         yield _problem(
             x,
@@ -249,7 +249,7 @@ def handle(x: Experiment) -> Iterator[Problem]:
 
 
 def current(x: Experiment) -> Iterator[Problem]:
-    """Require that the largest current fits into the command's 16 bits."""
+    """Yield a problem if the largest current does not fit into the 16 bits of a command."""
     amplifier = x.rig.amplifier
     largest = LARGEST_CURRENT * amplifier.effort_quantum
     if amplifier.effort_limit > largest:
@@ -262,7 +262,7 @@ def current(x: Experiment) -> Iterator[Problem]:
 
 
 def profile(x: Experiment) -> Iterator[Problem]:
-    """Require that the values of the rig's amplifier agree with its profile."""
+    """Yield problems if keys of ``[rig.amplifier]`` contradict the profile (data sheet) of the rig's amplifier."""
     amplifier, key = x.rig.amplifier, "rig.amplifier.profile"
     if (why := amplifiers.REFUSED.get(amplifier.profile)) is not None:
         yield _problem(x, key, why, 'use a bridge with phase and enable inputs ("voltage-bridge")')
@@ -300,7 +300,7 @@ def profile(x: Experiment) -> Iterator[Problem]:
 
 
 def efforts(x: Experiment) -> Iterator[Problem]:
-    """Require effort limits of the guard below the motor's limit, and configured efforts below those of the guard."""
+    """Yield a problem for each effort above its limit: the limit of the motor, of the guard, or for people."""
     limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
     for key, value, bound_key, bound in (
         ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
@@ -328,7 +328,7 @@ def efforts(x: Experiment) -> Iterator[Problem]:
 
 
 def window(x: Experiment) -> Iterator[Problem]:
-    """Require wall, start and initial position inside the position window."""
+    """Yield a problem if the wall, the start or the initial position is outside the allowed position window."""
     low, high, unit = x.rig.limits.position_minimum, x.rig.limits.position_maximum, _unit(x, "position")
     if low >= high:
         yield _problem(
@@ -353,7 +353,7 @@ def window(x: Experiment) -> Iterator[Problem]:
 
 
 def approach(x: Experiment) -> Iterator[Problem]:
-    """Require that a trial starts on the free side of the wall and pushes towards it."""
+    """Yield problems if a trial starts inside the wall, or if its constant push points away from the wall."""
     side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
     if x.trial.kind == "excitation":  # it begins inside a wall that has no free side
         return
@@ -376,7 +376,7 @@ def approach(x: Experiment) -> Iterator[Problem]:
 
 
 def choreography(x: Experiment) -> Iterator[Problem]:
-    """Refuse baseline, foreperiod and hold time in a trial without a person, which has no cue."""
+    """Yield a problem for a baseline, foreperiod or hold time in a trial without a person, which has no cue to move."""
     if x.trial.kind == "human":
         return
     for name in ("baseline_s", "foreperiod_s", "hold_s"):
@@ -390,7 +390,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
-    """Refuse a push that comes to rest only a few counts deep in the wall: it would test the encoder, not the wall."""
+    """Yield a problem if the push comes to rest only a few counts deep in the wall, which tests the encoder only."""
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
@@ -411,7 +411,7 @@ def rest(x: Experiment) -> Iterator[Problem]:
 
 
 def press(x: Experiment) -> Iterator[Problem]:
-    """Refuse a press of the hand whose effort exceeds the effort limit of the wall."""
+    """Yield a problem if the push of the hand exceeds the effort limit."""
     push, limit = push_at_rest(x), x.rig.limits.effort
     if x.trial.kind == "human" and push > limit:
         effort = _unit(x, "effort")
@@ -425,7 +425,7 @@ def press(x: Experiment) -> Iterator[Problem]:
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """Require that a person's reach ends before the judged tail; with a hold time, within the wait for a contact."""
+    """Yield a problem if the person's reach ends after the judged part begins, or after the wait for a contact."""
     end = x.operator.begin_s + x.operator.reach_s
     if x.trial.hold_s > 0.0:
         if x.trial.kind == "human" and end > x.trial.duration_s:
@@ -450,7 +450,7 @@ def reach(x: Experiment) -> Iterator[Problem]:
 
 
 def speeds(x: Experiment) -> Iterator[Problem]:
-    """Require a homing speed below the speed limit of the guard."""
+    """Yield a problem if the homing speed is not below the guard's speed limit."""
     if x.homing.speed >= x.rig.limits.speed:
         yield _problem(
             x,
@@ -461,7 +461,7 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 
 def times(x: Experiment) -> Iterator[Problem]:
-    """Require that the judged tail is shorter than the push, and that its band has a width above 0."""
+    """Yield problems if the judged last part is not shorter than the push, or if the verdict's band is empty."""
     if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
         of = "hold_s" if x.trial.hold_s else "duration_s"
         yield _problem(
@@ -480,7 +480,7 @@ def times(x: Experiment) -> Iterator[Problem]:
 
 
 def excitation(x: Experiment) -> Iterator[Problem]:
-    """Require a multisine with lines that the loop can generate, one size, and one realisation of Schroeder phases."""
+    """Yield problems of the multisine excitation: no line in its band, too high a frequency, two sizes."""
     e, rate = x.excitation, x.controller.position_rate
     if e.low_hz > e.high_hz:
         yield _problem(
@@ -525,7 +525,7 @@ def excitation(x: Experiment) -> Iterator[Problem]:
 
 
 def heartbeat(x: Experiment) -> Iterator[Problem]:
-    """Require a heartbeat time of 0 (no check), or one that is long enough for the supervising thread."""
+    """Yield a problem if the heartbeat timeout is neither 0 (no check) nor long enough for the supervising thread."""
     # The supervising thread runs some fifty times a second, when it gets the interpreter.
     if 0.0 < x.host.heartbeat_s < SHORTEST_HEARTBEAT_S:
         yield _problem(
@@ -537,7 +537,7 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
 
 
 def device_loop(x: Experiment) -> Iterator[Problem]:
-    """Require pacing by the device, and runs that an overrun does not end, if the law runs on the device."""
+    """Yield a problem for each setting that a law on the device excludes: pacing by the host, end at an overrun."""
     if x.controller.loop != "device":
         return
     why = 'where the device runs the law (controller.loop = "device")'

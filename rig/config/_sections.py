@@ -1,8 +1,8 @@
-"""Keys of an experiment file: one dataclass per section, every range, unit and meaning in its annotation.
+"""Define the keys of an experiment file: one dataclass for each section; annotations give range, unit and meaning.
 
-Ranges and units are only in the annotations; the validator, the error messages, the listing of a plan and the schema
-for editors read them from here (see `rig.config._table`). Rules between several keys are in `rig.config._rules`.
-`rig.core.model` has the sections about the physics of the rig.
+The validator, the error messages, the listing of a plan and the schema for editors read these annotations (see
+`rig.config._table`). Rules between several keys are in `rig.config._rules`. `rig.core.model` has the sections about the
+physics of the rig.
 
 Positions, efforts and stiffnesses are at the link, in SI units, which depend on ``rig.motion``
 (`rig.core.sample.unit_of`).
@@ -32,7 +32,7 @@ Setting = bool | int | float | str
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Section ``[rig.limits]``: limits that the guard enforces, whatever the law commands."""
+    """Section ``[rig.limits]``: limits that the guard (safety check in each tick) enforces against the law."""
 
     nominal_effort: Annotated[
         float, Gt(0), Quantity("effort", "continuous effort of the motor, without overheating")
@@ -238,7 +238,7 @@ class Controller:
 
     @property
     def wall_is_elsewhere(self) -> bool:
-        """Return True if a drive behind the board renders the wall, not this computer or the board."""
+        """Return True if a motor drive behind the board renders the wall, rather than this computer or the board."""
         return self.loop == "device" and self.arithmetic not in ("auto", *BOARD_ARITHMETICS)
 
 
@@ -385,9 +385,10 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Excitation:
-    """Section ``[excitation]``: whole periods of a multisine at the handle, to measure impedance.
+    """Section ``[excitation]``: a multisine effort at the handle, in whole periods, to measure mechanical impedance.
 
-    Its lines are all multiples of 1/period_s in the band. The wall is then bilateral about wall.position.
+    Its frequencies are all multiples of 1/period_s from low_hz to high_hz. The wall then acts on both sides of
+    wall.position.
     """
 
     kind: Annotated[
@@ -440,7 +441,7 @@ class Excitation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Host:
-    """Section ``[host]``: how the loop runs on this computer in real time; virtual time uses only `pacing`."""
+    """Section ``[host]``: how the loop runs on this computer in real time; simulated time uses only `pacing`."""
 
     realtime: Annotated[
         Literal["enforce", "try", "off"],
@@ -483,7 +484,7 @@ class Host:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VerdictLimits:
-    """Section ``[verdict]``: thresholds at the handle; `Mechanics.handle_radius` converts them for a rotary rig."""
+    """Section ``[verdict]``: thresholds for the judgement of a trial, in units of the handle (m, m/s, N)."""
 
     tail_s: Annotated[
         float, Gt(0), Le(3600), Quantity("s", "duration of the judged last part of the push")
@@ -539,7 +540,7 @@ class VerdictLimits:
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Experiment(Shown):
-    """Complete, validated experiment. `realtime` has the changes for a run in real time, by dotted key."""
+    """A complete, validated experiment; `realtime` contains changes for a run in real time, by dotted key."""
 
     rig: Rig
     controller: Controller
@@ -557,7 +558,7 @@ class Experiment(Shown):
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def headline(self) -> str:
-        """Return rig, wall and sampling scheme as one line."""
+        """Return one line with the rig's name, stiffness and damping of the wall, sampling rates and estimator."""
         motion, wall, rates = self.rig.motion, self.wall, self.controller
         scheme = "uniform" if rates.position_rate == rates.velocity_rate else "dual-rate"
         return (
@@ -568,7 +569,7 @@ class Experiment(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Return rig, wall, scheme, law, source of the push and its duration, to print."""
+        """Return lines for printing: rig, wall, rates, law, source and duration of the push, effort limit."""
         trial, motion = self.trial, self.rig.motion
         push = f"{trial.effort:g} {unit_of('effort', motion)}"
         who = {"human": f"a hand with a {self.operator.grip} grip", "excitation": "an excitation"}
@@ -582,7 +583,7 @@ class Experiment(Shown):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return a table of all keys with their values."""
+        """Return the headline and a table of all keys with their values, for printing."""
         return [self.headline(), Table(("key", "value"), list(_leaves(self, "")), words=2)]
 
 

@@ -1,6 +1,6 @@
-"""Table of all keys of a file, read from the annotations of its dataclass: key, type, range, unit, meaning.
+"""List all keys of a file from the annotations of its dataclass: name, type, range, unit and meaning of each key.
 
-Error messages, the listing of an experiment and the schema for editors use this table. It exists for every dataclass
+Error messages, the listing of an experiment and the schema for editors use the list. It exists for every dataclass
 whose fields have a `rig.core.quantity.Quantity`; most functions here are about `Experiment`.
 """
 
@@ -27,7 +27,7 @@ _BOUNDS: tuple[tuple[type, str], ...] = ((Gt, ">"), (Ge, "≥"), (Lt, "<"), (Le,
 
 @dataclass(frozen=True, slots=True)
 class ConfigKey:
-    """Key of an experiment file, with type, range, unit and meaning."""
+    """Description of one key of a file: type, allowed values, unit and meaning."""
 
     key: str
     section: type  # the dataclass that has the field
@@ -39,13 +39,13 @@ class ConfigKey:
     values: str = ""  # what may stand in a table, in words; empty when its keys' owner says so
 
     def unit_for(self, motion: Motion | None) -> str:
-        """Return the unit for a rotary or linear rig; both units if `motion` is None, "" for a pure number."""
+        """Return the key's unit for a rotary or linear rig; both units if `motion` is None; "" for a pure number."""
         if motion is None and self.unit in UNITS:
             return " or ".join(UNITS[self.unit].values())
         return "" if self.unit == "1" else unit_of(self.unit, motion or "rotary")
 
     def expected(self, motion: Motion | None) -> str:
-        """Return the allowed values as text, with range and unit."""
+        """Return the allowed values of the key as text, with range and unit; both units if `motion` is None."""
         words = {
             "choice": "one of " + ", ".join(shown(choice) for choice in self.choices),
             "true or false": self.kind,
@@ -56,7 +56,7 @@ class ConfigKey:
         return words.get(self.kind) or self._numbers(self.unit_for(motion))
 
     def _numbers(self, unit: str) -> str:
-        """Return the text for an allowed number or list of numbers, with range and unit."""
+        """Return the range of a number or of a list of numbers as text, such as "a number > 0 s"."""
         bounds = [bound for bound in self.bounds if bound != "not empty"]
         limits = " and ".join(bounds) or ("in" if unit else "")
         listed = self.kind.startswith("list of ")
@@ -65,7 +65,7 @@ class ConfigKey:
 
 
 class ListedKey(NamedTuple):
-    """Line in the listing of an experiment: key, value, unit and meaning."""
+    """One line in the listing of an experiment's keys: key, value, unit and meaning."""
 
     key: str
     value: Any
@@ -75,24 +75,24 @@ class ListedKey(NamedTuple):
 
 @cache
 def parameters() -> Mapping[str, ConfigKey]:
-    """Return each key of an experiment by its dotted name, in the order of the sections, without `realtime`."""
+    """Return the description of each key of an experiment except ``[realtime]``, by its dotted name."""
     return {key: parameter for key, parameter in parameters_of(Experiment).items() if key != "realtime"}
 
 
 @cache
 def parameters_of(root: type) -> Mapping[str, ConfigKey]:
-    """Return each key of a dataclass by its dotted name; ``condition[].name`` is a key in a list of tables."""
+    """Return the description of each key of a dataclass by its dotted name (``a[].b``: key b in a list of tables a)."""
     return {parameter.key: parameter for parameter in _walk(root, "")}
 
 
 def sections() -> Mapping[str, tuple[str, ...]]:
-    """Return the keys in each table of an experiment file, by the table's dotted name ("" for the top level)."""
+    """Return the names of the keys in each table of an experiment file, by the table's dotted name ("": top level)."""
     return sections_of(Experiment, ("preset",))
 
 
 @cache
 def sections_of(root: type, also: tuple[str, ...] = ()) -> Mapping[str, tuple[str, ...]]:
-    """Return the keys in each table of a file, by the table's dotted name; `also` are further keys at the top level."""
+    """Return the keys in each table of a file, by the table's dotted name; `also` are further top-level keys."""
     found: dict[str, tuple[str, ...]] = {"": (*also, *(f.name for f in fields(root)))}
     for key in parameters_of(root):
         while "." in key:
@@ -117,7 +117,7 @@ def _walk(section: type, prefix: str) -> Iterator[ConfigKey]:
 
 
 def _sole(hint: Any) -> Any:
-    """Return the type of a field without its annotation and without None."""
+    """Return the type of a field without its annotation, and of an optional field the type without None."""
     if get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if get_origin(hint) is UnionType:
@@ -149,7 +149,7 @@ def _parameter(section: type, key: str, hint: Any) -> ConfigKey:
 
 
 def _in_words(values: Any) -> str:
-    """Return the allowed values in a table, as text, from their type; empty if any value is allowed."""
+    """Return which types of values a table may contain, as text such as "a finite number or text"."""
     arms = get_args(values) if get_origin(values) is UnionType else (values,)
     words = [
         word
@@ -161,7 +161,7 @@ def _in_words(values: Any) -> str:
 
 
 def describe(experiment: Experiment, under: str = "") -> tuple[ListedKey, ...]:
-    """Return the listing of an experiment: key, value, unit (by the rig's motion) and meaning.
+    """Return one line for each key of an experiment: key, value, unit (for the rig's motion) and meaning.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def schema_of(root: type) -> dict[str, Any]:
-    """Return the JSON schema of a dataclass, with meaning and unit of each key."""
+    """Return the JSON schema of a dataclass, in which each key has its meaning and unit as description."""
     schema: dict[str, Any] = pydantic.TypeAdapter(root).json_schema()
     definitions: dict[str, Any] = schema["$defs"]
     for parameter in parameters_of(root).values():
@@ -214,7 +214,7 @@ def schema_of(root: type) -> dict[str, Any]:
 
 
 def shown(value: Any) -> str:
-    """Return a value as text like in a TOML file, shortened to one line."""
+    """Return a value as one short line of text, written as in a TOML file."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

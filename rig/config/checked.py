@@ -1,7 +1,8 @@
-"""Read and check TOML files of any declared kind by a dataclass, and report all problems at once.
+"""Read TOML files, check them by a dataclass, and report all problems at once.
 
-Experiments, protocols of studies and descriptions of boards are such files; each kind declares its dataclass as a
-`FileKind`. This file checks type and range of each key alone; the owner of the kind checks rules between keys.
+Experiments, protocols of studies and descriptions of boards are such files; each kind of file is declared as a
+`FileKind`. This file checks type and range of each key alone; the module that declares a kind checks rules between
+keys.
 
 `rig.config`, sessions, the boards of `rig.firmware`, the data sheets of `rig.experiments` and the console call it. It
 must not depend on a certain kind of file.
@@ -59,7 +60,7 @@ _WRITE = {
 
 @dataclass(frozen=True)
 class FileKind(Generic[T]):
-    """Kind of a TOML file.
+    """A kind of TOML file, such as an experiment or the protocol of a study.
 
     Attributes
     ----------
@@ -79,17 +80,17 @@ class FileKind(Generic[T]):
     otherwise: str = ""
 
     def parameters(self) -> Mapping[str, ConfigKey]:
-        """Return each key of a file of this kind, by its dotted name."""
+        """Return the description of each key of such a file, by the key's dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
 
     def sections(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the keys in each table of a file of this kind, by the table's dotted name."""
+        """Return the names of the keys in each table of such a file, by the table's dotted name."""
         root: Any = self.root
         return sections_of(root, self.also)
 
     def known_instead(self, section: str, leaf: str) -> str:
-        """Return a remedy for an unknown key: the closest key of its section, or the same name in another section."""
+        """Return a remedy for the unknown key `leaf`: the closest key of its section, or the same name elsewhere."""
         siblings = self.sections().get(section, ())
         elsewhere = [key.replace("[]", "") for key in self.parameters() if key.rpartition(".")[2] == leaf]
         otherwise = (
@@ -106,7 +107,7 @@ def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple
     kind
         Kind of the file.
     table
-        Plain nested tables (`rig.config._files.tidy`).
+        Content of the file as nested dicts with text keys (`rig.config._files.tidy`).
     motion
         Motion of the rig, for units in messages; None when it is unknown.
     """
@@ -131,12 +132,12 @@ def apply_changes(
     kind
         Kind of file to which `described` belongs.
     described
-        Checked values to start from; they are not changed.
+        Checked dataclass to start from; it is not changed.
     changes
-        New values in nested tables (`rig.config._files.nest`). In a table with free keys, they are added to the
-        existing entries.
+        New values in nested tables (`rig.config._files.nest`). For a field that is a mapping with arbitrary keys, the
+        new entries are added to the present entries.
     motion
-        As in `parse_table`.
+        Motion of the rig, for units in messages; None when it is unknown.
     """
     making = _Changing(changes)
     result = making.section(described, changes, ())
@@ -145,7 +146,7 @@ def apply_changes(
 
 
 class _Changing:
-    """Makes changed copies of dataclasses; collects pydantic's errors, each with the table that it is about."""
+    """A conversion that copies dataclasses with changed fields and collects pydantic's errors with the wrong tables."""
 
     def __init__(self, whole: Table) -> None:
         self._whole = whole
@@ -194,7 +195,7 @@ class _Changing:
 
 
 def plain(value: Any) -> Any:
-    """Return a dataclass as nested dicts; fields with value None are omitted."""
+    """Return a dataclass as nested dicts with lists instead of tuples; fields with value None are omitted."""
     kind: Any = type(value)  # mypy finds types not hashable
     if kind in LEAVES:
         return value
@@ -207,7 +208,7 @@ def plain(value: Any) -> Any:
 
 
 def value_at(table: Any, path: Iterable[str]) -> Any:
-    """Return the value at a path of keys and list indices (from 0); None if it does not exist."""
+    """Return the value in nested dicts and lists at a path of keys and list indices (from 0), or None."""
     value: Any = table
     for part in path:
         if isinstance(value, list) and part.isdecimal():
@@ -218,7 +219,7 @@ def value_at(table: Any, path: Iterable[str]) -> Any:
 
 
 def place(path: Sequence[str]) -> str:
-    """Return a path as text; the second table of [[condition]] is ``condition 2``."""
+    """Return the path of a key as text; the second table of [[condition]] is ``condition 2``."""
     text = ""
     for part in path:
         text += f" {int(part) + 1}" if part.isdecimal() else f".{part}"
@@ -242,7 +243,7 @@ def _adapter_of_key(section: type, name: str) -> Any:
 
 
 def _jsonable(value: Any) -> Any:
-    """Replace values that JSON cannot represent by values that no key accepts (infinity, empty list)."""
+    """Return `value` with whatever JSON cannot represent replaced by infinity or [], which no key accepts."""
     if isinstance(value, dict):
         return {key: _jsonable(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -253,7 +254,7 @@ def _jsonable(value: Any) -> Any:
 
 
 def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: Motion | None) -> Problem:
-    """Return the `Problem` for an error of pydantic."""
+    """Return an error of pydantic as a `Problem` with key, value, allowed values and remedy."""
     path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
     key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
     where, value = place(path), value_at(table, path)
@@ -274,7 +275,7 @@ def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: 
 
 
 def _within_leaf(path: list[str], kind: FileKind[Any]) -> tuple[list[str], list[str]]:
-    """Return a pydantic path up to the key (without list elements and union arms), and the key's dotted name parts."""
+    """Return the path of a pydantic error up to a key of the file, and the parts of this key's dotted name."""
     pattern: list[str] = []
     for length, part in enumerate(path, start=1):
         if part.isdecimal() and pattern and ".".join(pattern) not in kind.parameters():
@@ -317,7 +318,7 @@ def _wrong_section(
 
 
 def better(value: Any, parameter: ConfigKey) -> str:
-    """Return the remedy for a wrong value: the closest choice, or how to write the value."""
+    """Return a remedy for a wrong value: the most similar allowed word, or how to write a value of this type."""
     kind = parameter.kind
     if kind == "choice" and isinstance(value, str):
         known = [choice for choice in parameter.choices if isinstance(choice, str)]
@@ -334,7 +335,7 @@ def better(value: Any, parameter: ConfigKey) -> str:
 
 
 def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
-    """Yield a problem for true or 1.0 in place of the choice 1: they are equal in Python, but not in a file."""
+    """Yield a problem for true or 1.0 in place of the choice 1, which the validator accepts because they are equal."""
     root: Any = kind.root
     for key, parameter in _numbered_keys(root):
         value = value_at(table, key.split("."))
@@ -345,7 +346,7 @@ def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
 
 @cache
 def _numbered_keys(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
-    """Return the keys of a dataclass whose choices are numbers."""
+    """Return the name and description of each key of a dataclass whose allowed values include numbers."""
     found = parameters_of(root).items()
     return tuple(
         (key, one) for key, one in found if not all(isinstance(choice, str) for choice in one.choices)

@@ -1,8 +1,7 @@
-"""Prepare the controller of the loop and the parameters of the device from an experiment.
+"""Compute the controller of the loop and the parameters of the device from an experiment.
 
 Only this file converts configured quantities to ticks, counts and quanta: the host's law (`for_experiment`) and the
-device's parameters (`device_parameters`) use the same values. `prepare_controller` makes both once for a run; a plan
-shows, checks and executes this object.
+device's parameters (`device_parameters`) use the same values. `prepare_controller` computes both once for a run.
 
 Plans, trials, hits, maps, the design, `rig.doctor.gate` and self tests of boards call it. It must not open a device,
 nor write to one.
@@ -42,18 +41,18 @@ I16_MAXIMUM = 32767
 
 
 def resolution(experiment: Experiment) -> float:
-    """Return the travel per count (rad or m); negative when counts fall while the position rises."""
+    """Return the travel per encoder count (rad or m); negative if the position rises while the count falls."""
     encoder = experiment.rig.encoder
     return encoder.sign * encoder.resolution
 
 
 def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
-    """Return the effort of one current quantum of the device (N·m or N)."""
+    """Return the effort (N·m or N) of one current quantum, the device's smallest step of current (A)."""
     return experiment.rig.amplifier.effort_per_ampere * current_quantum_a
 
 
 def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
-    """Return the current limit of guard and device: the most whole quanta within the effort limit."""
+    """Return the current limit of guard and device in whole current quanta: the rig's effort limit, rounded down."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
@@ -61,7 +60,7 @@ def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
 
 
 def oscillation_limit(experiment: Experiment) -> int:
-    """Return the number of successive effort oscillations that ends a trial (`rig.control._watch`); 0: no limit."""
+    """Return how many successive oscillations of the effort end a trial (`rig.control._watch`); 0: no limit."""
     # An excitation makes the effort oscillate itself.
     if experiment.trial.kind == "excitation":
         return 0
@@ -72,14 +71,14 @@ def oscillation_limit(experiment: Experiment) -> int:
 
 
 def energy_limit(experiment: Experiment) -> float:
-    """Return the largest energy that the motor may give in a trial (J); 0: no limit, as in an excitation."""
+    """Return the largest energy (J) that the motor may give to the handle in a trial; 0: no limit."""
     return 0.0 if experiment.trial.kind == "excitation" else experiment.rig.limits.energy or 0.0
 
 
 def for_experiment(
     experiment: Experiment, *, current_quantum_a: float, reference_count: int = 0, law: Law | None = None
 ) -> ControllerState:
-    """Return the controller of one trial.
+    """Return the initial state of the controller for one trial.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ def for_experiment(
     reference_count
         Encoder count at position zero.
     law
-        Law to use instead of the one that the experiment names.
+        Law to use instead of the law that the experiment names.
 
     Raises
     ------
@@ -163,7 +162,7 @@ def for_experiment(
 
 
 def _position_state(estimator: Estimator) -> int:
-    """Return the value of `position_state` in `CONTROL`: 1 + index of the estimator's position in its state.
+    """Return 1 + the index of the estimated position in the estimator's state (`position_state` in `CONTROL`).
 
     Raise `ConfigError` for an estimator that does not estimate a position.
     """
@@ -176,7 +175,7 @@ def _position_state(estimator: Estimator) -> int:
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:
-    """Return the allowed range of the handle before the cue (rad or m): up to halfway to the wall."""
+    """Return the handle's range (rad or m) before the cue, up to halfway to the wall, by field name in `CONTROL`."""
     limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
     free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
     if free_s(experiment) > 0.0:
@@ -185,7 +184,7 @@ def _free_space(experiment: Experiment) -> dict[str, float]:
 
 
 def _law(experiment: Experiment, law: Law) -> Law:
-    """Return the law with the compensation of friction and cogging that the experiment requires."""
+    """Return `law`, wrapped in the compensation of friction and cogging if the experiment requires it."""
     rates, rig = experiment.controller, experiment.rig
     if rates.friction_compensation > 0.0:
         law = _without_friction(experiment, law)
@@ -195,7 +194,7 @@ def _law(experiment: Experiment, law: Law) -> Law:
 
 
 def _without_friction(experiment: Experiment, law: Law) -> Law:
-    """Return the law with a compensation of the rig's Coulomb friction."""
+    """Return `law`, wrapped in a compensation of the configured share of the rig's Coulomb friction."""
     # On two masses that of the motor side alone: the link's lies behind the capstan, and compensating it from the motor
     # would add more energy than it removes.
     rates, mechanics = experiment.controller, experiment.rig.mechanics
@@ -212,7 +211,7 @@ def _without_friction(experiment: Experiment, law: Law) -> Law:
 
 
 def command_lifetime_s(experiment: Experiment) -> float:
-    """Return the lifetime of a command without a successor (s): as configured, or 5 ticks within 3 to 20 ms."""
+    """Return the time (s) after which the device drops a command: as configured, or 5 ticks within 3 to 20 ms."""
     configured = experiment.controller.command_lifetime_s
     if configured is not None:
         return configured
@@ -228,7 +227,7 @@ def rate_of_lifetime(lifetime_s: float) -> int:
 
 
 def supervise_lifetime_s(experiment: Experiment) -> float:
-    """Return the time for which a law on the device continues without a command from the host (s)."""
+    """Return the time (s) after which a law on the device stops if the host sends no command."""
     configured = experiment.controller.supervise_lifetime_s
     return SUPERVISE_LIFETIME_S if configured is None else configured
 
@@ -242,29 +241,29 @@ def prepare_controller(
     verified: bool = False,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Return a prepared run: controller of the host and parameters of the device.
+    """Return a prepared run: initial state of the controller on the host, and parameters of the device.
 
     Parameters
     ----------
     experiment
         Validated experiment to run.
     current_quantum_a
-        Current quantum that the device reports (A); None: that of the experiment's amplifier.
+        Current quantum that the device reports (A); None: the quantum of the experiment's amplifier.
     reference_count
         Encoder count at position zero.
     referenced
         True if `reference_count` follows from the encoder's index, not from a position set by hand.
     verified
-        True if the polarity of motor and encoder is verified, or nothing can move.
+        True if the polarity of motor and encoder is verified, or if nothing can move.
     law
-        Law to use instead of the one that the experiment names.
+        Law to use instead of the law that the experiment names.
 
     Raises
     ------
     ConfigError
-        As `for_experiment`.
+        Estimator or law is unknown, or its settings cannot be realised at the rates of the experiment.
     PlanError
-        As `device_parameters`.
+        A value is out of the device's range, or the device does not support the law.
     """
     if law is not None:
         experiment = replace(experiment, wall=replace(experiment.wall, law=law.name))
@@ -302,10 +301,10 @@ def _law_on_device(experiment: Experiment, controller: ControllerState) -> LawOn
 def device_parameters(
     experiment: Experiment, controller: ControllerState, *, current_quantum_a: float, verified: bool
 ) -> dict[str, Value]:
-    """Return the values of `firmware_protocol.parameters` for this experiment, in ticks, counts and quanta.
+    """Return the value of each device parameter (`firmware_protocol.parameters`) for an experiment, by name.
 
-    With ``controller.loop = "device"`` they include the device's law, which `rig.config.device_law` makes from the
-    host's `controller`; otherwise the parameter ``law`` is 0.
+    Values are in ticks, counts and quanta. With ``controller.loop = "device"`` they include the parameters of the law
+    that the device runs, which are computed from the host's `controller`; otherwise the parameter ``law`` is 0.
 
     Raises
     ------

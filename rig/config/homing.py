@@ -1,4 +1,4 @@
-"""Homing servo of a rig: tolerance because of friction, phase margin, and design of a stable servo.
+"""Design and check the homing servo, which moves the handle to the start of a trial and holds it there.
 
 All results follow from the experiment alone, without heavy libraries, so that every hit can be checked.
 
@@ -41,7 +41,7 @@ GRID = np.logspace(-3.0, 3.0, 1201)  # frequencies, over 1/delay
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Keys of ``[homing]`` that depend on the rig, in the units of the rig."""
+    """Gains and limits of a homing servo: the keys of ``[homing]`` that depend on the rig, in the units of the rig."""
 
     stiffness: float
     damping: float
@@ -51,38 +51,38 @@ class Servo:
 
 
 def holding_effort(x: Experiment) -> float:
-    """Return the effort below which the handle may stay at rest (N·m or N): friction, cogging, end mass's weight."""
+    """Return the effort (N·m or N) below which the handle may stay at rest: friction, cogging, end mass's weight."""
     mechanics = x.rig.mechanics
     weight = 0.0 if x.trial.kind == "human" else abs(mechanics.gravity_effort)
     return mechanics.motor_coulomb + mechanics.link_coulomb + x.rig.cogging.crest + weight
 
 
 def resting_offset(x: Experiment) -> float:
-    """Return the largest distance from its set point at which the handle may come to rest (rad or m)."""
+    """Return the largest distance (rad or m) from the homing target at which friction can hold the handle at rest."""
     return holding_effort(x) / x.homing.stiffness
 
 
 def home_tolerance(x: Experiment) -> float:
-    """Return the distance from the start within which homing is complete (rad or m).
+    """Return the distance (rad or m) from the trial's start within which homing is complete.
 
-    It is `homing.tolerance_counts`, or more if friction can hold the handle farther away, where homing would never end.
+    It is `homing.tolerance_counts`, or more if friction can hold the handle farther away: homing would never end.
     """
     described = x.homing.tolerance_counts * x.rig.encoder.resolution
     return max(described, ABOVE_FRICTION * resting_offset(x))
 
 
 def largest_offset(x: Experiment) -> float:
-    """Return the largest acceptable distance from the start (rad or m): beyond it, the trial would differ too much."""
+    """Return the largest accepted distance (rad or m) from the start after homing: 3/4 of the way to the wall."""
     return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
 
 
 def usual_offset(x: Experiment) -> float:
-    """Return the distance from the start that a designed servo should keep (rad or m)."""
+    """Return the distance (rad or m) from the start that a designed servo may leave: 1/4 of the way to the wall."""
     return USUAL_SHARE * abs(x.wall.position - x.trial.start)
 
 
 def nearest_tolerance(x: Experiment) -> float:
-    """Return a homing tolerance (counts, 1 to `USUAL_TOLERANCE`) that is small beside the distance to the wall."""
+    """Return a homing tolerance (counts): at most a quarter of the way to the wall, within 1 to `USUAL_TOLERANCE`."""
     return max(1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(x) / x.rig.encoder.resolution)))
 
 
@@ -95,26 +95,26 @@ def inertia(x: Experiment) -> float:
 
 
 def _cutoff_hz(x: Experiment) -> float:
-    """Return the cut-off of the velocity filter (Hz); `USUAL_CUTOFF` of the velocity rate if none is given."""
+    """Return the cut-off of the velocity filter (Hz); if none is given, `USUAL_CUTOFF` times the velocity rate."""
     cutoff = x.controller.parameters.get("cutoff_hz", 0.0)
     usual = USUAL_CUTOFF * x.controller.velocity_rate
     return float(cutoff) if isinstance(cutoff, float | int) and cutoff > 0.0 else usual
 
 
 def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
-    """Return the delay from a position to its effort, and the additional delay of the velocity (s), without the lag."""
+    """Return the delay (s) from position to effort, with `ticks` more, and the velocity's additional delay (s)."""
     c = x.controller
     set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
     return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate
 
 
 def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
-    """Return the stiffness at which one count changes the effort by share · effort + 2 · holding effort."""
+    """Return the stiffness (SI) at which one count changes the effort by share · effort + 2 · holding effort."""
     return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
 
 
 def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) -> float:
-    """Return the smallest phase margin of a servo (rad); negative if the servo oscillates.
+    """Return the smallest phase margin of a homing servo (rad); negative if the servo is unstable.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) ->
 
 
 def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
-    """Return the stiffest well damped servo that is stable on the rig with the loop's delay plus `ticks`."""
+    """Return the stiffest well damped homing servo that stays stable with the loop's delay plus `ticks` ticks."""
     delay_s, velocity_s = _delays_s(x, ticks)
     phase = CORNER_IN_HAND if x.trial.kind == "human" else CORNER
     corner = phase / (delay_s + velocity_s + x.rig.amplifier.lag_s)
@@ -160,5 +160,5 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
 
 
 def _round(value: float) -> float:
-    """Return a value rounded to three digits."""
+    """Return a value rounded to three significant digits."""
     return float(f"{value:.3g}")

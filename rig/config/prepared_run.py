@@ -1,9 +1,7 @@
-"""Data of a run that is prepared for one device, which a trial executes.
+"""Data of a run that is prepared for one device: controller, device parameters and law on the device.
 
-`rig.config.controller.prepare_controller` makes it; its users do not depend on how a law or a device's parameters are
-designed.
-
-Trials, hits and motions of `rig.experiments` receive it. It must not import `rig.config.controller`.
+`rig.config.controller.prepare_controller` creates it. Trials, hits and motions of `rig.experiments` execute it without
+depending on how a law or a device's parameters are computed. This file must not import `rig.config.controller`.
 """
 
 from __future__ import annotations
@@ -18,15 +16,15 @@ from rig.control.step import ControllerState
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LawOnDevice:
-    """Law of a run on the device.
+    """The law of a run that the device executes instead of the host.
 
     Attributes
     ----------
     arithmetic
         Arithmetic of the law on the device.
     currents_compared
-        True if the measured current is compared with the active one. False if a drive renders the wall: its current
-        changes within a tick, and it reports one value.
+        True if the measured current is compared with the commanded current of the same tick. False if a drive renders
+        the wall: its current changes within a tick, and it reports one value.
     live
         Function that converts a parameter set from the loop's mailbox to the device's parameters for another wall;
         raises `PlanError` for a wall that is out of range.
@@ -43,20 +41,20 @@ class LawOnDevice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreparedRun:
-    """Run that is prepared for one device.
+    """A run that is prepared for one device.
 
     Attributes
     ----------
     experiment
-        Experiment that is in effect.
+        The experiment to run.
     current_quantum_a, reference_count
-        Current quantum of the device (A), and its count at position zero.
+        Current quantum of the device (A), and the encoder count at position zero.
     controller
-        Controller of the host before the first sample; a copy of it is executed.
+        Initial state of the host's controller; a trial runs on a copy.
     parameters
-        Parameters of the device.
+        Parameters of the device, by name.
     own_law
-        True if the caller gave the law object, instead of the name in the experiment.
+        True if the caller gave the law as an object; False if the experiment names the law.
     on_device
         Law on the device; None if the host runs the law.
     """

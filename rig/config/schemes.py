@@ -3,13 +3,13 @@
 It has a text form for the command line::
 
     dual:20k/2k                        position at 20 kHz, velocity at 2 kHz, the experiment's own estimator
-    uniform:20k                        both at 20 kHz
+    uniform:20k                        position and velocity at 20 kHz
     dual:20k/2k,estimator=kalman       another estimator, with its defaults
     uniform:20k,cutoff_hz=1000         settings of the estimator
     dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1
 
-Unless a scheme states its cut-off, a filter keeps its share of the velocity rate: 200 Hz at 2 kHz become 2 kHz at 20
-kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" all have the experiment's cut-off.
+If a scheme gives no cut-off, the experiment's cut-off is scaled with the velocity rate: 200 Hz at 2 kHz become 2 kHz at
+20 kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" it is not scaled.
 
 Theory, maps, comparisons, the design, sessions and the console call it. It must not run or judge a scheme.
 """
@@ -39,7 +39,9 @@ Prediction = Literal["hold", "extrapolate"]
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Rates, estimator and prediction; fields that are None come from the experiment to which it is applied.
+    """A sampling scheme: rates, velocity estimator and prediction.
+
+    Fields that are None are taken from the experiment to which the scheme is applied.
 
     Attributes
     ----------
@@ -48,9 +50,9 @@ class Scheme:
     estimator
         Name of the velocity estimator.
     parameters
-        Settings of the estimator; they replace those of the experiment if the estimator is the same.
+        Settings of the estimator; they replace the experiment's settings if the estimator is the same.
     prediction
-        Velocity between its samples: held, or extrapolated.
+        How the velocity continues between two velocity samples: ``hold`` or ``extrapolate``.
     slow_velocity_rate, slow_below
         Adaptive T2: velocity rate (Hz) while the handle is slower than `slow_below` (rad/s or m/s).
     """
@@ -65,7 +67,7 @@ class Scheme:
 
     @classmethod
     def parse(cls, text: str) -> Scheme:
-        """Return the scheme of a text (form: see the module's docstring); raise `ConfigError` for an invalid text."""
+        """Return the scheme of a text like ``dual:20k/2k,cutoff_hz=200``; raise `ConfigError` for an invalid text."""
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
@@ -94,7 +96,7 @@ class Scheme:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Scheme:
-        """Return the scheme of an experiment, with values in all fields."""
+        """Return the scheme of an experiment: its rates, estimator, estimator settings and prediction."""
         controller = experiment.controller
         return cls(
             position_rate=controller.position_rate,
@@ -108,12 +110,12 @@ class Scheme:
 
     @property
     def kind(self) -> str:
-        """Return ``uniform`` if both rates are equal, else ``dual``."""
+        """Return ``uniform`` if position and velocity rate are equal, else ``dual``."""
         return "uniform" if self.position_rate == self.velocity_rate else "dual"
 
     @cached_property
     def text(self) -> str:
-        """Return the text form, from which `parse` makes an equal scheme."""
+        """Return the scheme as text like ``dual:20k/2k,cutoff_hz=200``, from which `parse` returns an equal scheme."""
         rates = f"{_kilo(self.position_rate)}"
         if self.kind == "dual":
             rates += f"/{_kilo(self.velocity_rate)}"
@@ -123,7 +125,7 @@ class Scheme:
         return ",".join([f"{self.kind}:{rates}", *shown])
 
     def label(self, experiment: Experiment) -> str:
-        """Return a legend for the scheme on an experiment: rates, estimator, and cut-off if it has one."""
+        """Return a legend text for the scheme applied to an experiment: rates, estimator and its settings."""
         controller = self.on(experiment).controller
         fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
         rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"
@@ -141,7 +143,7 @@ class Scheme:
         return text
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with this scheme, fully checked.
+        """Return the experiment with the rates and the estimator of this scheme, fully checked.
 
         Raises
         ------
@@ -153,9 +155,9 @@ class Scheme:
         return applied
 
     def on(self, experiment: Experiment, *, check_rules: bool = False) -> Experiment:
-        """Return the experiment with the keys of this scheme, each checked alone; `applied` also checks the rules.
+        """Return the experiment with the rates and the estimator of this scheme, with each value checked alone.
 
-        The keys of ``[realtime]`` about the controller are dropped.
+        `check_rules` also checks the rules between keys. The keys of ``[realtime]`` about the controller are dropped.
         """
         changes: dict[str, Any] = {
             "controller.position_rate": self.position_rate,
@@ -187,7 +189,7 @@ class Scheme:
 
 
 def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
-    """Return a sentence if schemes without their own cut-off have different cut-offs by their rates, else None."""
+    """Return a sentence if schemes without a cut-off of their own get different ones by their rates, else None."""
     own = experiment.controller
     unstated = [
         own,
@@ -204,7 +206,7 @@ def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str |
 
 
 def parse_rates(text: str) -> tuple[int, int]:
-    """Return position and velocity rate (Hz) of ``20k/2k`` or ``1k`` (uniform); raise `ConfigError` for other text."""
+    """Return position and velocity rate (Hz) of ``20k/2k``, or ``1k`` for both; raise `ConfigError` for other text."""
     parts = text.split("/")
     if len(parts) > 2:
         raise ConfigError(
@@ -216,7 +218,7 @@ def parse_rates(text: str) -> tuple[int, int]:
 
 
 def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
-    """Return the default settings of an estimator: a cut-off at a tenth of the velocity rate (Hz), or none."""
+    """Return the default settings of an estimator: a cut-off (Hz) at a tenth of the velocity rate, if it has one."""
     return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
 
 
@@ -246,7 +248,7 @@ def _setting(text: str, whole: str) -> tuple[str, float | str]:
 
 
 def _check_types(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
-    """Return the keys of ``[controller]`` with their types checked; the experiment checks their ranges."""
+    """Return the scheme's keys of ``[controller]`` with checked types; their ranges are checked with the experiment."""
     checked: dict[str, Any] = dict(own)
     for key in ("slow_velocity_rate", "slow_below"):
         if isinstance(checked.get(key, 0.0), str):

@@ -1,4 +1,4 @@
-"""Velocity that the estimator outputs for given encoder counts: the value that the speed limit is compared with.
+"""Compute the velocity that the estimator outputs for given encoder counts, for comparison with the speed limit.
 
 One count gives a pulse of the estimated velocity, whose integral is the travel of one count. With a fast filter and a
 coarse encoder, the peak of this pulse can exceed any real speed of the handle.
@@ -34,7 +34,7 @@ Settings = tuple[tuple[str, float | str], ...]
 
 
 def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
-    """Return the estimated velocity for a single count, sample by sample (rad/s or m/s)."""
+    """Return the estimated velocity (rad/s or m/s) at each sample before and after a single encoder count."""
     own = x.controller
     return _pulse(own.estimator, _settings(x), own.velocity_rate, abs(x.rig.encoder.resolution))
 
@@ -42,7 +42,7 @@ def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
 def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
     """Return the highest estimated speed (rad/s or m/s) while the handle moves at a steady velocity (rad/s or m/s).
 
-    It is at least the peak for a single count, however slowly the handle moves.
+    The result is at least the peak for a single count, however slowly the handle moves.
     """
     own = x.controller
     ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
@@ -51,7 +51,7 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
-    """Return the highest cut-off (Hz), up to the present one, at which one count gives at most the speed `most`.
+    """Return the highest cut-off (Hz), up to the present one, at which one count is estimated as at most `most`.
 
     `most` is in rad/s or m/s. Return None for an estimator without a cut-off.
     """
@@ -76,7 +76,7 @@ def _settings(x: Experiment) -> Settings:
 
 @lru_cache(maxsize=4096)
 def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
-    """Return the highest estimated speed for one count and at a steady velocity, extrapolated over `ahead` ticks."""
+    """Return the highest estimated speed (SI) for one count and at a steady velocity, `ahead` ticks extrapolated."""
     read = [_pulse(name, settings, rate, delta)]
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))

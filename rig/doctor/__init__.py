@@ -1,11 +1,12 @@
-"""Examine this machine and a link to a device, and decide whether a wall may be armed.
+"""Examine this computer and the link to a device, and decide whether the motor may be armed to render a virtual wall.
 
-* `machine`: the checks of this computer; `subject`, `limits`, `kernel`, `access`, `wake_up`, `udev` are its parts
-* `ports`: list of connected ports and USB devices, without opening them
-* `ping`, `round_trip`: measurement of a link with the real-time loop's own code
-* `late_loops`, `walls`: stable walls by linear theory with the measured delay
-* `gate`: decision whether a wall may be armed; `rig.experiments.hits.admission` adds the refusals of a plan and of the
-  device itself
+* `here`: list of connected devices and of rigs that can be simulated
+* `interface`: names for a whole examination: checks of the computer, ports, measurement of a link, stable walls
+* `gate`, `gate_result`: decision from the measured link whether a wall may be armed; `rig.experiments.hits.admission`
+  adds the refusals by a plan and by the device
+* `late_loops`: stability of walls by linear theory with the measured delay
+* `pace`: samples that a loop would lose at its rate with this computer and link
+* `predicted`: checks of a run from its description alone
 
 `rig.experiments.hits.examine` runs the whole examination that `rig doctor` prints.
 """

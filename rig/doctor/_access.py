@@ -1,4 +1,4 @@
-"""Check whether this user may open serial ports, and which other programs would open them."""
+"""Check whether this user may open serial ports, and whether other programs would open a rig's port."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Check whether this user may open the connected serial ports; without any, whether the user is in their group."""
+    """Check that this user may open each connected serial port, or if none is connected, belongs to their group."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:
@@ -56,7 +56,7 @@ def _group_missing(machine: Machine, group: str, text: str) -> Check:
 
 
 def _groups(machine: Machine) -> dict[str, list[str]]:
-    """Return the names of the members of each group in /etc/group."""
+    """Return the names of the members of each group in /etc/group, by the group's name."""
     lines = (line.split(":") for line in text_of(machine.root / "etc/group").splitlines())
     return {parts[0]: parts[3].split(",") for parts in lines if len(parts) > 3}
 
@@ -75,7 +75,7 @@ def udev_rules_present(machine: Machine) -> Check:
 
 @question("ModemManager", "it opens every new serial port and sends modem commands for up to half a minute")
 def modem_manager(machine: Machine) -> Check:
-    """Check whether ModemManager, which looks for modems, would open the rig's port."""
+    """Warn if ModemManager, which probes new serial ports for modems, runs and would open the rig's port."""
     if not running(machine.root, "ModemManager"):
         return ok("not running")
     ignoring = (rules for rules in _rules(machine) if "haptic-rig" in rules.name)
@@ -86,7 +86,7 @@ def modem_manager(machine: Machine) -> Check:
 
 @question("brltty", "it takes some serial adapters (CH340, CP210x, FTDI) for braille displays and keeps them")
 def brltty(machine: Machine) -> Check:
-    """Check whether brltty, a program for braille displays, would take the serial adapter."""
+    """Warn if brltty, a driver of braille displays that takes over serial adapters, is installed or runs."""
     rules = [rules.name for rules in _rules(machine) if "brltty" in rules.name]
     if not running(machine.root, "brltty") and not rules:
         return ok("not installed")
@@ -97,12 +97,12 @@ def brltty(machine: Machine) -> Check:
 
 
 def running(root: Path, program: str) -> bool:
-    """Return True if a process with the name `program` runs."""
+    """Return True if a process whose name is `program` is listed below /proc of the file tree `root`."""
     return any(text_of(path) == program for path in (root / "proc").glob("[0-9]*/comm"))
 
 
 def _rules(machine: Machine) -> Iterator[Path]:
-    """Yield the path of each file of udev rules, except links to /dev/null, which disable a rule."""
+    """Yield the path of each file with udev rules, except links to /dev/null, which disable a file."""
     for place in RULES_PLACES:
         for path in (machine.root / place).glob("*.rules"):
             if path.resolve() != Path("/dev/null"):

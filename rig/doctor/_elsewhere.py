@@ -1,4 +1,4 @@
-"""Checks of a computer without Linux, on which a real-time law must run on the device."""
+"""Checks of a computer that does not run Linux: it has no real-time loop, so the control law must run on the device."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.realtime.scheduling import RealtimeRequest
 
 
 def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
-    """Return the checks of a machine without Linux; counterpart of `rig.doctor._machine.machine_checks`."""
+    """Return one check, which warns that this computer has no real-time loop; the argument `host` has no effect."""
     return [_real_time()]
 
 

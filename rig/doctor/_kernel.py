@@ -1,4 +1,4 @@
-"""Check properties of kernel and processors that delay the wake-up of any thread."""
+"""Check the properties of the kernel and the processors that delay the wake-up of a thread."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _HYPERVISORS = re.compile(
 
 @question("kernel", "the loop must wait for kernel work that cannot be interrupted")
 def preemption(machine: Machine) -> Check:
-    """Check whether a real-time thread may interrupt the kernel's own work (kind of preemption)."""
+    """Check whether a real-time thread may interrupt the kernel's own work (the kernel's preemption model)."""
     kind = facts.preemption(machine.root)
     if kind == "PREEMPT_RT":
         return ok("PREEMPT_RT: almost everything can be interrupted")
@@ -71,7 +71,7 @@ def clock(machine: Machine) -> Check:
 
 @question("frequency", "a processor that lowers its clock between ticks computes the next tick late")
 def governor(machine: Machine) -> Check:
-    """Check whether all processors stay at their full frequency (governor ``performance``)."""
+    """Check whether all processors stay at their highest clock frequency (frequency governor ``performance``)."""
     chosen = facts.governors(machine.root)
     # Any other governor lowers the clock of a processor that sleeps most of a tick.
     others = sorted(by for by in chosen.values() if by != "performance")
@@ -86,7 +86,7 @@ def governor(machine: Machine) -> Check:
 
 @question(refusals.PROCESSOR, "on an isolated processor the loop shares neither time nor caches")
 def isolation(machine: Machine) -> Check:
-    """Check whether the processor in ``host.cpu`` is isolated, so that only the loop runs on it."""
+    """Check whether the processor with the number `host.cpu` is isolated, so that only the loop runs on it."""
     cpu, isolated = machine.request.cpu, sorted(facts.isolated_cpus(machine.root))
     online = sorted(facts.online_cpus(machine.root))
     if cpu is None:
@@ -107,7 +107,7 @@ def isolation(machine: Machine) -> Check:
     "virtual machine", "the hypervisor may stop this machine for milliseconds, which nothing here can prevent"
 )
 def virtual_machine(machine: Machine) -> Check:
-    """Check whether this machine is a virtual one."""
+    """Warn if this computer is a virtual machine."""
     flags = re.search(r"^flags\s*:.*\bhypervisor\b", text_of(machine.root / "proc/cpuinfo"), re.MULTILINE)
     below = text_of(machine.root / "sys/hypervisor/type") or text_of(
         machine.root / "proc/device-tree/hypervisor/compatible"

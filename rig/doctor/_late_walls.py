@@ -1,4 +1,4 @@
-"""Judge by linear theory a wall whose commands act late; the delay may be measured or assumed."""
+"""Compute by linear theory whether a wall is stable and passive if each command acts some ticks after its sample."""
 
 from __future__ import annotations
 
@@ -19,7 +19,11 @@ from rig.doctor.late_loops import LateLoops, unstable_hands
 
 @dataclass(frozen=True, slots=True)
 class LateWall:
-    """Stability of a wall with a delay: checks, spectral radius and largest stable K by hand, largest passive K."""
+    """Stability and passivity of a wall whose commands act late, as checks and as numbers.
+
+    For each hand, `radius` is the spectral radius of the closed loop (1 or more: unstable) and `k_max` the largest
+    stable stiffness; `passive` is the largest passive stiffness (N/m or N·m/rad), or None if it was not computed.
+    """
 
     checks: tuple[Check, ...]
     radius: Mapping[str, float]
@@ -28,7 +32,7 @@ class LateWall:
 
 
 def late_wall(experiment: Experiment, delay: int) -> LateWall:
-    """Judge the stability and passivity of an experiment's wall with a delay in ticks of the position rate."""
+    """Compute stability and passivity of an experiment's wall whose commands act `delay` ticks late."""
     wall = experiment.wall
     try:
         loops = LateLoops.of(experiment, delay)
@@ -53,7 +57,7 @@ def _not_computed(error: ConfigError) -> Check:
 def stability(
     experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
 ) -> Check:
-    """Refuse a wall that is unstable with any hand; `radius` and `limits` (largest stable K) are by hand."""
+    """Return a check that refuses a wall that is unstable with any hand; `limits` is the largest K for each hand."""
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
     what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
@@ -77,7 +81,7 @@ def _rounded_down(value: float) -> str:
 
 
 def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """Yield checks of the estimator's replacement, of homing's stability and of passivity; none of them refuses."""
+    """Yield checks that only warn or inform: replaced estimator, oscillation during homing, passivity of the wall."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
     homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)

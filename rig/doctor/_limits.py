@@ -1,4 +1,4 @@
-"""Check whether this process may have real-time priority, locked memory and processors that stay awake (Linux)."""
+"""Check whether this process may use real-time priority, lock its memory and keep processors awake (Linux only)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ assert sys.platform == "linux"
     "without real-time priority a thread waits for other programs, for milliseconds on a busy machine",
 )
 def priority(machine: Machine) -> Check:
-    """Check whether SCHED_FIFO is granted: by limits and control group, then by a try in a short-lived thread."""
+    """Check whether the kernel grants the requested real-time priority (scheduling policy SCHED_FIFO)."""
     wanted = machine.request.priority
     if not machine.rights.may_schedule(wanted):
         return machine.judged(refusals.of_policy(wanted, machine.rights, errno.EPERM, machine.root))
@@ -34,7 +34,7 @@ def priority(machine: Machine) -> Check:
 
 @question(refusals.MEMORY, "reading a swapped memory page back from disk stops the loop for milliseconds")
 def memory(machine: Machine) -> Check:
-    """Check whether all of the program's memory may be locked."""
+    """Check whether this process may lock all of its memory in RAM, so that no page is swapped to disk."""
     if machine.rights.may_lock(status_kilobytes("VmSize", machine.root) * 1024 + refusals.ROOM):
         return ok("the program may lock its memory")
     return machine.judged(refusals.of_memory(machine.rights, root=machine.root))
@@ -42,7 +42,7 @@ def memory(machine: Machine) -> Check:
 
 @question(refusals.IDLE, "waking from deep sleep takes 0.1 ms or more")
 def idle_states(machine: Machine) -> Check:
-    """Check whether this process may keep processors from deep sleep."""
+    """Check whether this process may forbid the deep sleep of processors, from which waking takes 0.1 ms or more."""
     device = machine.root / IDLE_DEVICE
     if device.exists() and machine.openable(device):
         return ok("processors can be kept from deep sleep (/dev/cpu_dma_latency)")
@@ -67,7 +67,7 @@ def swap(machine: Machine) -> Check:
     "the time that the kernel reserves keeps a processor usable if a real-time loop never waits",
 )
 def real_time_share(machine: Machine) -> Check:
-    """Check which share of each period the kernel lets real-time threads run (kernel.sched_rt_runtime_us)."""
+    """Check which share of each period the kernel grants to real-time threads (kernel.sched_rt_runtime_us)."""
     remedy = "sudo sysctl -w kernel.sched_rt_runtime_us=950000"
     runtime, period = rt_runtime_us(machine.root), rt_period_us(machine.root) or 1_000_000
     if runtime is None:

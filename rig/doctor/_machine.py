@@ -1,4 +1,4 @@
-"""Run all checks of this computer that decide how well the real-time loop runs."""
+"""Run all checks of this computer (Linux) that concern the real-time loop's timing or the access to ports."""
 
 from __future__ import annotations
 
@@ -41,16 +41,17 @@ CHECKS: tuple[Callable[[Machine], Check], ...] = (
 def machine_checks(
     host: RealtimeRequest | None = None, *, machine: Machine | None = None, seconds: float = 1.0
 ) -> list[Check]:
-    """Run all checks of a machine and measure its wake-up latency.
+    """Run all checks of a computer and measure the wake-up latency of its threads.
 
     Parameters
     ----------
     host
-        Scheduling that an experiment requests (``experiment.host``); the defaults if left out.
+        Scheduling that an experiment requests (``experiment.host``); default settings if None.
     machine
-        Machine to examine instead of this computer; its own request replaces `host`.
+        Computer to examine, for tests a directory tree with simulated /proc and /sys; None examines this computer. If
+        given, `host` has no effect, because a machine contains its own request.
     seconds
-        Duration of the measurement of wake-ups (s); 0 for no measurement.
+        Duration of the wake-up measurement (s); 0 skips the measurement.
     """
     machine = machine or Machine(request=host or Host())
     checks = [check(machine) for check in CHECKS]

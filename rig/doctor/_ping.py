@@ -1,7 +1,8 @@
-"""Measure a link by repeated clock exchanges (GetTime and its reply) in one compiled function without the GIL.
+"""Measure a link by repeated exchanges of time stamps, in one compiled function that runs without the GIL.
 
-`rig.doctor._round_trip` calls it. It must use the loop's plug points, codec and way of waiting, so that the measured
-times are valid for the loop.
+The host sends the message GetTime, and the device replies with Time. `rig.doctor._round_trip` calls `ping`. The
+function must use the same port functions, codec and way of waiting as the real-time loop, so that the times are valid
+for the loop.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ _NONCES = 1 << 16
 
 @group
 class PingBuffers(NamedTuple):
-    """Working arrays of `ping`: received bytes, decoded and outgoing frame; fields of header, message, last reply."""
+    """Working arrays of `ping`: received bytes, a decoded and an outgoing frame; fields of header, message, reply."""
 
     received: Bytes
     raw: Bytes
@@ -81,7 +82,7 @@ _BUFFERS_TYPE = type_of(PingBuffers)
 
 @kernel(types.int64(_BUFFERS_TYPE, types.int64, _INTS))
 def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
-    """Decode one frame; return 1 if it is the reply to the newest request (fields in `buffers.values`), otherwise 0."""
+    """Decode `buffers.raw`; return 1 if it is the reply to the newest request (in `buffers.values`), else 0."""
     raw, header, values = buffers.raw, buffers.header, buffers.values
     if codec.decode_time(raw, length, header, values) == 0:
         if values[TIME.nonce] == tally[TALLY.nonce] and values[TIME.host_sent] == tally[TALLY.last_sent]:
@@ -95,7 +96,7 @@ def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
 def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
-    """Read and decode available frames; return 1 if the reply came (in `buffers.answer`), 0 if not, or -errno."""
+    """Read and decode the received frames; return 1 if the reply is among them (in `buffers.answer`), 0, or -errno."""
     received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
@@ -130,7 +131,7 @@ def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
 def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
-    """Receive until `until_ns`, or until the reply if `for_answer` is 1; return 1 if the reply came, 0, or -errno."""
+    """Receive until `until_ns` (ns) or, if `for_answer` is 1, until the reply; return 1 for a reply, 0, or -errno."""
     while port.now(port.clock_handle) < until_ns:
         ready = port.wait(port.handle, until_ns)
         if ready > 0:
@@ -156,29 +157,30 @@ def ping(
     period_ns: int,
     timeout_ns: int,
 ) -> int:
-    """Request the device's time repeatedly, until `until_ns` or until the table `exchanges` is full.
+    """Request the device's time repeatedly, until `until_ns` or until the array `exchanges` is full.
 
     Parameters
     ----------
     port
-        The link and its clock.
+        Functions that read, write and wait on the link, and the clock of the link.
     buffers
         Working arrays of this function.
     exchanges
-        Table with the columns of `EXCHANGE`, one row per reply; filled from row ``tally[TALLY.answered]`` on.
+        Array of shape (n, 4), int64, with one row per reply and the columns of `EXCHANGE`; rows from
+        ``tally[TALLY.answered]`` on are filled.
     tally
-        Counters and the state between calls, with the fields of `TALLY`.
+        Array of counters, int64, with the elements of `TALLY`; the next call continues with it.
     until_ns
-        Time after which no exchange begins (ns, link's clock); the call ends at most one time-out later.
+        Time after which no exchange begins (ns, clock of the link); the call ends at most one timeout later.
     period_ns
-        Least time from one request to the next (ns); a request also waits for the previous reply or its time-out.
+        Shortest time from one request to the next (ns); a request also waits for the previous reply or its timeout.
     timeout_ns
         Longest time to wait for a reply (ns).
 
     Returns
     -------
     int
-        Number of exchanges in the table, or the negative errno of a broken link.
+        Number of filled rows in `exchanges`, or the negative errno of a broken link.
     """
     values, transmit, answer = buffers.values, buffers.transmit, buffers.answer
     time_ns = port.now(port.clock_handle)

@@ -1,4 +1,4 @@
-"""List connected ports and USB devices, with their problems of latency or safety, without opening them."""
+"""List connected serial ports and USB devices, and their known problems of latency or safety, without opening them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NO_PORTS = "ports"  # name of the check that warns where nothing is connected
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port or USB device: the URL that opens it, its description, and known facts such as its serial number."""
+    """A connected serial port or USB device: URL that opens it, description, and facts such as its serial number."""
 
     url: str
     description: str
@@ -24,7 +24,7 @@ class Port:
 
 
 def ports_here() -> tuple[list[Port], list[Check]]:
-    """Return all connected serial ports and USB rigs, and a check for each problem of a port."""
+    """Return all connected ports and USB rigs, and a check for each problem of a port (`NO_PORTS` if none)."""
     ports = [serial_port(name, description) for name, description in available_ports()]
     checks = [problem for _, facts in ports for problem in facts.problems()]
     rigs = [Port(device.url, device.product, device) for device in available_devices() if device.is_rig]
@@ -34,7 +34,7 @@ def ports_here() -> tuple[list[Port], list[Check]]:
 
 
 def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
-    """Return a serial port as a `Port`, and the facts about it."""
+    """Return the `Port` of the serial port `name` (such as /dev/ttyACM0), and the system's facts about the port."""
     facts = port_facts(name)
     return Port(DeviceUrl.of("serial", name).text, description or facts.product or "", facts), facts
 
@@ -45,6 +45,6 @@ def _nothing_here() -> Check:
 
 
 def rules_for_rigs() -> str:
-    """Return the text of the udev rules for all rigs of this package and for the connected ones."""
+    """Return the text of a udev rules file for the USB identifiers of this package's rigs and of the connected rigs."""
     connected = ((device.vid, device.pid) for device in available_devices() if device.is_rig)
     return udev_rules((*RIGS, *connected))

@@ -1,7 +1,8 @@
-"""Measure the round trip of a link: duration of request and reply, losses, and the rate that the link carries.
+"""Measure the round trip of a link: time from request to reply, lost requests, and the highest rate for a loop.
 
-The device reports how long it kept a request (two of the four stamps of a clock exchange). The rest of the round trip
-is the link's, which decides the delay of a loop. The gate and `rig doctor` call it.
+A reply contains the device's two time stamps, of the received request and of the sent reply. The round trip minus the
+time between these stamps is the time on the link, which decides the delay of a loop. The arming gate and `rig doctor`
+call it.
 """
 
 from __future__ import annotations
@@ -45,30 +46,31 @@ class LinkMeasurement:
     Attributes
     ----------
     url, virtual, simulated
-        URL of the device; True if its time is virtual; True if it is simulated.
+        URL of the device; True if the link's clock is virtual (simulated time); True if the device is simulated.
     duration_s
         Length of the measurement (s, by the link's clock).
     asked_rate_hz
         Highest rate of requests (Hz); None to send each request as soon as the previous reply arrives.
     sent, lost, late, unsent, bad_frames
-        Number of requests; of requests without a reply within `TIMEOUT_S`; of replies after that; of requests that
-        the port did not accept; of damaged frames.
+        Numbers of: sent requests; requests without a reply within `TIMEOUT_S`; replies that arrived after this timeout;
+        requests that the port did not accept; damaged frames.
     round_trip_s
-        Time from a request to its reply (s).
+        Distribution of the time from a request to its reply (s).
     travel_s
-        `round_trip_s` minus the time that the device kept the request (s): the time on the link alone.
+        Distribution of the time on the link alone (s): each round trip minus the time between the device's two stamps.
     stamps_trusted
-        True if the device's time stamps are plausible; otherwise `travel_s` is the whole round trip.
+        True if the device's time stamps are plausible; if False, `travel_s` is equal to `round_trip_s`.
     bytes_to_device_per_s, bytes_to_host_per_s
-        Bytes per second on the link, including frames that the device sends on its own.
+        Bytes per second on the link, including frames that the device sends without a request.
     capacity_bytes_per_s
         Capacity of the link in each direction (bytes/s); None if unknown.
     states
-        Number of STATE frames received during the measurement.
+        Number of State messages received during the measurement.
     exchanges
         Four time stamps of each exchange (ns): host sends, device receives, device sends, host receives; shape (n, 4).
     drive
-        Behind a bridge: statistics of the bus between bridge and drive since it was opened; empty for a board.
+        Statistics of the bus between a bridge and its motor drive, since the bridge was opened (such as ``median_us``,
+        the median reply time in µs); empty for a device without a bridge.
     """
 
     url: str
@@ -93,14 +95,14 @@ class LinkMeasurement:
 
     @reported
     def loss_share(self) -> float:
-        """Return the share of the requests without a reply within `TIMEOUT_S`, from 0 to 1."""
+        """Return the share of requests without a reply within `TIMEOUT_S`, from 0 to 1."""
         return self.lost / self.sent
 
     @reported
     def loop_rate_hz(self) -> float:
-        """Return the highest rate (Hz) at which 99.9 % of commands arrive within a period; infinite in virtual time.
+        """Return the highest loop rate (Hz) at which 99.9 % of commands arrive within a period; ∞ in virtual time.
 
-        With a drive that sends its samples unrequested, the period is a whole number of its message periods.
+        If a drive sends its samples without a request, the period is a multiple of the drive's message period.
         """
         if self.late_s <= 0.0:
             return math.inf
@@ -109,20 +111,20 @@ class LinkMeasurement:
 
     @property
     def sample_delay_s(self) -> float:
-        """Return the time from a bridge's tick to the drive's sample (s) that 99.9 % do not exceed; 0 for a board."""
+        """Return the time (s) from a bridge's tick to the drive's sample that 99.9 % do not exceed; 0 for a board."""
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property
     def late_s(self) -> float:
-        """Return the time from a tick of the device to the command computed from it (s) that 99.9 % do not exceed."""
+        """Return the time (s) from a tick of the device to its command that 99.9 % of the ticks do not exceed."""
         return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
-        """Return the ticks from a sample to its command at `rate` (Hz) that 99.9 % do not exceed; 0 in virtual time."""
+        """Return the delay from a sample to its command (ticks of `rate` in Hz) that 99.9 % do not exceed."""
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
-        """Return the measurement as rows to print."""
+        """Return the measurement as rows (name, text, note) for printing."""
         asked = (
             "as fast as the device replies" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
         )
@@ -147,7 +149,7 @@ class LinkMeasurement:
 
 
 def _drive(facts: Mapping[str, float]) -> str:
-    """Return a sentence on the bus behind a bridge: reply times (ms), lost replies, temperature (°C)."""
+    """Return a sentence about the bus between bridge and drive: reply times (ms), losses, drive temperature (°C)."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
     asked, kind = (
@@ -158,7 +160,7 @@ def _drive(facts: Mapping[str, float]) -> str:
 
 
 def _times(times: Distribution) -> str:
-    """Return the quantiles p50, p99 and p99.9 with their bounds, and the longest time, as text in ms."""
+    """Return the quantiles p50, p99 and p99.9 with their confidence bounds, and the maximum, as text in ms."""
     named = (("p50", times.p50), ("p99", times.p99), ("p99.9", times.p999))
     return f"{', '.join(f'{name} {_time(q)}' for name, q in named)}, longest {1e3 * times.maximum:.3g} ms"
 
@@ -176,7 +178,7 @@ def measure_link(
     realtime: Realtime | None = None,
     progress: Progress | None = None,
 ) -> LinkMeasurement:
-    """Measure the link to an open device, which must not be in a run, by exchanging time stamps.
+    """Measure the link to an open device by exchanging time stamps; the device must not be in a run.
 
     Parameters
     ----------
@@ -187,9 +189,9 @@ def measure_link(
     rate
         Highest rate of requests (Hz); None to send each request as soon as the previous reply arrives.
     realtime
-        Scheduling of the measuring thread, from `rig.realtime.scheduling.obtained`: the same as the loop's.
+        Scheduling of the measuring thread, from `rig.realtime.scheduling.obtained`; use the loop's scheduling.
     progress
-        Called several times a second with the completed share of the measurement, 0 … 1.
+        Function that receives the completed share of the measurement (0 to 1), several times per second.
 
     Raises
     ------
@@ -204,7 +206,7 @@ def measure_link(
 
 
 class _Run:
-    """One measurement: its buffers, its thread and its counters."""
+    """One measurement of a link, with its buffers, its thread and its counters."""
 
     def __init__(self, device: FramedDevice, seconds: float, rate: float | None) -> None:
         self._device = device
@@ -225,7 +227,7 @@ class _Run:
         self._error: BaseException | None = None
 
     def warm_up(self) -> None:
-        """Make `WARM_UP` exchanges and reset the counters, so that first-time costs are not measured."""
+        """Exchange `WARM_UP` time stamps and reset the counters, so that the costs of first calls are not measured."""
         few = np.zeros((WARM_UP, len(EXCHANGE)), np.int64)
         self._ping(few, self._clock.now_ns() + round(4 * TIMEOUT_S * 1e9))
         kept = (
@@ -240,7 +242,7 @@ class _Run:
             self._tally[place] = 0
 
     def perform(self, realtime: Realtime | None, progress: Progress | None) -> None:
-        """Measure in a separate thread, as the loop runs, wait for its end, then return the link to Python."""
+        """Measure in a separate thread, as the loop would run, wait for its end, and return the link to Python."""
         thread = threading.Thread(target=self._body, args=(realtime,), name="rig-ping", daemon=True)
         self._begun_ns = self._clock.now_ns()
         thread.start()
@@ -290,7 +292,7 @@ class _Run:
             ) from failure
 
     def _give_back(self) -> None:
-        """Set the connection's newest STATE number, so that frames that `ping` read are not counted as lost."""
+        """Store the number of the newest State message, so that messages read by `ping` are not counted as lost."""
         connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
         if newest >= 0:
             self._device.take_back(
@@ -301,7 +303,7 @@ class _Run:
             )
 
     def measured(self, simulated: bool, time_unit_ns: float) -> LinkMeasurement:
-        """Return the statistics of the measured round trips; raise `LinkLostError` if no reply came."""
+        """Return the statistics of the measured round trips; raise `LinkLostError` if the device sent no reply."""
         tally = dict(zip(TALLY._fields, self._tally.tolist(), strict=True))
         if not tally["answered"]:
             raise LinkLostError(

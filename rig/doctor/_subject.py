@@ -1,4 +1,4 @@
-"""The machine that the checks examine; a test replaces it by a made-up file tree."""
+"""The computer that the checks examine, as an object that a test replaces by a made-up file tree."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ assert sys.platform == "linux"
 
 
 def openable(path: Path) -> bool:
-    """Return True if this process may read and write the device file, by owner, group or access list."""
+    """Return True if this process may read and write the device file `path`."""
     return os.access(path, os.R_OK | os.W_OK)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """Machine that the checks examine: its file tree, the rights of this process, and the requested scheduling."""
+    """A computer to examine: its directory tree (`root`), the rights of this process, and the requested scheduling."""
 
     request: RealtimeRequest = field(default_factory=Host)
     root: Path = ROOT  # where /proc, /sys, /dev and /etc are
@@ -36,6 +36,6 @@ class Machine:
     tried: Callable[[int, int | None], tuple[object, list[Check]]] = tried  # with a priority and a processor
 
     def judged(self, refusal: Check) -> Check:
-        """Return a refusal as it is if the experiment enforces real time, otherwise as a warning."""
+        """Return `refusal` if the experiment requires real-time scheduling (`realtime = "enforce"`), else a warning."""
         demanded = self.request.realtime == "enforce"
         return refusal if demanded else replace(refusal, outcome=Outcome.WARNING)

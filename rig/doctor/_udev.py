@@ -1,4 +1,4 @@
-"""Write the udev rules for rigs as text, which commands print; nothing installs them."""
+"""Write the udev rules for rigs as text. Commands print the text; no code of this package installs the rules."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KERNEL=="cpu_dma_latency", GROUP="{GROUP}", MODE="0660", TAG+="uaccess"
 
 
 def udev_rules(rigs: Iterable[tuple[int, int]] = RIGS) -> str:
-    """Return the text of the udev rules for rigs.
+    """Return the text of a udev rules file that lets users open rigs and makes ModemManager ignore rigs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measure how late this machine wakes a sleeping thread, with the loop's own sleep function."""
+"""Measure how late this computer wakes a sleeping thread, with the sleep function of the real-time loop."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LATE_S = 0.0002  # a fifth of the period
 
 @kernel(types.int64(types.int64, types.int64[::1]))
 def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
-    """Sleep until each deadline of a grid; write each lateness into `late_ns`; return the number of missed periods."""
+    """Sleep until deadlines `period_ns` apart; write each lateness (ns) to `late_ns`; return the missed periods."""
     skipped = 0
     deadline = monotonic_now(0) + period_ns
     for index in range(late_ns.size):
@@ -44,7 +44,7 @@ def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WakeUps:
-    """Quantiles of the measured lateness (s), number of missed periods, and the scheduling of the measuring thread."""
+    """Measured lateness of wake-ups: median, 99 % quantile, maximum (s), missed periods, scheduling of the thread."""
 
     rate_hz: int
     count: int
@@ -58,7 +58,7 @@ class WakeUps:
 
 @dataclass(frozen=True, slots=True)
 class _Trying:
-    """Request for scheduling that accepts a refusal (``realtime = "try"`` in place of ``"enforce"``)."""
+    """Request for real-time scheduling that is best effort: a refusal by the kernel is accepted."""
 
     priority: int
     cpu: int | None
@@ -66,7 +66,7 @@ class _Trying:
 
 
 def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_HZ) -> WakeUps:
-    """Measure wake-ups for `seconds`, with the loop's scheduling if the kernel grants it."""
+    """Measure for `seconds` how late wake-ups at `rate_hz` (Hz) are, with the requested scheduling if it is granted."""
     asked = "try" if request.realtime == "enforce" else request.realtime
     late = np.zeros(max(round(seconds * rate_hz), 2), np.int64)
     ran: list[tuple[ThreadState, int]] = []
@@ -97,7 +97,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
 
 @question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
 def judge(woken: WakeUps) -> Check:
-    """Check the measured latency: warn if p99 is above `LATE_S` or a period was missed."""
+    """Return a check of the measured wake-up latency: a warning if p99 is above `LATE_S` or if a period was missed."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
     p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))

@@ -1,8 +1,8 @@
-"""Compute the largest stable stiffness that a measured link supports, at several rates and dampings, for each hand.
+"""Compute the largest stable stiffness over a measured link, at several loop rates and dampings, for each hand.
 
-The rates are the experiment's, the device's highest, the highest that the link carries, and the highest with one tick
-of delay. For each rate the delay in ticks follows from the measured link, and the stiffness from linear theory
-(`rig.doctor.late_loops`), for a uniform and a dual-rate scheme with the experiment's estimator.
+The loop rates are the experiment's rate, the device's highest rate, the highest rate that the link's capacity permits,
+and the highest rate with one tick of delay. At each rate, linear theory (`rig.doctor.late_loops`) with the measured
+delay gives the stiffness, for a uniform and a dual-rate scheme with the experiment's velocity estimator.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate of the table (Hz), and the reason why it is in the table."""
+    """A loop rate (Hz) in the table of stable walls, and the reason why the table contains this rate."""
 
     hertz: int
     because: str
@@ -37,21 +37,21 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Largest:
-    """Largest stable stiffness (N/m or N·m/rad) for each hand, at one damping."""
+    """Largest stable stiffness (N/m or N·m/rad) for each hand, at one damping of the wall (N·s/m or N·m·s/rad)."""
 
     damping: float
     by_hand: Mapping[str, float]
 
     @property
     def least(self) -> tuple[str, float]:
-        """Return the hand with the smallest of these stiffnesses, and that stiffness."""
+        """Return the hand with the smallest stiffness in `by_hand`, and this stiffness (N/m or N·m/rad)."""
         hand = min(self.by_hand, key=lambda name: self.by_hand[name])
         return hand, self.by_hand[hand]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supported:
-    """One row of the table: the stable walls under one scheme.
+    """One row of the table of stable walls: a scheme (position and velocity rate) with its largest stable stiffnesses.
 
     Attributes
     ----------
@@ -62,11 +62,11 @@ class Supported:
     position_rate, velocity_rate
         Rates of the scheme (Hz).
     delay_ticks
-        Delay by the measured link at this rate (ticks).
+        Delay from a sample to its command at this rate with the measured link (ticks of the position rate).
     k_max
         Largest stable stiffness at each damping; empty if theory does not cover the scheme.
     reason
-        Reason why `k_max` is empty, or the replacement of a nonlinear estimator; empty otherwise.
+        Reason why `k_max` is empty, or a note that a nonlinear estimator was replaced; empty text otherwise.
     """
 
     because: str
@@ -80,7 +80,7 @@ class Supported:
 
 
 def wall_items(experiment: Experiment, rows: Sequence[Supported]) -> list[Item]:
-    """Return the table to print, followed by the reasons of its rows."""
+    """Return the table of stable walls for printing, followed by one line for each distinct `reason` of its rows."""
     motion = experiment.rig.motion
     dampings = dampings_of(experiment)
     units = unit_of("stiffness", motion), unit_of("damping", motion)
@@ -99,7 +99,7 @@ def _cells(row: Supported, columns: int) -> list[str]:
 
 
 def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
-    """Return the rates of the table in ascending order, each once."""
+    """Return the loop rates for the table of stable walls, ascending; `rate_maximum` (Hz) is the device's highest."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
     fastest, on_the_device = rate_maximum, experiment.controller.loop == "device"
     if measurement.capacity_bytes_per_s is not None and not on_the_device:
@@ -121,7 +121,7 @@ def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_m
 
 
 def dampings_of(experiment: Experiment) -> tuple[float, ...]:
-    """Return the dampings of the table: 0, the experiment's, and twice the experiment's (SI)."""
+    """Return the dampings for the table of stable walls (SI): 0, the experiment's, and twice the experiment's."""
     own = experiment.wall.damping
     return (0.0, own, 2.0 * own) if own > 0.0 else (0.0,)
 
@@ -132,7 +132,7 @@ def supported_walls(
     rate_maximum: int,
     progress: Progress | None = None,
 ) -> list[Supported]:
-    """Compute the rows of the table of stable walls.
+    """Compute the rows of the table of stable walls: two schemes at most for each loop rate.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def supported_walls(
     rate_maximum
         Highest rate of the device (Hz).
     progress
-        Called with the completed share, 0 … 1.
+        Function that receives the completed share of the computation (0 to 1).
     """
     rates = candidate_rates(experiment, measurement, rate_maximum)
     wanted = [(rate, scheme) for rate in rates for scheme in _schemes(experiment, rate.hertz)]
@@ -159,7 +159,7 @@ def supported_walls(
 
 
 def _schemes(experiment: Experiment, rate: int) -> list[Scheme]:
-    """Return the uniform scheme at `rate` (Hz), and the dual-rate scheme with about the experiment's ratio of rates."""
+    """Return the uniform scheme at `rate` (Hz), and a dual-rate scheme with about the experiment's ratio of rates."""
     controller = experiment.controller
     asked = controller.position_rate // controller.velocity_rate
     asked = asked if asked > 1 else DIVIDER
@@ -193,7 +193,7 @@ def _row(experiment: Experiment, scheme: Scheme, because: str, delay: int) -> Su
 
 
 def _round(hertz: float) -> int:
-    """Return a rate (Hz) rounded down to two significant digits, so that it has integer divisors."""
+    """Return a rate (Hz) rounded down to two significant digits, so that the rate has many integer divisors."""
     if hertz < 100.0:
         return int(hertz)
     scale = int(10.0 ** (math.floor(math.log10(hertz)) - 1))

@@ -1,16 +1,17 @@
-"""The arming gate: decide from the measured link whether a wall may be rendered on a device.
+"""The arming gate: decide from the measured link whether the motor may be armed to render a wall.
 
-On a real device it refuses
+On a real device the gate refuses
 
-* a link whose round trip in 99.9 % of all cases is more than half of a command's lifetime;
+* a link whose round trip exceeds half of a command's lifetime in more than 0.1 % of all exchanges;
 * a share of lost requests above `LOST_SHARE`;
 * a wall that is unstable by linear theory at the loop's rate with the measured delay, without a hand or with any
-  preset of a hand (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more).
+  modelled hand (`rig.doctor.late_loops`: the spectral radius over one velocity period is 1 or more);
+* homing that cannot work by the description of the rig (`rig.doctor.predicted`).
 
 Passivity is reported and not required. A simulated device is never refused.
 
-Hits, identification, motions, the design, `rig.doctor` and sessions call it. It must not move anything: a refusal comes
-before the device is armed.
+Hits, identification, motions, the design, `rig.doctor` and sessions call this file. It must not move the motor: a
+refusal comes before the device is armed.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ SIMULATED_S = 0.2  # on a simulated device, which is never refused
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
-    """Judge whether the wall of an experiment may be armed over a measured link."""
+    """Decide from the measurement of a link whether the experiment's wall may be armed over this link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
     # Coulomb friction, which stabilises walls that linear theory finds unstable, is not counted on.
@@ -73,7 +74,10 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
 def refused_among(
     experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
 ) -> tuple[float, ...]:
-    """Return the stiffnesses that `gate` refuses at the experiment's damping: all if it refuses link or homing."""
+    """Return those of the stiffnesses (N/m or N·m/rad) that `gate` would refuse at the experiment's damping.
+
+    It returns all if the gate refuses link or homing, and none if theory does not cover the law or the delay.
+    """
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
     if check.refused([*_link_checks(experiment, measurement), *homing_checks(experiment, delay)]):
@@ -87,7 +91,7 @@ def refused_among(
 
 
 def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
-    """Raise `PlanError` if a new wall for a running loop would have been refused before arming.
+    """Raise `PlanError` if a new wall for a running loop is unstable with the delay that was measured before arming.
 
     Parameters
     ----------
@@ -99,8 +103,8 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     Raises
     ------
     PlanError
-        The wall is unstable by linear theory with the delay that was measured before arming. Nothing is refused on a
-        simulated device, after arming with ``forced``, or for a law that theory does not cover.
+        The wall is unstable by linear theory. No wall is refused on a simulated device, after arming with ``forced``,
+        or with a law that theory does not cover.
     """
     if armed["simulated"] or armed["forced"]:
         return
@@ -121,7 +125,7 @@ def _lifetime_s(experiment: Experiment) -> float:
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
-    """Return the checks of the link that do not depend on the wall: delay, losses, length of the measurement."""
+    """Return the checks of the link alone, without the wall: delay, lost requests, duration of the measurement."""
     found = [_delay(experiment, measurement), _losses(measurement)]
     times = measurement.travel_s
     if times.p999.high is None and not measurement.virtual:
@@ -172,7 +176,7 @@ def _short(number: int, bounded: float) -> Check:
 
 @question("execution")
 def _execution(experiment: Experiment) -> Check:
-    """Report whether a wall whose law runs on the device would be stable with one tick of delay."""
+    """Return a check that warns if the wall, whose law runs on the device, would be unstable with one tick of delay."""
     # The device answers within two thirds of a tick at most, or reports missed ticks: the gate counts no delay.
     wall = experiment.wall
     late = LateLoops.of(experiment, 1).radius(wall.stiffness, wall.damping)
@@ -191,9 +195,9 @@ _MEASURED: WeakKeyDictionary[FramedDevice, dict[tuple[str, int, int | None], Lin
 def measured_once(
     device: FramedDevice, host: Host, rate: int, progress: Progress | None = None
 ) -> LinkMeasurement:
-    """Measure the link of an open device with the loop's scheduling; return the earlier result if there is one.
+    """Measure the link of an open device with the loop's scheduling; repeated calls return the first measurement.
 
-    Raise the errors of `rig.doctor._round_trip.measure_link`, and `RealtimeError` if the experiment enforces a
+    Raise the errors of `rig.doctor._round_trip.measure_link`, and `RealtimeError` if the experiment requires a
     scheduling that the kernel does not grant.
     """
     kept = _MEASURED.setdefault(device, {})
@@ -215,7 +219,7 @@ def check_armable(
     anyway: bool = False,
     progress: Progress | None = None,
 ) -> Gate | None:
-    """Measure the link of an open device (once) and raise `PlanError` for a wall that must not be armed on it.
+    """Measure the link of an open device (once); raise `PlanError` if the experiment's wall must not be armed.
 
     Parameters
     ----------
@@ -224,9 +228,9 @@ def check_armable(
     experiment
         Experiment that is about to run.
     anyway
-        True if the user takes the responsibility: nothing is refused, all checks are reported and recorded.
+        True if the user accepts the risk: nothing is refused, and all checks are reported and recorded.
     progress
-        Called with the completed share of the measurement, 0 … 1.
+        Function that receives the completed share of the measurement (0 to 1).
 
     Returns
     -------
@@ -236,7 +240,7 @@ def check_armable(
     Raises
     ------
     PlanError
-        The wall must not be armed; the message has all reasons and remedies. Nothing has moved.
+        The wall must not be armed; the message has all reasons and remedies. The motor has not moved.
     LinkLostError
         The device does not reply.
     """

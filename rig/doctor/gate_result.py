@@ -1,7 +1,7 @@
-"""Result of the arming gate (`rig.doctor.gate`), and conversion of a delay to ticks of the loop.
+"""Result of the arming gate (`rig.doctor.gate`), and conversion of a delay in seconds to ticks of the loop.
 
-Admission, hits, commands and pages read the result; recordings store it. This file must not measure anything nor import
-the gate: a hit that was admitted earlier must load neither the gate nor the measurement of a link.
+Admission, hits, commands and pages read the result; recordings store it. This file must not measure a link nor import
+the gate, because a hit that was admitted earlier must not load them.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from rig.core.present import Item, Row, reported
 
 
 def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
-    """Return the whole ticks from a sample to its command for a delay `late_s` (s) at `rate` (Hz): at least one.
+    """Return the ticks (at least 1) after which a sample's command acts, for a delay `late_s` (s) at `rate` (Hz).
 
-    A command that arrives during a tick acts from the next tick on, so the number is rounded up. If the host paces the
-    loop, a sample waits for the host's tick: at most one tick more.
+    `pacing` is the side whose clock starts each tick, ``device`` or ``host``.
     """
     return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
 
 
 def ticks_text(number: int) -> str:
-    """Return a number of ticks with its noun: ``1 tick``, ``2 ticks``."""
+    """Return a number of ticks with the word "tick" in the right form: ``1 tick``, ``2 ticks``."""
     return f"{number} tick{'' if number == 1 else 's'}"
 
 
@@ -39,21 +38,22 @@ class Gate:
     checks
         Checks of delay, losses, stability and others; a check that refuses forbids arming.
     rate_hz, delay_ticks
-        Rate of the loop (Hz), and the delay by the link (ticks).
+        Rate of the loop (Hz), and the delay that the link causes (ticks).
     travel_s
-        Upper bound of the round trip on the link in 99.9 % of all cases, or the longest measured round trip (s).
+        Round trip on the link that 99.9 % of all exchanges do not exceed: its upper bound, or the longest measured
+        round trip if too few were measured for a bound (s).
     lifetime_s
-        Lifetime of a command (s).
+        Time after which the device drops a command that is not renewed (s).
     loss_share
         Share of lost requests, 0 to 1.
     stiffness, damping
         Stiffness (N/m or N·m/rad) and damping (N·s/m or N·m·s/rad) of the wall.
     spectral_radius
-        Spectral radius for each hand; empty if it was not computed.
+        Spectral radius of the closed loop for each hand (1 or more: unstable); empty if it was not computed.
     k_max
-        Largest stable stiffness for each hand, at the wall's damping and the measured delay.
+        Largest stable stiffness (N/m or N·m/rad) for each hand, at the wall's damping and the measured delay.
     passive_stiffness
-        Largest passive stiffness at the wall's damping and the measured delay; None if not computed.
+        Largest passive stiffness (N/m or N·m/rad) at the wall's damping and the measured delay; None if not computed.
     simulated, forced
         True if the device is simulated; True if the user arms in spite of refusals. In both cases nothing is refused.
     """
@@ -84,16 +84,16 @@ class Gate:
 
     @property
     def text(self) -> str:
-        """Return the texts of all checks that refuse, joined to one text."""
+        """Return the texts of all checks that refuse, separated by semicolons."""
         return "; ".join(one.text for one in self.refused)
 
     @property
     def remedy(self) -> str:
-        """Return the remedies of all checks that refuse, joined to one text."""
+        """Return the remedies of all checks that refuse, without repetition, separated by semicolons."""
         return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
 
     def items(self) -> list[Item]:
-        """Return the checks as items to print."""
+        """Return the verdict ("may be armed" or not), all checks and the spectral radii as lines for printing."""
         verdict = Check("arming", Outcome.OK, "this wall may be armed")
         if not self.armable:
             verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")

@@ -1,6 +1,6 @@
-"""List what this computer offers for rigs: backends, ports, USB devices, and rigs that it can simulate.
+"""List what this computer offers for rigs: device backends, ports, USB devices, and rigs that it can simulate.
 
-`rig device list` and the console show it. It must not open a port or a device.
+`rig device list` and the console show the list. This file must not open a port or a device.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from rig.doctor._ports import Port, serial_port
 
 @dataclass(frozen=True, slots=True)
 class Here:
-    """Backends, ports, USB devices and simulated rigs of this computer.
+    """Device backends, ports, USB devices and simulated rigs of this computer.
 
     Attributes
     ----------
     backends
-        Each backend with the reason why it does not load; the reason is empty if it loads.
+        Each backend (driver for one URL scheme, such as ``serial``), with the reason why it does not load, or an empty
+        text if it loads.
     ports, usb
-        Connected serial ports and USB devices; a USB device may be something other than a rig.
+        Connected serial ports and USB devices; a USB device need not be a rig.
     simulated
-        Names of built-in rigs.
+        Names of the built-in rigs, which can be simulated.
     """
 
     backends: tuple[tuple[devices.Backend, str], ...]
@@ -36,7 +37,7 @@ class Here:
     simulated: tuple[str, ...]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the lists as plain values for JSON."""
+        """Return the four lists of this object as plain values for JSON, by name of the list."""
         return {
             "backends": [{**asdict(one), "broken": broken} for one, broken in self.backends],
             "ports": self.ports,
@@ -45,7 +46,7 @@ class Here:
         }
 
     def items(self) -> list[Item]:
-        """Return the lists as items to print."""
+        """Return headings and rows that list backends, serial ports, USB rigs and simulated rigs, for printing."""
         nothing = [Row("none", "")]
         return [
             "backends",
@@ -60,7 +61,7 @@ class Here:
 
 
 def here() -> Here:
-    """List backends, ports, USB devices and simulated rigs without opening a port or a device."""
+    """List the backends, ports, USB devices and simulated rigs of this computer, without opening a port or a device."""
     return Here(
         backends=tuple((one, devices.broken(one.scheme)) for one in devices.backends()),
         ports=tuple(serial_port(name, text)[0] for name, text in available_ports()),

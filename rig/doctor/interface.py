@@ -1,4 +1,4 @@
-"""Public names of this package for a whole examination: machine, ports, link, and stable walls.
+"""Public names for a whole examination of this computer and a link: machine checks, ports, link, stable walls.
 
 `rig doctor` and `rig.experiments.hits.examine` import it. It defines nothing, and no file of this package imports it.
 Code that only arms a wall imports `gate`; code that only plans a run imports `predicted`.

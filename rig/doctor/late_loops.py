@@ -1,11 +1,11 @@
-"""Apply linear theory to an experiment whose commands act a number of ticks late, for each hand on the handle.
+"""Compute by linear theory the stability of an experiment's wall whose commands act some ticks late, for each hand.
 
-Theory covers the spring and damper of the built-in walls with linear estimators. An estimator that is not linear is
-replaced by the usual filtered difference at the same rates, and each result with it is marked. If the velocity rate
+Theory covers the spring and damper of the built-in walls with linear velocity estimators. A nonlinear estimator is
+replaced by the filter `STAND_IN` at the same rates, and each result with this filter is marked. If the velocity rate
 alternates between two rates, each rate is computed separately.
 
-The gate, the examination of a machine, sessions and the console call it. It must not measure a link, nor decide whether
-a wall may be armed.
+The arming gate, the examination of a computer, sessions and the console call this file. It must not measure a link, nor
+decide whether a wall may be armed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall
 
 
 def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
-    """Return by name: no hand, each preset of a hand, and the experiment's own hand if it differs from the presets."""
+    """Return the hand models to compute with, by name: no hand, the built-in hands, and the experiment's own hand."""
     hands: dict[str, str | Operator] = {name: name for name in (NO_OPERATOR, *GRIPS)}
     own = experiment.operator
     if experiment.trial.kind == "human" and GRIPS.get(own.grip) != own:
@@ -42,13 +42,13 @@ def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
 
 
 def late_by(experiment: Experiment, ticks: int) -> Experiment:
-    """Return the experiment with a rig whose commands act `ticks` late."""
+    """Return a copy of the experiment in which each command acts `ticks` ticks after its sample."""
     simulation = replace(experiment.rig.simulation, computation_delay_ticks=ticks)
     return replace(experiment, rig=replace(experiment.rig, simulation=simulation))
 
 
 def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
-    """Return the ticks from a sample to its effort at `rate` (Hz): by the link, or 0 if the device runs the law."""
+    """Return the delay from sample to effort in ticks of `rate` (Hz): the link's, or 0 if the device runs the law."""
     if experiment.controller.loop == "device":
         return 0
     return measurement.delay_ticks(rate, experiment.host.pacing)
@@ -56,14 +56,14 @@ def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate:
 
 @dataclass(frozen=True)
 class LateLoops:
-    """Linear loops of one experiment with one delay: one for each hand and each velocity rate.
+    """Linear models of an experiment's closed loop with a delay: one model for each hand and each velocity rate.
 
     Attributes
     ----------
     experiment
-        The experiment with a rig whose commands are late by the delay.
+        The experiment, changed so that its commands act late by the delay.
     stand_in
-        Reason why the usual filter replaces the estimator; empty if the estimator is linear.
+        Sentence that says which filter replaces a nonlinear estimator and why; empty if the estimator is linear.
     """
 
     experiment: Experiment
@@ -72,7 +72,7 @@ class LateLoops:
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
-        """Return the linear loops of an experiment with a delay in ticks.
+        """Return the linear models of an experiment's closed loop with a delay in ticks of the position rate.
 
         Raise `ConfigError` for a law or a delay that theory does not cover.
         """
@@ -101,7 +101,7 @@ class LateLoops:
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
-        """Return the loops by hand, one for each velocity rate."""
+        """Return the models of the closed loop for each hand, by the hand's name: one model for each velocity rate."""
         return {
             name: tuple(
                 Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
@@ -111,14 +111,17 @@ class LateLoops:
         }
 
     def radius(self, stiffness: float, damping: float) -> dict[str, float]:
-        """Return for each hand the largest spectral radius over the velocity rates: below 1 the wall is stable."""
+        """Return the spectral radius of the closed loop for each hand, the largest over the velocity rates.
+
+        Below 1 the wall is stable. `stiffness` and `damping` are in SI units (N/m and N·s/m, or N·m/rad and N·m·s/rad).
+        """
         return {
             name: max(float(loop.radius(stiffness, damping)) for loop in loops)
             for name, loops in self.by_hand.items()
         }
 
     def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
-        """Return for each damping, by hand, the largest stiffness that is stable at all velocity rates."""
+        """Return for each damping (N·s/m or N·m·s/rad) the largest stable stiffness (N/m or N·m/rad), by hand."""
         curves = {
             hand: [k_max_curve(loop, None, dampings) for loop in loops]
             for hand, loops in self.by_hand.items()
@@ -130,13 +133,13 @@ class LateLoops:
 
 
 def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
-    """Return the hands with which a wall is unstable; `radius` is its spectral radius for each hand."""
+    """Return the names of the hands with which a wall is unstable; `radius` is the spectral radius for each hand."""
     # Without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift.
     return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
-    """Return the schemes to compute, and the reason why the usual filter replaces the estimator, or an empty text."""
+    """Return a scheme for each velocity rate, and a sentence if a filter replaces the estimator (else "")."""
     own = replace(Scheme.of(experiment), slow_velocity_rate=None, slow_below=0.0)
     slow = experiment.controller.slow_velocity_rate if experiment.controller.slow_below else None
     rates = [own.velocity_rate] if slow in (None, own.velocity_rate) else [own.velocity_rate, slow]

@@ -1,11 +1,11 @@
-"""Measure how many samples a loop would lose at its rate with this computer and link, and which rate loses none.
+"""Measure how many samples a loop would lose at its rate with this computer and link, and which lower rate loses none.
 
-Clock stamps are exchanged at the loop's rate, in a thread scheduled like the loop. Replies follow each other by a
-period, or by the link's round trip if that is longer. A reply that is late by whole periods means that a loop would
-have missed the samples of these periods, or received them late if the device paused as well; the measurement does not
-distinguish the two. The same replies show what a lower rate would lose.
+Time stamps are exchanged at the loop's rate, in a thread scheduled like the loop. A reply that arrives n whole periods
+late means that a loop would have missed the samples of these n periods, or received them late if the device paused as
+well; the measurement cannot distinguish the two causes. The same replies show what a lower rate would lose.
 
-Identification and sessions call it, between runs. It must not move anything, and in virtual time it measures nothing.
+Identification and sessions call `measured_pace` between runs. It must not move the motor, and in virtual time it
+measures nothing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SLOWEST_HZ = 100  # below this rate no wall feels stiff
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """Samples that a loop at one rate would lose, or receive late by a period or more.
+    """Samples that a loop at one rate would lose, or receive late by at least one period.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Pace:
     hopeless
         True if a hit would have been invalid in each quarter of the measurement.
     kept_hz
-        Highest rate among rate/2, rate/4, … that loses no more than `LOST_SHARE`; None if no rate of `SLOWEST_HZ` or
-        more does (Hz).
+        Highest of the rates rate/2, rate/4, … (Hz) that loses at most the share `LOST_SHARE` of the samples; None if
+        every rate from `SLOWEST_HZ` on loses more.
     """
 
     rate_hz: int
@@ -67,7 +67,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """Return a sentence about the losses; empty if no sample was lost."""
+        """Return a sentence about the lost samples; empty if no sample was lost."""
         if self.lost_share == 0.0:
             return ""
         lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
@@ -77,12 +77,12 @@ class Pace:
 
 
 def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: VerdictLimits) -> Pace | None:
-    """Measure the losses at the loop's rate for `SECONDS`; return None in virtual time, in which nothing is late.
+    """Measure for `SECONDS` how many samples a loop would lose at `rate_hz`; return None in virtual time.
 
     Parameters
     ----------
     device
-        Open device that is not in a run; nothing moves.
+        Open device that is not in a run; the motor does not move.
     host
         Settings of the host with the loop's scheduling.
     rate_hz
@@ -95,7 +95,7 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
     LinkLostError
         The device does not reply.
     RealtimeError
-        The experiment enforces a scheduling that the kernel does not grant.
+        The experiment requires a scheduling that the kernel does not grant.
     """
     if device.link.clock.virtual:
         return None
@@ -104,7 +104,7 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
 
 
 def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
-    """Return the losses of a loop at `rate_hz`, computed from a measurement of the link at this rate."""
+    """Return the samples that a loop at `rate_hz` (Hz) would lose, from a measurement of the link at this rate."""
     received_ns = measurement.exchanges[:, EXCHANGE.host_received]
     apart_ns = np.diff(received_ns)
     late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)

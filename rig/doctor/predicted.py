@@ -1,7 +1,7 @@
-"""Predict from the description whether a run will work: homing, the push to the wall, the measured current.
+"""Predict from an experiment's description whether homing, the push to the wall and the current measurement will work.
 
-`rig experiment plan`, a hit and the arming gate call `predict_checks`. Each check that fails names keys and values with
-which it would pass. The predictions model the rig as one rigid mass with friction and weight.
+`rig experiment plan`, a hit and the arming gate call it. Each check that fails names the keys and values with which the
+check would pass. The rig is modelled as one rigid mass with friction and weight.
 
 It must not open a device.
 """
@@ -46,12 +46,12 @@ QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the no
 
 
 def predict_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return all checks of a run whose commands act `ticks` late, in addition to the set-point's delay."""
+    """Return all checks of a run whose commands act `ticks` late, in addition to the delay of the current set-point."""
     return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
 
 
 def homing_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return the checks that homing is strong enough, stable, fast enough, and ends near enough to trial.start."""
+    """Return the checks that homing, with commands `ticks` late, is strong, stable, fast and exact enough."""
     return [
         _homing_effort(x),
         _homing_stability(x, ticks),
@@ -64,7 +64,7 @@ def homing_checks(x: Experiment, ticks: int) -> list[Check]:
 
 
 def speed_reading(x: Experiment) -> Check:
-    """Check that the speed that a single count is estimated as stays below rig.limits.speed."""
+    """Return a check that refuses an estimator that outputs a speed above rig.limits.speed for a single count."""
     reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
     unit = unit_of("velocity", x.rig.motion)
     text = (
@@ -78,9 +78,9 @@ def speed_reading(x: Experiment) -> Check:
 
 
 def quieter_changes(x: Experiment) -> dict[str, float]:
-    """Return the cut-off (by its key) at which one count is estimated as at most half of the speed limit.
+    """Return a cut-off (Hz, by its key) at which one count is estimated as at most half of the speed limit.
 
-    The result is empty if the present cut-off fulfils this, or if no cut-off does.
+    The mapping is empty if the present cut-off fulfils this condition, or if no cut-off does.
     """
     most = COUNT_SPEED_SHARE * x.rig.limits.speed
     if highest_reading(x) <= most or (cutoff := quiet_cutoff(x, most)) is None:
@@ -96,7 +96,7 @@ def finding(
     remedy: str = "",
     otherwise: Outcome = Outcome.REFUSED,
 ) -> Check:
-    """Return a passed check, or a failed one whose remedy lists the changes (key: value) with which it would pass."""
+    """Return a passed check if `holds`, else a check with the outcome `otherwise`, whose remedy lists the changes."""
     if holds:
         return Check(name, Outcome.OK, text)
     changes = changes or {}
@@ -157,7 +157,7 @@ def _homing_stability(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_slew(x: Experiment) -> Check:
-    """Check that homing.slew is high enough to damp the homing servo's oscillation."""
+    """Check that homing.slew (change of effort per second) is high enough to damp the homing servo's oscillation."""
     h = x.homing
     natural = math.sqrt(h.stiffness / servos.inertia(x))
     least = h.effort * natural / servos.SLOWEST_RISE
@@ -172,7 +172,7 @@ def _homing_slew(x: Experiment) -> Check:
 
 
 def _homing_resolution(x: Experiment, ticks: int) -> Check:
-    """Check that one count changes the effort of the homing servo only by a small share."""
+    """Check that one encoder count changes the effort of the homing servo by no more than the share `COUNT_SHARE`."""
     h, unit = x.homing, unit_of("effort", x.rig.motion)
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (
@@ -183,7 +183,7 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_offset(x: Experiment, ticks: int) -> Check:
-    """Check that homing ends near trial.start, compared with the distance to the wall, in spite of friction."""
+    """Check that friction cannot hold the handle farther from trial.start than 3/4 of the distance to the wall."""
     # A person brings the handle to its start; an excitation has no approach.
     if x.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
@@ -220,7 +220,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_time(x: Experiment) -> Check:
-    """Check homing.timeout_s for the way from a simulated rig's initial position, or from the window's farther end."""
+    """Check that homing.timeout_s suffices for the longest way to trial.start in the position window."""
     limits, simulation = x.rig.limits, x.rig.simulation
     ends = (limits.position_minimum, limits.position_maximum)
     begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
@@ -241,7 +241,7 @@ def _homing_time(x: Experiment) -> Check:
 
 
 def _approach_checks(x: Experiment) -> Iterator[Check]:
-    """Yield checks that an automated push moves the handle and brings it to the wall in time."""
+    """Yield checks that the constant push of an automated trial moves the handle and reaches the wall in time."""
     if x.trial.kind != "constant-effort":
         return
     unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
@@ -272,7 +272,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """Check that the push stays below the speed at which the guard against a dead encoder would end the run."""
+    """Check that the push is slower than the speed at which an unchanged encoder count would end the run as a fault."""
     inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)
@@ -282,7 +282,7 @@ def _unseen_speed(x: Experiment, net: float) -> Check:
 
 
 def _current_checks(x: Experiment) -> Iterator[Check]:
-    """Check which difference of the motor's current can be detected at this rate, with delay, quantum and noise."""
+    """Yield a check of the smallest difference (A) between commanded and measured current that can be detected."""
     model, amplifier = rig_model(x), x.rig.amplifier
     sensor = current_sensor(model)
     if sensor.noise < 0.0 or not amplifier.current_monitor:

@@ -16,9 +16,9 @@ _MARK = 12345
 
 
 def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
-    """Return a copy of an array with guard values around it, and a function that returns True if they are unchanged.
+    """Return a copy of an array with guard values on both sides, and a function that checks them.
 
-    Compiled code does not check indices, so a write outside of the array would go unnoticed otherwise.
+    Compiled code does not check indices, so only a changed guard value shows a write outside of the array.
     """
     whole = np.full(len(memory) + 2 * GUARD, _MARK, dtype=memory.dtype)
     inside = whole[GUARD : GUARD + len(memory)]
@@ -28,9 +28,9 @@ def guarded(memory: NDArray[Any]) -> tuple[NDArray[Any], Callable[[], bool]]:
 
 
 def allocations(run: Callable[[], object]) -> int:
-    """Return the number of heap allocations of compiled code during a run, including one for each array argument.
+    """Return the number of heap allocations of compiled code while `run` is called; 0 if compilation is disabled.
 
-    If the number is the same for more ticks, a tick allocates nothing. Return 0 if compilation is disabled.
+    Each array argument counts as one allocation. If the number is the same for more ticks, a tick allocates nothing.
     """
     if numba.config.DISABLE_JIT:
         return 0

@@ -1,4 +1,4 @@
-"""Run a law over arrays of penetration and velocity; counterpart of `rig.control.estimators.arrays` for estimators."""
+"""Run a force law over arrays of penetration and velocity, as `rig.control.estimators.arrays` runs an estimator."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ _FLOATS, _INTS = types.float64[::1], types.int64[::1]
 
 
 def run(prepared: PreparedLaw, penetration: Floats, velocity: Floats, elapsed: Ints) -> Floats:
-    """Return the reaction (N·m or N) of a prepared law in each tick, called as in the loop; its memory changes."""
+    """Return the force or torque (N or N·m) of a prepared law in each tick, called as in the loop.
+
+    `penetration` is in rad or m, `velocity` in rad/s or m/s, `elapsed` in ticks since the previous call.
+    """
     found = np.empty(len(penetration))
     run_all(prepared.law.function, penetration, velocity, elapsed, prepared.state, prepared.parameters, found)
     return found
@@ -34,6 +37,6 @@ def run_all(
     parameters: Floats,
     found: Floats,
 ) -> None:
-    """Call the law once per tick and write the reaction of each tick to `found`; `state` is the law's memory."""
+    """Call the law once for each tick and write its force or torque (N or N·m) to `found`; `state` is its memory."""
     for k in range(len(penetration)):
         found[k] = law(penetration[k], velocity[k], elapsed[k], state, parameters)

@@ -1,6 +1,6 @@
 """Asserts about hits and recordings; their messages contain tick, time, value and unit.
 
-Each accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
+Each assert accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Subject = Any  # a Hit, a HitResult, a Recorded, or a Recording
 
 
 def assert_stable(subject: Subject) -> None:
-    """Assert that the hit was stable; the message contains its verdict with all numbers and thresholds."""
+    """Assert that the hit was stable; the message of a failure has the verdict with its numbers and thresholds."""
     __tracebackhide__ = True
     recording = recording_of(subject)
     experiment = _experiment_of(recording)
@@ -34,13 +34,13 @@ def assert_stable(subject: Subject) -> None:
 
 
 def assert_safe(subject: Subject, *, within_ms: float) -> None:
-    """Assert that the effort is zero `within_ms` after any end of a run, and that a reason for the end is recorded.
+    """Assert that the effort is zero at most `within_ms` (ms) after any end of a run, and that the end has a reason.
 
     In the recording the effort must be zero `within_ms` after the device latched a fault, and when the newest command
     is older than `within_ms`. For the hit of a test, the device must also reach zero within that time after the host's
-    last frame, and disarm; on a real rig its STATE shows this. `within_ms` includes the lifetime of a command (five
-    ticks, at least 3 ms, at most 20 ms) and the following ramp (at most 10 ms, PROTOCOL.md): together 13 ms at 20 kHz
-    and 15 ms at 1 kHz, so 20 ms suit both, and at most 30 ms.
+    last frame, and disarm; on a real rig, its State messages show this. `within_ms` includes the lifetime of a command
+    (five ticks, at least 3 ms, at most 20 ms) and the following ramp (at most 10 ms, PROTOCOL.md): together 13 ms at 20
+    kHz and 15 ms at 1 kHz. So 20 ms suffice at both rates; the largest possible time is 30 ms.
     """
     __tracebackhide__ = True
     if getattr(subject, "recorded", subject) is not None:
@@ -71,7 +71,8 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
 def assert_limit(subject: Subject, **most: float) -> None:
     """Assert that the magnitude of columns stays within limits: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
 
-    Without arguments the limits are those of the experiment: effort and speed of ``[rig.limits]``.
+    Each argument is a column's name with its limit in the column's unit. Without arguments, effort and speed must stay
+    within the experiment's ``[rig.limits]``.
     """
     __tracebackhide__ = True
     recording = recording_of(subject)
@@ -105,7 +106,7 @@ def assert_passive(subject: Subject) -> None:
 
 
 def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: float) -> NDArray[np.float64]:
-    """Return for each row the energy (J) that the wall has given to the handle for certain; negative if dissipated."""
+    """Return for each row the least energy (J) that the wall can have given to the handle; negative: dissipated."""
     count, quantum = x.rig.encoder.resolution, current_quantum_a * x.rig.amplifier.effort_per_ampere
     push = rows["effort_wanted"] + x.wall.side * rows["effort_wall"]
     reaction, free = np.zeros(len(rows)), np.ones(len(rows), bool)
@@ -126,7 +127,7 @@ def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: floa
 
 
 def recording_of(subject: Subject) -> Recording:
-    """Return the recording of a hit; a recording is returned as it is."""
+    """Return the recording of a hit; if the argument is a recording, return it unchanged."""
     recorded = getattr(subject, "recorded", subject)
     recording = getattr(recorded, "recording", recorded)
     if not isinstance(recording, Recording):
@@ -186,7 +187,7 @@ def _value(recording: Recording, name: str, row: int) -> str:
 
 
 def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
-    """Return tick, time and phase of a row as text."""
+    """Return tick, time since the recording's start, and phase of a row as text."""
     passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
     return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
 

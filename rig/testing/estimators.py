@@ -1,7 +1,7 @@
-"""Check the requirements on a velocity estimator; `check_estimator` raises for the first one that is violated.
+"""Check the requirements on a velocity estimator; `check_estimator` raises an error for the first violation.
 
-It raises AssertionError with a sentence and needs no test runner. Known limits of an estimator are arguments; no check
-is skipped.
+The error is an AssertionError with a sentence, so no test runner is needed. Known limits of an estimator are arguments;
+no check is skipped.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def velocities(
     elapsed: Sequence[int] | None = None,
     ages: Sequence[float] | None = None,
 ) -> Floats:
-    """Return the velocities (rad/s or m/s) that an estimator computes from a sequence of counts.
+    """Return the velocity (rad/s or m/s) that an estimator computes at each encoder count of a sequence.
 
-    `elapsed` is the number of velocity periods before each count (default 1), `ages` the age of the last edge at each
-    count (s), by default from `edge_ages`.
+    `elapsed` is the number of velocity periods before each count (default: 1), and `ages` the time (s) since the last
+    encoder edge at each count (default: computed by `edge_ages`).
     """
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     steps = elapsed if elapsed is not None else [1] * len(counts)
@@ -52,7 +52,7 @@ def velocities(
 
 
 def edge_ages(counts: Sequence[int], elapsed: Sequence[int], period_s: float) -> list[float]:
-    """Return the age (s) of the last encoder edge at each sample, for a handle that moves evenly between samples.
+    """Return the time (s) since the last encoder edge at each sample, for a handle that moves evenly between samples.
 
     The handle moves from the middle of one count to the middle of the next, so the last of n edges lies half a count
     before the sample. Before the first sample the handle has been at rest for a second.
@@ -72,14 +72,14 @@ def check_estimator(
     linear: bool = True,
     ramp_tolerance: float = 0.01,
 ) -> None:
-    """Run all checks of this file on an estimator.
+    """Run all checks of this file on a velocity estimator.
 
     Parameters
     ----------
     estimator, settings
         The estimator or its name, and its settings.
     linear
-        True if the velocity is proportional to the motion.
+        True if three times the motion must give three times the velocity.
     ramp_tolerance
         Allowed relative error of the settled velocity at constant speed.
     """
@@ -105,7 +105,7 @@ def check_estimator(
 
 
 def check_layout(make: Make) -> None:
-    """Check that the first two parameters are resolution and period, and that the memory is zero and flat."""
+    """Check the estimator's arrays: flat, of the right type, memory zero, first parameters resolution and period."""
     p = make(RESOLUTION_SI, PERIOD_S)
     assert p.parameters[RESOLUTION] == RESOLUTION_SI, "parameters[0] is not the resolution"
     assert p.parameters[PERIOD] == PERIOD_S, "parameters[1] is not the velocity period"
@@ -120,7 +120,7 @@ def check_layout(make: Make) -> None:
 
 
 def check_memory(make: Make) -> None:
-    """Check that a run writes only to its memory, does not change its parameters and allocates nothing."""
+    """Check that an estimator writes only to its memory, does not change its parameters, and allocates nothing."""
     fresh = make(RESOLUTION_SI, PERIOD_S)
     (state_f, floats), (state_i, ints) = guarded(fresh.state_f), guarded(fresh.state_i)
     parameters, kept = guarded(fresh.parameters)
@@ -133,7 +133,7 @@ def check_memory(make: Make) -> None:
 
 
 def check_one_by_one(make: Make) -> None:
-    """Check that single calls return the same velocities as calls in a compiled loop."""
+    """Check that single calls of an estimator return the same velocities as calls in a compiled loop."""
     samples = inputs(_lively_counts(), PERIOD_S)
     alone = velocities(make(RESOLUTION_SI, PERIOD_S), samples[0].tolist(), ages=samples[1].tolist())
     inside, _ = run(make(RESOLUTION_SI, PERIOD_S), *samples)
@@ -148,14 +148,14 @@ def check_rest(make: Make) -> None:
 
 
 def check_ramp(make: Make, tolerance: float) -> None:
-    """Check that the settled velocity at constant speed (whole counts per period) is right, in both directions."""
+    """Check the settled velocity at constant speed in both directions; `tolerance` is the allowed relative error."""
     for slope in (7, -7):
         v = velocities(make(RESOLUTION_SI, PERIOD_S), [slope * k for k in range(SETTLED)])
         assert np.isclose(v[-1], slope * ONE_COUNT, rtol=tolerance), f"a ramp of {slope} reads {v[-1]}"
 
 
 def check_ramp_over_gaps(make: Make, tolerance: float) -> None:
-    """Check that the velocity at constant speed is right with lost velocity periods, whose number it receives."""
+    """Check the velocity at constant speed if samples are lost and the estimator receives the number of periods."""
     elapsed = [1] * SETTLED + [2, 1, 5, 1, 17, 3, 1]
     counts = 7 * np.cumsum(elapsed)
     v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed)[SETTLED:]
@@ -188,7 +188,7 @@ def check_counter_wrap(make: Make) -> None:
 
 
 def check_finite(make: Make) -> None:
-    """Check that the velocity is finite for any counts and gaps, because NaN would end the run."""
+    """Check that the velocity is finite for any sequence of counts and lost periods, because NaN would end the run."""
     random = np.random.default_rng(3)
     for _ in range(5):
         counts = random.integers(-(2**31), 2**31, 300)
@@ -199,7 +199,7 @@ def check_finite(make: Make) -> None:
 
 
 def check_restart(make: Make) -> None:
-    """Check that an estimator with zeroed memory gives bit for bit the velocities of a new one."""
+    """Check that an estimator whose memory is set to zero returns exactly the velocities of a new estimator."""
     counts = _lively_counts()
     used = make(RESOLUTION_SI, PERIOD_S)
     fresh = velocities(used, counts)
@@ -209,7 +209,7 @@ def check_restart(make: Make) -> None:
 
 
 def check_memories_apart(make: Make) -> None:
-    """Check that two interleaved estimators give the same velocities as separate ones: all memory is in the arrays."""
+    """Check that two estimators that are called alternately return the same velocities as one estimator alone."""
     counts = _lively_counts()
     alone = velocities(make(RESOLUTION_SI, PERIOD_S), counts)
     one, two = make(RESOLUTION_SI, PERIOD_S), make(RESOLUTION_SI, PERIOD_S)

@@ -1,4 +1,4 @@
-"""Repeat a test with one fault at each frame of its link."""
+"""Repeat a test, each time with one fault at another frame of its link."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def with_every_frame(
 ) -> Callable[..., None]:
     """Return a test that runs the given test with a fault at each frame in turn.
 
-    It runs once without a fault, then once for each kind of fault and each frame of its hits, except for pages of a
-    dictionary, which a process reads only once. Fixtures are created once. The error is that of the first run that
-    failed, with a note on the frame and on the number of failed runs.
+    The test runs once without a fault, then once for each kind of fault and each frame of its hits. Frames with pages
+    of the device's dictionary are exempt, because a process reads them only once. Fixtures are created once. The error
+    is that of the first run that failed, with a note on the frame and on the number of failed runs.
 
     Parameters
     ----------
@@ -73,12 +73,12 @@ def with_every_frame(
 
 
 def _struck(hits: Hits) -> bool:
-    """Return True if the fault was applied to a frame in the latest run, or if that run raised before its hit ended."""
+    """Return True if the latest run applied the fault to a frame, or if it raised an error before its hit ended."""
     return hits.last is None or hits.last.struck > 0
 
 
 def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
-    """Yield a fault for frame 0, 1, … while the previous run had the frame; fail beyond `MOST_FRAMES`."""
+    """Yield a fault of frame 0, 1, …, until a run has no frame of this number; fail the test beyond `MOST_FRAMES`."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
         if not _struck(hits):

@@ -23,7 +23,7 @@ SHORT: Mapping[str, Any] = {
 
 
 class Experiments:
-    """Factory of the experiments of a test.
+    """A function that creates the experiments of a test (the fixture ``rig_experiment``).
 
     Parameters
     ----------
@@ -43,22 +43,22 @@ class Experiments:
         Parameters
         ----------
         source
-            A preset's name, a path that ends in .toml, an experiment, or None for the test's own.
+            A preset's name, a path that ends in .toml, an experiment, or None for the test's default experiment.
         changes
             New values by dotted key, like ``{"wall.stiffness": 400.0}``.
 
         Raises
         ------
         ConfigError
-            The source or a change is not valid, as in `rig.load`.
+            The source or a change is not valid.
         """
         experiment = self._load(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment
 
     def short(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return an experiment in real time with the shortest possible push, for ``rig_every_frame``.
+        """Return an experiment for real time with a trial of about 60 ticks, for the marker ``rig_every_frame``.
 
-        Parameters and errors are those of `__call__`.
+        The parameters and errors are the same as for a call of this object.
         """
         experiment = self(source)
         at_its_start = {"rig.simulation.initial_position": experiment.trial.start}

@@ -1,4 +1,4 @@
-"""Script faults of the link's frames and of the simulated device for a test."""
+"""Script faults of frames on the link and of the simulated device, for a test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direc
 
 
 class FaultWords:
-    """Script of faults of a test; each later hit of the test injects these faults, counted from the hit's start.
+    """Script of faults for a test: each later hit injects them at the scripted ticks or frames from its start on.
 
     Attributes
     ----------
@@ -46,11 +46,12 @@ class FaultWords:
         kind
             ``drop``, ``corrupt`` (`bit` of `byte` flips), ``duplicate``, ``reorder`` (swapped with the next frame),
             ``truncate`` (to `byte` bytes), ``delay`` (this and all later frames, by `ticks` ticks), ``silence`` (this
-            and all later frames are lost, with `both` in the other direction too), ``unplug``.
+            and all later frames are lost; with `both`, in both directions), or ``unplug``.
         to
             Receiver of the frame: ``host`` or ``device``.
         frame, tick
-            Number of the frame in its direction, from 0; or the first frame from tick `tick` of the device on.
+            Either the number of the frame in its direction, from 0; or a tick of the device: the first frame from this
+            tick on is faulty.
 
         Raises
         ------
@@ -74,9 +75,9 @@ class FaultWords:
         self.add(frames=(struck,))
 
     def device(self, fault: str, *, tick: int) -> None:
-        """Add a fault that the device detects at a tick; `fault` is a name in PROTOCOL.md, like ``ENCODER``.
+        """Add a fault that the device detects at tick `tick`; `fault` is a name in PROTOCOL.md, like ``ENCODER``.
 
-        ``EMERGENCY_STOP`` presses the emergency stop. Raise `ConfigError` for an unknown name.
+        ``EMERGENCY_STOP`` simulates that the emergency stop is pressed. Raise `ConfigError` for an unknown name.
         """
         names = [one.name for one in Fault if one is not Fault.NONE]
         if fault not in names:
@@ -84,7 +85,7 @@ class FaultWords:
         self.add(device=(DeviceFault(tick, Fault[fault]),))
 
     def at(self, tick: int, act: Callable[[Any], None]) -> None:
-        """Add a function that is called with the simulated device at a tick, for any other event."""
+        """Add a function `act` to the script, which is called with the simulated device as argument at tick `tick`."""
         self.add(device=(Happening(tick, act),))
 
     def add(
@@ -96,14 +97,14 @@ class FaultWords:
 
 
 def kind_of(word: str) -> FaultKind:
-    """Return the kind of fault of a word such as ``drop``; raise `ConfigError` for an unknown word."""
+    """Return the kind of frame fault with this name, such as ``drop``; raise `ConfigError` for an unknown name."""
     if word not in KINDS:
         raise ConfigError(f"{word!r} is not a fault of frames", remedy=f"choose one of: {', '.join(KINDS)}")
     return FaultKind(word)
 
 
 def direction_of(to: str) -> Direction:
-    """Return the direction of frames to ``host`` or ``device``; raise `ConfigError` for another receiver."""
+    """Return the direction of frames to the receiver ``host`` or ``device``; raise `ConfigError` for another text."""
     if to not in DIRECTIONS:
         raise ConfigError(f"to = {to!r} is not a direction of frames", remedy="give to='host' or to='device'")
     return DIRECTIONS[to]

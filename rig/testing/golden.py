@@ -1,4 +1,4 @@
-"""Compare hits with golden recordings, which a person has checked and accepted.
+"""Compare hits with golden recordings: recordings that a person has checked and stored as the expected result.
 
 In virtual time a run is reproducible to the last bit on one machine, but another processor or another build of a
 library may round differently. So integers (counts, currents, flags, ticks) must be equal, and real columns may differ
@@ -30,7 +30,7 @@ DIRECTORY = "golden"
 
 
 class Golden:
-    """The golden recordings of a test.
+    """A function that compares the hits of a test with its golden recordings (the fixture ``rig_golden``).
 
     Parameters
     ----------
@@ -51,11 +51,12 @@ class Golden:
         Parameters
         ----------
         subject
-            A hit or a sealed recording.
+            A hit or a finished recording.
         name
             Name that distinguishes several golden recordings of one test.
         tolerance
-            Allowed difference by column, in the column's unit, for columns that may differ by more than rounding.
+            Allowed difference of each named column, in the column's unit. For other columns, only rounding errors are
+            allowed.
         """
         __tracebackhide__ = True
         recording = recording_of(subject)
@@ -83,9 +84,9 @@ class Golden:
 
 
 def difference(golden: Recording, today: Recording, tolerance: Mapping[str, float]) -> str:
-    """Return a text on the first row that differs, with all its different columns; empty if the recordings agree.
+    """Return a text about the first row in which two recordings differ, with all different columns; "" if none.
 
-    Raise `RecordingError` for a tolerance of an unknown column.
+    `tolerance` is the allowed difference by column. Raise `RecordingError` if it names an unknown column.
     """
     names = [name for name in golden.names if name in today.names]
     unknown = [name for name in tolerance if name not in names]
@@ -129,7 +130,7 @@ def _apart(
 
 
 def _allow(golden: Recording, name: str, tolerance: float | None) -> float:
-    """Return the allowed difference of a column: the given tolerance, or the rounding error of all ticks together."""
+    """Return the allowed difference of a column: `tolerance`, or if it is None, the rounding errors of all ticks."""
     if tolerance is not None:
         return tolerance
     peak = float(np.nanmax(np.abs(golden.column(name)), initial=0.0))

@@ -1,7 +1,7 @@
 """Run the hits of a test, each on a new simulated rig with scripted faults, or all on the real rig of ``--rig-url``.
 
-On a real rig the same tests run unchanged. Its device is opened once, so that the lock and position zero remain from
-test to test; the host sends STOP after each hit and at the end of the run.
+The tests are the same for a real rig. Its device is opened once, so that the lock and position zero stay valid from
+test to test; the host sends STOP after each hit and at the end of all tests.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ class Hit:
     counters
         Counters of the link, by name.
     error
-        Error that ended the hit early, if an early end is allowed; otherwise it is raised.
+        Error that ended the hit early, if the test allows an early end; None if the hit ended normally.
     rest
-        State of the device afterwards; None if it sent no STATE.
+        State of the device after the hit; None if it sent no State message.
     struck
         Number of scripted faults that were applied to frames.
     """
@@ -80,12 +80,12 @@ class Hit:
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict by the recorded signals."""
+        """Return the verdict that is computed from the recorded signals (stable, unstable or invalid)."""
         return self._left.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
-        """Return the verdict by the true signals of the simulation; None on a real rig."""
+        """Return the verdict that is computed from the simulation's exact signals; None on a real rig."""
         return self._left.judgement.verdict_true
 
     @property
@@ -95,7 +95,7 @@ class Hit:
 
     @property
     def path(self) -> Path:
-        """Return the path of the recording; ``--rig-record`` selects which recordings are kept."""
+        """Return the path of the recording; ``--rig-record`` selects which recordings are kept after the test."""
         return self._left.path
 
     @property
@@ -106,7 +106,7 @@ class Hit:
 
 
 class Rigs:
-    """Rigs on which the tests of a run hit: a new simulated rig for each hit, or one real rig.
+    """The rigs that the tests use: a new simulated rig for each hit, or one real rig for all hits.
 
     Parameters
     ----------
@@ -132,20 +132,20 @@ class Rigs:
 
     @property
     def rig(self) -> FramedDevice:
-        """Return the device of the real rig, opened on first use; raise the errors of `rig.open_device`."""
+        """Return the device of the real rig, which is opened on first use; raise the errors of `rig.open_device`."""
         if self._rig is None:
             self._rig = devices.open_device(self.url)
         return self._rig
 
     def zero(self, experiment: Experiment) -> int | None:
-        """Return the count at position zero of the real rig: that before the first hit; None in simulation."""
+        """Return the encoder count at position zero of the real rig, read before the first hit; None in simulation."""
         if not self.simulated and self._zero is None:
             self._zero = position_zero(self.rig, experiment)
         return self._zero
 
     @contextmanager
     def device(self, experiment: Experiment, faults: Faults | None = None) -> Iterator[FramedDevice]:
-        """Yield a device for an experiment: a new simulated one, or the real one, to which STOP is sent at the end."""
+        """Yield an open device for an experiment: a new simulated one, or the real one, which is stopped at the end."""
         if self.simulated:
             url = devices.url_for(self.url, experiment.controller.loop)
             with FramedDevice(devices.open_watched(url, config.rig_model(experiment), faults)) as device:
@@ -157,19 +157,19 @@ class Rigs:
             self.stop()
 
     def hands_off(self, text: str) -> None:
-        """Ask the person to agree to a torque pulse; end the run of all tests without consent."""
+        """Ask the person whether a torque pulse may follow; without consent, end the run of all tests."""
         if not self.ask(text):
             end_all(StoppedError("the operator did not agree to the torque pulse; the motor did not move"))
 
     def stop(self) -> None:
-        """Set the effort to zero and disarm the device in any state; raise nothing."""
+        """Set the effort to zero and disarm the device, whatever its state; raise no error."""
         if self._rig is not None:
             self._rig.stop()
             with suppress(RigError):
                 self._rig.disarm(clear_fault=True)
 
     def close(self) -> None:
-        """Stop the rig and release its port."""
+        """Stop the real rig and release its port; without effect in simulation."""
         self.stop()
         if self._rig is not None:
             self._rig.link.close()
@@ -177,14 +177,14 @@ class Rigs:
 
 
 class Hits:
-    """Run the hits of a test (the fixture ``rig_hit``).
+    """A function that runs the hits of a test (the fixture ``rig_hit``).
 
     Parameters
     ----------
     rigs
-        Rigs to hit on.
+        Rigs to use: simulated ones, or the real one.
     experiments
-        Factory of the test's experiments.
+        Function that creates the test's experiments.
     faults
         The test's script of faults.
     directory
@@ -217,17 +217,17 @@ class Hits:
         Parameters
         ----------
         source
-            Experiment to hit: see `Experiments`.
+            A preset's name, a path that ends in .toml, an experiment, or None for the test's default experiment.
         changes
             New values by dotted key. On a real rig they override the settings for real time (``[realtime]``, and the
             device's rate), as on a command line.
         law
-            Law to run instead of the experiment's.
+            Law to run instead of the experiment's law.
         may_end
             True if the run may end early, for example by the guard: then the result has the `error`, as with scripted
             faults.
         device
-            Open device to hit on (fixture ``rig_device``); it must not be combined with scripted faults.
+            Open device to use (fixture ``rig_device``); it must not be combined with scripted faults.
 
         Raises
         ------
@@ -267,12 +267,12 @@ class Hits:
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
-    """End the whole run of tests after a person's stop, because the next test would move the rig again."""
+    """End the run of all tests after a person has stopped a hit, because the next test would move the rig again."""
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
 def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
-    """Run a hit, observe the device afterwards, and return the result; a person's stop ends the run of tests."""
+    """Run a hit, observe the device after the hit, and return the result; if a person stops the hit, end all tests."""
     recorded, counters, error = None, {}, None
     try:
         (result,) = hit(request, admit)
@@ -298,7 +298,7 @@ def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -
 
 
 def _watch(link: WatchedLink) -> DeviceAfterwards:
-    """Let virtual time pass until the current is zero, then until the watchdog of an armed device has acted."""
+    """Let simulated time pass until the current is zero and an armed device's watchdog has acted; return the state."""
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
         link.elapse(STEP_S)
@@ -309,7 +309,7 @@ def _watch(link: WatchedLink) -> DeviceAfterwards:
 
 
 def _read_state(device: FramedDevice) -> DeviceAfterwards | None:
-    """Read the STATE that an unarmed device sends on its own; return None if none arrives."""
+    """Return the state from the State messages that an unarmed device sends without a request; None if none arrives."""
     began_ns = device.link.clock.now_ns()
     rest: DeviceAfterwards | None = None
     while (waited_s := (device.link.clock.now_ns() - began_ns) * 1e-9) < WATCH_S:

@@ -14,7 +14,7 @@ LONGEST_NAME = 200  # file systems take 255 bytes
 class Kept:
     """Directory of the recordings of one test.
 
-    Recordings are written to their final place, so those of a killed test remain there, too.
+    Recordings are written directly to their final directory, so the recordings of a killed test remain there, too.
 
     Parameters
     ----------
@@ -36,17 +36,17 @@ class Kept:
         shutil.rmtree(self.place, ignore_errors=True)
 
     def ended(self, *, failed: bool) -> bool:
-        """Store whether the test failed; return True if it has recordings that will be kept."""
+        """Store whether the test failed; return True if the test has recordings that will be kept."""
         self._wanted = self._mode == "all" or (self._mode == "failed" and failed)
         return self._wanted and self.place.is_dir()
 
     def close(self) -> None:
-        """Remove the test's recordings unless they are to be kept."""
+        """Remove the test's recordings unless they must be kept."""
         if not self._wanted:
             shutil.rmtree(self.place, ignore_errors=True)
 
 
 def tidy(root: Path) -> None:
-    """Remove the directory of all tests if it contains no recordings."""
+    """Remove the directory with the recordings of all tests if it is empty."""
     with suppress(OSError):
         (root / DIRECTORY).rmdir()

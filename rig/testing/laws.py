@@ -1,7 +1,7 @@
-"""Check the requirements on a force law; `check_law` raises for the first one that is violated.
+"""Check the requirements on a force law; `check_law` raises an error for the first violation.
 
-It raises AssertionError with a sentence and needs no test runner. Arguments declare intended exceptions, such as a law
-that acts outside of the wall.
+The error is an AssertionError with a sentence, so no test runner is needed. Arguments declare intended exceptions, such
+as a law that acts outside of the wall.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and 
 def reactions(
     law: Law | str, penetration: ArrayLike, velocity: ArrayLike | float = 0.0, **wall: Any
 ) -> Floats:
-    """Return the reaction (N·m or N) of a law with new memory in each tick.
+    """Return the force or torque (N or N·m) of a law in each tick, as an array; the law starts with zeroed memory.
 
     Parameters
     ----------
@@ -53,18 +53,18 @@ def reactions(
 def check_law(
     law: Law | str, *, everywhere: bool | None = None, pulls: bool = False, passive: bool = True, **wall: Any
 ) -> None:
-    """Run all checks of this file on a law.
+    """Run all checks of this file on a force law.
 
     Parameters
     ----------
     law
         The law or its name.
     everywhere
-        True if the law acts outside of the wall, too; None to use the declaration of a decorated law.
+        True if the law may act outside of the wall, too; None to use the declaration of a decorated law.
     pulls
         True if the law may pull a handle at rest into the wall.
     passive
-        True if the law must return no more energy than it received; False for a law that moves the handle on its own.
+        True if the law must return no more energy than it received; False for a law that drives the handle.
     **wall
         Settings of the wall, such as ``stiffness=300.0``, and ``tick_s`` (s).
     """
@@ -82,7 +82,7 @@ def check_law(
 
 
 def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that memory and parameters are flat and finite, and that a run writes only to its memory."""
+    """Check that a law's arrays are flat and finite, and that it writes only to its memory and allocates nothing."""
     fresh = _prepare(law, wall)
     for array in (fresh.parameters, fresh.state):
         assert array.dtype == "float64", "wrong type of array"
@@ -103,7 +103,7 @@ def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that the same motion gives the same bits after zeroing the memory, and beside a second instance."""
+    """Check that a law repeats its results exactly after its memory is set to zero, also next to a second instance."""
     one, depth, speed = _prepare(law, wall), *_motion()
     fresh = _run(one, depth, speed)
     one.state[:] = 0.0
@@ -117,7 +117,7 @@ def check_restart(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that single calls return the same reactions as calls in a compiled loop."""
+    """Check that single calls of a law return the same forces as calls in a compiled loop."""
     one, depth, speed = _prepare(law, wall), *_motion()
     alone = [
         one.law.function(float(d), float(v), 1, one.state, one.parameters)
@@ -127,7 +127,7 @@ def check_one_by_one(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that the reaction is finite for any penetration, velocity and gap."""
+    """Check that the law's force is finite for any penetration, velocity and number of lost ticks."""
     random = np.random.default_rng(3)
     values = np.array([sign * value for value in EXTREMES for sign in (-1.0, 1.0)])
     depth, speed = random.choice(values, TICKS), random.choice(values, TICKS)
@@ -139,7 +139,7 @@ def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that the reaction outside of the wall is zero, before and after a contact."""
+    """Check that the law's force outside of the wall is zero, before and after a contact."""
     depth, speed = _motion()
     outside = np.concatenate([-depth, depth, -depth])
     found = _run(_prepare(law, wall), outside, np.concatenate([speed, speed, -speed]))
@@ -155,10 +155,10 @@ def check_at_rest(law: Law | str, wall: Mapping[str, Any]) -> None:
 
 
 def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that the law returns no more energy than it received when the handle is pressed in and let out.
+    """Check that a law returns no more energy than it received when the handle moves into the wall and out again.
 
-    Both slow and fast motions are tested. The work of a step is the mean of two reactions times the travel between
-    them, which is exact for a spring.
+    A slow and a fast motion are tested. The work of a step is the mean of two forces times the travel between them,
+    which is exact for a spring.
     """
     for slower in (1.0, 1000.0):
         tick_s = slower * TICK_S
@@ -183,7 +183,7 @@ def _run(prepared: PreparedLaw, depth: Floats, speed: Floats) -> Floats:
 
 
 def _motion() -> tuple[Floats, Floats]:
-    """Return penetration (rad or m) and velocity of a simulated contact with ringing, deep and shallow."""
+    """Return penetration (rad or m) and velocity (rad/s or m/s) of a simulated contact with ringing."""
     time = np.linspace(0.0, 1.0, TICKS)
     depth = DEPTH * (np.sin(3.0 * np.pi * time) + 0.2 * np.sin(40.0 * np.pi * time))
     return depth, SPEED * np.cos(40.0 * np.pi * time)

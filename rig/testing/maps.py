@@ -1,4 +1,4 @@
-"""Compute the Z-width map of a test, in fast simulation or by hits on a real rig with a person beside it."""
+"""Compute the Z-width map (stable walls by stiffness and damping) for a test, in simulation or on a real rig."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.testing.hits import Rigs, end_all
 
 
 class Maps:
-    """Map the stable walls for a test (the fixture ``rig_zwidth``); parameters as `rig.testing.Hits`."""
+    """A function that computes the map of stable walls for a test (the fixture ``rig_zwidth``)."""
 
     def __init__(self, rigs: Rigs, experiments: Experiments, directory: Path) -> None:
         self._rigs, self._experiments, self._directory = rigs, experiments, directory
@@ -33,16 +33,16 @@ class Maps:
         ratio: float = 1.06,
         repeats: int = 1,
     ) -> ZWidth:
-        """Return a map of the walls that are stable.
+        """Return a map of the walls (stiffness, damping) that are stable.
 
         Parameters
         ----------
         source, changes
-            The experiment, see `rig.testing.Experiments`.
+            The experiment and its changed values, as for the fixture ``rig_experiment``.
         schemes
-            Schemes like ``dual:20k/2k``; if empty, the experiment's scheme and the uniform ones at its two rates.
+            Schemes like ``dual:20k/2k``; if empty, the experiment's scheme and the uniform schemes at its two rates.
         dampings
-            Damping B of each column of the map (N·m·s/rad or N·s/m).
+            Damping B of each column of the map (N·m·s/rad or N·s/m); None for the default dampings.
         lowest, highest, ratio
             Lowest and highest stiffness (N·m/rad or N/m), and ratio of neighbouring stiffnesses.
         repeats

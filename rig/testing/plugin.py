@@ -5,8 +5,8 @@ pytest and nothing slow: a fixture imports its parts on first use (`rig.testing`
 
 On a real rig (``--rig-url serial:///dev/…``) the tests are the same. The rig moves only with ``--rig-verified`` on the
 command line (it is not accepted in a file), and a single process runs the tests. STOP is sent after each test and at
-the end, also after Ctrl-C or a time-out (with pytest-timeout's ``signal`` method; its ``thread`` method kills the
-process, and the device's watchdog acts). A person's STOP (Ctrl-C in a hit, ``rig stop``) ends the whole run.
+the end, also after Ctrl-C or a timeout (with pytest-timeout's ``signal`` method; its ``thread`` method kills the
+process, and the device's watchdog acts). A person's STOP (Ctrl-C in a hit, ``rig stop``) ends the run of all tests.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _rig_fault_words() -> testing.FaultWords:
 
 @pytest.fixture
 def rig_faults(_rig_fault_words: testing.FaultWords, request: pytest.FixtureRequest) -> testing.FaultWords:
-    """Return the script of faults: ``rig_faults.link("drop", frame=60)``, ``rig_faults.device("ENCODER", tick=20)``."""
+    """Return the test's script of faults, to which a test adds faults: ``rig_faults.link("drop", frame=60)``."""
     _skip_on_a_rig(request.config, "rig_faults: faults on command")
     return _rig_fault_words
 
@@ -143,13 +143,13 @@ def rig_hit(
     _rig_fault_words: testing.FaultWords,
     _rig_kept: testing.Kept,
 ) -> testing.Hits:
-    """Return a function that hits a wall: ``rig_hit("mine.toml", {"wall.stiffness": 300.0}).verdict``."""
+    """Return a function that hits a wall once: ``rig_hit("mine.toml", {"wall.stiffness": 300.0}).verdict``."""
     return testing.Hits(_rig_rigs, rig_experiment, _rig_fault_words, _rig_kept.place)
 
 
 @pytest.fixture
 def rig_device(_rig_rigs: testing.Rigs, rig_experiment: testing.Experiments) -> Iterator[FramedDevice]:
-    """Yield an open device: the real rig, or a simulated rig of the test's experiment."""
+    """Yield an open device: the real rig, or a simulated rig of the test's default experiment."""
     with _rig_rigs.device(rig_experiment()) as device:
         yield device
 
@@ -177,7 +177,7 @@ def rig_golden(request: pytest.FixtureRequest) -> testing.Golden:
 
 @pytest.fixture
 def rig_serial(rig_experiment: testing.Experiments) -> Iterator[testing.SerialRig]:
-    """Yield a simulated rig on a serial port (`path`) for a program under test; `did()` returns what it did."""
+    """Yield a simulated rig on a serial port (`path`) for a program under test; `did()` returns the state it left."""
     with testing.serve_rig(rig_experiment()) as served:
         yield served
 
@@ -198,7 +198,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> None:
-    """Repeat a test with the marker ``rig_every_frame`` with a fault at each frame."""
+    """Repeat a test that has the marker ``rig_every_frame``, each time with a fault at another frame."""
     marker = pyfuncitem.get_closest_marker(EVERY_FRAME)
     if marker is None:
         return
@@ -210,7 +210,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep or remove a test's recordings after its end, and report the directory of kept recordings."""
+    """Keep or remove a test's recordings after its end, and report the directory of the kept recordings."""
     report = yield
     kept = item.stash.get(KEPT, None)
     if kept is not None and (report.when == "call" or report.failed) and kept.ended(failed=report.failed):
@@ -244,7 +244,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def _asker(config: pytest.Config) -> Callable[[str], bool]:
-    """Return a function that asks a question at the terminal, although pytest captures input and output."""
+    """Return a function that asks a person at the terminal, past pytest's capture, and returns True for consent."""
     capture = config.pluginmanager.getplugin("capturemanager")
 
     def ask(text: str) -> bool:

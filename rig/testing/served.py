@@ -1,4 +1,4 @@
-"""Serve a simulated rig on a serial port to test programs in any language, and read back what they did."""
+"""Serve a simulated rig on a serial port to test programs in any language, and read how they left the device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATIENCE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Did:
-    """State of a device after the program has closed its port.
+    """State of a simulated device after the program under test has closed its port.
 
     Attributes
     ----------
@@ -62,8 +62,8 @@ class SerialRig:
     def did(self) -> Did:
         """Return the state of the device after the program has closed the port.
 
-        On a busy computer a device that has just lost its host may reply late to the next host, so retry for
-        `PATIENCE_S`. Raise `rig.RigError` if another program still uses the port, or if there is no reply.
+        On a busy computer a device that has just lost its host may reply late to the next host, so the function retries
+        for `PATIENCE_S`. Raise `rig.RigError` if another program still uses the port, or if there is no reply.
         """
         deadline = time.monotonic() + PATIENCE_S
         while True:
@@ -88,9 +88,9 @@ class SerialRig:
 
 @contextmanager
 def serve_rig(experiment: Experiment, *, firmware: bool = False) -> Iterator[SerialRig]:
-    """Serve the rig of an experiment behind a pseudo-terminal; with `firmware` it can run the law itself.
+    """Serve the rig of an experiment behind a pseudo-terminal until the `with` block ends.
 
-    Errors as `rig.devices.local.serve_locally`.
+    With `firmware`, the simulated device can run the law itself. Raise the errors of `rig.devices.local.serve_locally`.
     """
     url = f"sim://{'?firmware=1' if firmware else ''}"
     with serve_locally(url, config.rig_model(experiment), terminal=True) as served:

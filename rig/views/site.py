@@ -33,7 +33,7 @@ class Site:
     seconds: float
 
     def items(self) -> list[Item]:
-        """Return the rows that `rig serve docs` prints."""
+        """Return the rows that `rig serve docs` prints: path, number of pages, duration (s)."""
         return [
             Row("site", str(self.index)),
             Row("pages", self.pages),

@@ -1,10 +1,10 @@
 """Fit cogging to slow sweeps: half the sum of the efforts up and down is cogging, half the difference is friction.
 
-While the handle moves slowly through x the motor's command is −F(x) + friction upwards and −F(x) − friction downwards,
-F being cogging. The efforts of inertia and damping are subtracted, because no servo keeps the speed exactly constant.
-F is a sum of harmonics of a period, fitted to each pair of sweeps (up and down) separately. The pairs differ in speed,
-so effects that depend on speed widen the intervals, as noise does. A constant external effort is not part of cogging:
-it appears in the friction levels, which `rig.analysis.identification._sliding` measures better.
+While the handle moves slowly through x, the motor's command is −F(x) + friction upwards and −F(x) − friction downwards;
+F is the effort of cogging. The efforts of inertia and damping are subtracted, because no servo keeps the speed exactly
+constant. F is a sum of harmonics of a period, fitted to each pair of sweeps (up and down) separately. The pairs differ
+in speed, so effects that depend on speed widen the intervals, as noise does. A constant external effort is not part of
+cogging: it appears in the friction levels, which `rig.analysis.identification._sliding` measures better.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEAST_PERIODS = 1.0  # in the range; with fewer, harmonics cannot be separated
 
 @dataclass(frozen=True, eq=False)
 class CoggingMap:
-    """Cogging: effort of the motor over its position.
+    """Cogging of a motor: effort over position, as fitted by `fit_cogging`.
 
     Attributes
     ----------
@@ -51,8 +51,8 @@ class CoggingMap:
     friction
         Friction level: half the difference of the efforts up and down (N·m or N).
     position, effort, rubbing
-        Measured cogging and friction (N·m or N): half the sum and half the difference of the efforts up and down, at
-        positions in the range (rad or m), shape (n,).
+        Positions in the range (rad or m), measured cogging (half the sum of the efforts up and down, N·m or N) and
+        measured friction (half their difference, N·m or N) at these positions, shape (n,).
     """
 
     period: float
@@ -70,7 +70,7 @@ class CoggingMap:
 
     @property
     def cogging(self) -> Cogging:
-        """Return the map as the `Cogging` of a rig's description."""
+        """Return the fitted harmonics as the section `Cogging` of a rig's description."""
         return Cogging(
             period=self.period,
             orders=self.orders,
@@ -82,12 +82,12 @@ class CoggingMap:
 
     @reported
     def peak(self) -> float:
-        """Return the largest absolute effort of cogging in the range (N·m or N)."""
+        """Return the largest absolute effort of cogging (N·m or N) in the measured range of positions."""
         return float(np.abs(self.cogging.effort(self._range)).max())
 
     @reported
     def stiffness(self) -> tuple[float, float]:
-        """Return the smallest and largest stiffness by cogging in the range (N·m/rad or N/m)."""
+        """Return the smallest and the largest stiffness that cogging causes in the measured range (N·m/rad or N/m)."""
         stiffness = -self.cogging.slope(self._range)
         return float(stiffness.min()), float(stiffness.max())
 
@@ -112,14 +112,14 @@ def fit_cogging(
     Parameters
     ----------
     time_s, effort, position
-        Time (s), commanded effort and position of the whole run, shape (n,), evenly sampled; the times of `sweeps`
-        have the same origin.
+        Time (s), commanded effort (N·m or N) and position (rad or m) of the whole run, shape (n,), evenly sampled; the
+        times of `sweeps` have the same origin.
     sweeps
         Commanded sweeps in pairs, up and then down, over the same travel.
     period
         Period of the harmonics (rad or m).
     most_order
-        Highest order of harmonic to look for.
+        Highest order of harmonic to search.
     inertia, damping
         Total inertia (kg·m² or kg) and damping (N·m·s/rad or N·s/m, with back-EMF under voltage drive) of all moving
         parts.
@@ -127,7 +127,7 @@ def fit_cogging(
     Raises
     ------
     IdentificationError
-        The handle moved in fewer than two pairs, or the common range is shorter than a period.
+        The handle moved in fewer than two pairs, or the range that all sweeps covered is shorter than a period.
     """
     wave = period / most_order
     pairs = pairs_of(time_s, effort, position, sweeps, wave=wave, inertia=inertia, damping=damping)
@@ -170,9 +170,10 @@ def pairs_of(
     inertia: float,
     damping: float,
 ) -> list[Pair]:
-    """Return positions and efforts (cogging minus friction) of each pair of sweeps; parameters as `fit_cogging`.
+    """Return for each pair of sweeps (up, down) positions (rad or m) and efforts (N·m or N, cogging minus friction).
 
-    `wave` is the shortest period of a harmonic (rad or m). Raise `IdentificationError` if fewer than two pairs moved.
+    `wave` is the shortest period of a harmonic (rad or m); `fit_cogging` describes the other arguments. Raise
+    `IdentificationError` if the handle moved in fewer than two pairs.
     """
     ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
     if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
@@ -184,9 +185,9 @@ def pairs_of(
 
 
 def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
-    """Return the ends of the range that all sweeps covered (rad or m).
+    """Return the lowest and the highest position (rad or m) of the range that all sweeps covered.
 
-    Raise `IdentificationError` if it is shorter than a period.
+    Raise `IdentificationError` if the range is shorter than `period` (rad or m), the period of cogging.
     """
     ways = [x for pair in pairs for x, _ in pair]
     low, high = max(float(x.min()) for x in ways), min(float(x.max()) for x in ways)
@@ -200,7 +201,7 @@ def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
 
 
 def within(pair: Pair, low: float, high: float) -> Pair:
-    """Return the points of a pair at positions from low to high (rad or m)."""
+    """Return the points (positions, efforts) of a pair of sweeps at positions from `low` to `high` (rad or m)."""
     up, down = ((x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in pair)
     return up, down
 
@@ -214,7 +215,7 @@ def _points(
     inertia: float,
     damping: float,
 ) -> Points:
-    """Return positions in a sweep, and cogging minus friction at each: block means without inertia and damping."""
+    """Return positions in a sweep, and cogging minus friction (effort) at these positions, as means over samples."""
     tick_s = float(time_s[1] - time_s[0])
     n = max(1, round(wave / abs(sweep.velocity) / BLOCKS / tick_s))
     inside = (time_s >= sweep.begin_s + SETTLE_S) & (time_s < sweep.end_s - SETTLE_S)
@@ -228,13 +229,13 @@ def _points(
 
 
 def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
-    """Return the cosines, then the sines, of the harmonics at positions x, shape (n, 2·len(orders))."""
+    """Return cosine and sine of each harmonic at the positions `x`, shape (n, 2·len(orders)): first all cosines."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Fit one pair; return amplitudes of the cosines and of the sines, then the level up and the level down."""
+    """Fit harmonics to a pair of sweeps; return amplitudes of cosines, of sines, mean effort up, mean effort down."""
     up, down = pair
     rows = [
         np.column_stack(
@@ -247,7 +248,7 @@ def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
 
 
 def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
-    """Return the orders with a significant amplitude, and the largest amplitude that another order may have."""
+    """Return the orders with a significant amplitude, and the largest amplitude that any other order may have."""
     every = range(1, most + 1)
     each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
     mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)

@@ -7,17 +7,17 @@ The motor's effort F is known, the position X is measured with an encoder's nois
 
 H is the delay of the effort: whole ticks and a first-order lag. The second factor of P is used for a rig of two masses
 with a sensor beside the motor: at the anti-resonance ω_a the link vibrates while the motor stands still, at the
-resonance ω_r the two vibrate against each other, and m·(ω_a/ω_r)² is the motor's share of the inertia. S is Coulomb
-friction: the levels from sliding, with the sign of the measured velocity.
+resonance ω_r motor and link vibrate against each other, and m·(ω_a/ω_r)² is the motor's share of the inertia. S is
+Coulomb friction: the levels from sliding, with the sign of the measured velocity.
 
-Under voltage drive the acting effort is H·F minus the back-EMF b_e·s·X behind the lag L, so P is replaced by
-1/(1/P + b_e·s·L). b_e must be given, because the motion of a rigid rig does not separate it from b.
+Under voltage drive the acting effort is H·F minus the back-EMF b_e·s·X behind the lag L, so P is replaced by 1/(1/P +
+b_e·s·L). b_e must be given, because the motion of a rigid rig does not separate it from b.
 
-If the band ends below the mode, the second factor is 1 + c·s²: the compliance of the mode above. It is part of the
-model if the 95 % interval of c is above zero; left out, it would appear as inertia and delay.
+If the frequency band ends below the mode, the second factor is 1 + c·s²: the compliance of the mode above the band. It
+is part of the model if the 95 % interval of c is above zero; left out, it would appear as inertia and delay.
 
 An effort that is held between samples has images around each multiple of the rate, whose motion folds back onto the
-lines; the first two on each side are part of the model.
+lines; the first two images on each side are part of the model.
 """
 
 from __future__ import annotations
@@ -65,17 +65,18 @@ RIGID, COMPLIANT, TWO_MASS = 3, 4, 7  # how many
 
 @dataclass(frozen=True, slots=True)
 class StructuralMode:
-    """First structural mode, measured by a sensor beside the motor.
+    """First structural mode (elastic vibration) of motor and link, measured by a sensor beside the motor.
 
     Attributes
     ----------
     antiresonance_hz, resonance_hz
-        Frequency at which the link vibrates while the motor stands still, and at which the two vibrate against each
-        other (Hz).
+        Frequency (Hz) at which the link vibrates while the motor stands still, and frequency (Hz) at which motor and
+        link vibrate against each other.
     antiresonance_ratio, resonance_ratio
         Damping ratios of anti-resonance and resonance.
     motor_inertia, link_inertia
-        Motor's share of the inertia m, m·(f_a/f_r)², and the link's share, m minus that (kg·m² or kg).
+        Motor's share of the total inertia m, m·(f_a/f_r)², and the link's share, m minus the motor's share (kg·m² or
+        kg).
     stiffness
         Stiffness of the transmission, link inertia·ω_a² (N·m/rad or N/m).
     """
@@ -91,7 +92,7 @@ class StructuralMode:
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Result of `fit_dynamics`.
+    """Inertia, damping, delay and structural mode of a rig, as fitted by `fit_dynamics`.
 
     Attributes
     ----------
@@ -112,7 +113,7 @@ class Dynamics:
     band
         The range of excited lines that was fitted.
     lines_hz, coherence
-        Fitted lines (Hz), and coherence γ² of motion and excitation at each, shape (n,).
+        Fitted lines (Hz), and coherence γ² of motion and excitation at each line, shape (n,).
     measured, fitted
         Position over effort at the lines (rad/(N·m) or m/N), without friction but with the delay: mean over the
         realisations, and the model, shape (n,).
@@ -138,7 +139,7 @@ class Dynamics:
     unexplained: float
 
     def later(self, ticks: int, tick_s: float) -> Dynamics:
-        """Return this result with a delay that is longer by `ticks` of the link, each `tick_s` (s) long."""
+        """Return this result with a delay that is longer by `ticks` ticks of the link, each `tick_s` (s) long."""
         delay = Interval(self.delay_s.value + ticks * tick_s, self.delay_s.ci95)
         s = 2j * np.pi * self.lines_hz
         late = np.exp(-s * ticks * tick_s)
@@ -152,7 +153,7 @@ class Dynamics:
 
     @reported
     def coherence_median(self) -> float:
-        """Return the median of the coherence γ² over the lines."""
+        """Return the median over the lines of the coherence γ² of motion and excitation."""
         return float(np.median(self.coherence))
 
 
@@ -170,11 +171,11 @@ def fit_dynamics(
     Parameters
     ----------
     runs
-        Realisations of one excitation in whole periods; `effort` is the motor's, `position` as measured.
+        Realisations of one excitation in whole periods; `effort` is the motor's effort, `position` the measured one.
     resolution
         Travel for one count (rad or m).
     inertia
-        Start value, right within a factor of ten (kg·m² or kg).
+        Start value of the fit, right within a factor of ten (kg·m² or kg).
     sliding
         Result of `fit_sliding` with the Coulomb friction to remove; None if the rig has no Coulomb friction.
     damping
@@ -215,7 +216,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Spectra of all realisations at the lines, shape (runs, lines), with the constants of the model."""
+    """Spectra of all realisations at the excited lines, shape (runs, lines), with the constants of the fitted model."""
 
     lines: Floats
     rate: float
@@ -254,7 +255,7 @@ class _Problem:
         return np.asarray((self.held * late * self.answer(self.images, parameters)).sum(axis=0))
 
     def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
-        """Return the rig's position over acting effort, with back-EMF but without delay and hold."""
+        """Return the rig's position over acting effort (rad/(N·m) or m/N), with back-EMF but without delay and hold."""
         free = compliance(frequency_hz, parameters)
         if self.back_emf == 0.0:
             return free
@@ -268,7 +269,7 @@ class _Problem:
     def solve(
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: slice = slice(None)
     ) -> Floats:
-        """Return all parameters after a least-squares fit of the free ones; the others keep their start value."""
+        """Return all parameters after a least-squares fit of those in `free`; the others keep their start value."""
         # Units of their own size: the parameters span ten orders of magnitude.
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
@@ -289,7 +290,7 @@ class _Problem:
         return parameters(found.x)
 
     def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:
-        """Fit and compute weights in turn: the weights are the residuals, smoothed over neighbouring lines."""
+        """Fit parameters and weights in turn; the weights are the residuals, smoothed over neighbouring lines."""
         power = np.mean(np.abs(self.position) ** 2, axis=0)
         # Before anything is known of the noise: 2 % of the motion, and the encoder's floor.
         first = np.sqrt((0.02**2) * power + self.floor**2)
@@ -351,7 +352,7 @@ class _Problem:
     def shifted(
         self, fit: _Fit, free: Sequence[int], damping: Interval | None, sliding: Sliding | None
     ) -> list[Floats]:
-        """Return the parameters refitted with the given damping, then Coulomb friction, at the end of its interval."""
+        """Return the parameters refitted with damping, then Coulomb friction, at the end of its 95 % interval."""
         found = []
         if damping is not None and math.isfinite(damping.ci95):
             start = fit.parameters.copy()
@@ -363,7 +364,7 @@ class _Problem:
         return found
 
     def mode_start(self, rigid: Floats) -> Floats | None:
-        """Return start values with a mode, at the deepest notch and the highest peak above it; None if not found."""
+        """Return start values with a mode at the deepest notch and the highest peak above it; None without a notch."""
         level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
         flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
         flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
@@ -377,7 +378,7 @@ class _Problem:
 
 
 def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
-    """Return position over effort without delay and back-EMF, P in the module's docstring (rad/(N·m) or m/N)."""
+    """Return position over effort (rad/(N·m) or m/N), P in the module's docstring, at each frequency."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
     if len(parameters) == COMPLIANT:
@@ -394,7 +395,7 @@ def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes
 
 
 def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
-    """Return the spectra of position, effort and Coulomb friction at the lines, with their delays undone."""
+    """Return the spectra of position, effort and Coulomb friction at the lines, with their recorded delays removed."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)

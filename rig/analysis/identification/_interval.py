@@ -1,4 +1,4 @@
-"""A value with its 95 % confidence interval, from Student's distribution."""
+"""A value with its 95 % confidence interval, computed with Student's distribution."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A value and the half width `ci95` of its 95 % interval, in the same unit; infinite if unknown.
+    """A value and the half width `ci95` of its 95 % confidence interval, in the same unit; infinite if unknown.
 
     The interval covers scatter, not bias: an error that is equal in all realisations does not widen it.
     """
@@ -25,12 +25,12 @@ class Interval:
 
     @property
     def low(self) -> float:
-        """Return the lower end of the 95 % interval."""
+        """Return the lower end of the 95 % interval, in the unit of the value."""
         return self.value - self.ci95
 
     @property
     def high(self) -> float:
-        """Return the upper end of the 95 % interval."""
+        """Return the upper end of the 95 % interval, in the unit of the value."""
         return self.value + self.ci95
 
     def holds(self, value: float) -> bool:
@@ -42,7 +42,7 @@ class Interval:
         return Interval(factor * self.value, abs(factor) * self.ci95)
 
     def text(self, unit: str = "") -> str:
-        """Return "value ± half width unit", with two significant digits of the half width."""
+        """Return a text like ``1.25 ± 0.12 kg``: value, half width of the interval with two digits, and unit."""
         return f"{_shown(self.value, self.ci95)} {unit}".rstrip()
 
 

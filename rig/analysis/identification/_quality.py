@@ -32,14 +32,14 @@ LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a f
 
 
 class IdentificationError(RigError):
-    """The data are too poor to identify the rig; the message says why, the remedy what to measure instead."""
+    """The data are too poor to identify the rig; the message has the reason, the remedy what to measure instead."""
 
     exit_code = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A range of neighbouring excited lines at which the motion follows the excitation; a fit uses these.
+    """A range of neighbouring excited lines (frequencies) at which the motion follows the excitation; a fit uses it.
 
     Attributes
     ----------
@@ -60,17 +60,17 @@ class Band:
 
     @property
     def chosen(self) -> slice:
-        """Return the slice of the excited lines that lie in the band."""
+        """Return the slice that selects the band's lines from an array over all excited lines."""
         return slice(self.first, self.first + self.lines)
 
     @property
     def text(self) -> str:
-        """Return the ends of the band, its number of lines and the reasons why it ends, as text."""
+        """Return the ends of the band (Hz), its number of lines and the reasons why it ends, as text."""
         why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 
     def shorter(self, lines_hz: Floats, lines: int, why: str) -> Band:
-        """Return the band of its lowest `lines` lines; `lines_hz` are all excited lines (Hz), `why` is the reason."""
+        """Return the band of this band's lowest `lines` lines, out of `lines_hz`; `why` is the reason to shorten it."""
         return replace(self, lines=lines, high_hz=float(lines_hz[self.first + lines - 1]), above=why)
 
 
@@ -114,7 +114,7 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
 
 
 def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, Floats]:
-    """Reject excited motion that is too small, drifts or does not follow the excitation; return band and coherence.
+    """Reject motion that is too small, drifts or does not follow the excitation; return the band and the coherence.
 
     Raises
     ------
@@ -167,7 +167,7 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
 
 
 def period_change(run: ExcitedRun, lines: slice = slice(None)) -> float:
-    """Return the relative change of the motion from one period to the next: the median over `lines` and periods."""
+    """Return the relative change of the motion between neighbouring periods: median over lines and periods."""
     if run.periods < 2:
         return 0.0
     by_period = run.level_position().reshape(run.periods, run.period_samples)

@@ -1,10 +1,11 @@
 """Fit the ripple of the motor's effort to slow sweeps without and with a steady load.
 
 A motor produces 1 + r(x) times the commanded effort u. While the handle slides slowly, half the sum of the efforts up
-and down is F(x)/(1 + r(x)), F being cogging, and half the difference is friction/(1 + r(x)). The sum shows ripple only
-as a product of two small numbers; the difference cannot separate it from friction that varies with position. A steady
-load W adds W/(1 + r(x)) to half the sum, whatever cogging and friction are, if they are the same with and without it.
-This added effort over its mean gives the ripple, which thus depends neither on W nor on the described torque constant.
+and down is F(x)/(1 + r(x)), with F the effort of cogging, and half the difference is friction/(1 + r(x)). The sum shows
+ripple only as a product of two small numbers; the difference cannot separate ripple from friction that varies with
+position. A steady load W adds W/(1 + r(x)) to half the sum, whatever cogging and friction are, if they are the same
+with and without load. This added effort over its mean gives the ripple, which thus depends neither on W nor on the
+described torque constant.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ ROUNDS = 3  # of the fit; each leaves the ripple's share of what the one before 
 
 @dataclass(frozen=True)
 class Ripple:
-    """Ripple r(x): the motor produces 1 + r(x) times the commanded effort at position x.
+    """Ripple r(x) of a motor: at position x the motor produces 1 + r(x) times the commanded effort.
 
     Attributes
     ----------
@@ -51,7 +52,7 @@ class Ripple:
 
     @reported
     def amplitude(self) -> tuple[Interval, ...]:
-        """Return the amplitude of each harmonic, a share of the effort."""
+        """Return the amplitude of each identified harmonic, as a share of the effort."""
         return tuple(
             Interval(size, math.hypot(c.value * c.ci95, s.value * s.ci95) / size)
             for c, s, size in self._harmonics
@@ -59,7 +60,7 @@ class Ripple:
 
     @reported
     def phase(self) -> tuple[Interval, ...]:
-        """Return the phase of each harmonic (rad): its crest lies this part of its period after position zero."""
+        """Return the phase (rad) of each identified harmonic: its crest lies phase/2π periods after position zero."""
         return tuple(
             Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
             for c, s, size in self._harmonics
@@ -77,11 +78,11 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     Parameters
     ----------
     free, loaded
-        Pairs without and with the load from `rig.analysis.identification._cogging.pairs_of`, equal in number.
+        Pairs of sweeps without and with load, from `rig.analysis.identification._cogging.pairs_of`; equal in number.
     period
         Period of the harmonics (rad or m).
     most_order
-        Highest order of harmonic to look for.
+        Highest order of harmonic to search.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
 
 
 def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Return amplitudes of cosines and sines of r, then the load (N·m or N), of one pair without and one with load."""
+    """Return amplitudes of r's cosines and sines, then the load (N·m or N), of a pair without and one with load."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
         with_, without = (

@@ -3,7 +3,7 @@
 The effort of a push rises evenly until the handle has moved a little. Friction F holds the handle up to the breakaway
 effort; then m·x″ = u − F − b·x′, with u the commanded effort in its steps (few, if the quantum of current is coarse).
 So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit gives m and F; d = b/m is taken from the description, because a wrong scale
-of effort or position does not change it. The result is good to some ten per cent: enough to detect a wrong torque
+of effort or position does not change it. The result is accurate to some ten per cent: enough to detect a wrong torque
 constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
@@ -32,7 +32,7 @@ LOOSE = 0.5  # inertia right after a reversal over that of a second push from wh
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """Result of one push: direction, breakaway effort, travel, and apparent inertia."""
+    """One push of the sign check and the response of the handle: breakaway effort, travel and apparent inertia."""
 
     direction: Literal[-1, 1]
     moved: bool  # further than noise
@@ -46,7 +46,7 @@ class Push:
 
 @dataclass(frozen=True, slots=True)
 class SignCheck:
-    """Result of `check_signs`.
+    """Result of `check_signs`: sign of the motion, inertia and breakaway efforts.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class SignCheck:
     scale
         `inertia` over the expected inertia.
     breakaway_up, breakaway_down
-        Median effort at the first motion, by direction of the push (N·m or N); NaN if none moved.
+        Median effort at the first motion, by direction of the push (N·m or N); NaN if no push moved the handle.
     pushes
         Result of each push, in order of time.
     warnings
@@ -74,7 +74,7 @@ class SignCheck:
 
     @reported
     def ok(self) -> bool:
-        """Return True if the sign is right and the scale matches the description."""
+        """Return True if the sign is positive and the inertia is at most `SAME_SCALE` times off the expected one."""
         return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
 
 
@@ -89,22 +89,22 @@ def check_signs(
     damping: float = 0.0,
     friction: float | None = None,
 ) -> SignCheck:
-    """Judge signs and scale of a rig from pushes whose effort rises evenly from zero, with rests between them.
+    """Check signs and scale of a rig by pushes whose effort rises evenly from zero, with rests between the pushes.
 
     Parameters
     ----------
     time_s, effort, position
-        Signals of the whole run, shape (n,), evenly sampled; `effort` as commanded.
+        Time (s), commanded effort (N·m or N) and position (rad or m) of the whole run, shape (n,), evenly sampled.
     resolution
         Travel for one count (rad or m).
     expected_inertia
-        Inertia in the description (kg·m² or kg).
+        Inertia in the rig's description (kg·m² or kg).
     rest_s
         Time of zero effort that separates two pushes (s).
     damping
-        Damping in the description, back-EMF included (N·m·s/rad or N·s/m).
+        Damping in the rig's description, back-EMF included (N·m·s/rad or N·s/m).
     friction
-        Friction in the description (N·m or N), used if the pushes do not determine it; None for the best fit.
+        Friction in the rig's description (N·m or N), used if the pushes do not determine it; None for the best fit.
     """
     pushes: list[Push] = []
     for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
@@ -140,7 +140,7 @@ def check_signs(
 
 
 def stiction_warning(breakaway: float, sliding: float) -> str | None:
-    """Return a warning if the breakaway effort is much larger than the sliding friction (both N·m or N), or None."""
+    """Return a warning text if the breakaway effort far exceeds the sliding friction (both N·m or N), else None."""
     if not breakaway > STICKS * sliding:
         return None
     return (
@@ -199,7 +199,8 @@ def _fit(
 ) -> tuple[float, float]:
     """Return inertia m (kg·m² or kg) and start t₀ (s) of the motion that fit m·(x + d·∫x dt) = ∬(u − F) dt² best.
 
-    The friction F is fitted, too. Only samples after the handle last was within `SETTLED_SHARE` of its travel are used.
+    `decay` is d (1/s). The friction F is fitted, too. The fit uses only samples after the handle was last within
+    `SETTLED_SHARE` of its travel. Both values are NaN if too few samples remain.
     """
     step_s = time_s[1] - time_s[0]
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))

@@ -8,7 +8,7 @@ up + down, `bias` half of up − down.
 
 The mean over a piece of a stroke is one point. Friction varies with position, and with a coarse encoder the servo's
 effort has ripple, so intervals are computed from the scatter of the points about the line. Errors of the pieces of one
-stroke are correlated, so they count as one point.
+stroke are correlated, so all pieces of a stroke count as one point.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Stroke:
 
 @dataclass(frozen=True, eq=False)
 class Sliding:
-    """Friction of a sliding handle, as fitted by `fit_sliding`.
+    """Friction of a handle that slides at constant speed, as fitted by `fit_sliding`.
 
     Attributes
     ----------
@@ -76,11 +76,11 @@ class Sliding:
 
     @reported
     def points(self) -> int:
-        """Return the number of measured points."""
+        """Return the number of measured points (pieces of strokes)."""
         return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:
-        """Return the effort that overcomes friction at each velocity (N·m or N); `velocity` in rad/s or m/s."""
+        """Return the effort (N·m or N) that overcomes friction at each velocity (rad/s or m/s)."""
         level = np.where(velocity > 0.0, self.up.value, -self.down.value)
         return np.asarray(level + self.damping.value * velocity)
 
@@ -99,8 +99,8 @@ def fit_sliding(
     Parameters
     ----------
     time_s, effort, position
-        Time (s), commanded effort and position of the whole run, shape (n,), evenly sampled; the times of `strokes`
-        have the same origin.
+        Time (s), commanded effort (N·m or N) and position (rad or m) of the whole run, shape (n,), evenly sampled; the
+        times of `strokes` have the same origin.
     strokes
         Commanded strokes, in both directions and at two speeds or more.
     resolution
@@ -111,8 +111,8 @@ def fit_sliding(
     Raises
     ------
     IdentificationError
-        Too few strokes slid at their speed, a direction or a second speed is missing, or the points scatter too much
-        about the line.
+        Too few strokes kept their speed, a direction or a second speed is missing, or the points scatter too much about
+        the line.
     """
     velocity, level = _points(time_s, effort, position, strokes, resolution)
     level = level - back_emf * velocity

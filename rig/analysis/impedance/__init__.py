@@ -1,6 +1,6 @@
-"""Impedance of a rig and of the walls that it renders: estimates from whole periods, verdicts, closed forms.
+"""Estimate and judge the mechanical impedance (effort over velocity) of a rig and of the walls that it renders.
 
-`rig.experiments` and the reproductions of papers call this with arrays of an excited run (the excitation is
+`rig.experiments` and the reproductions of papers call this package with arrays of an excited run (the excitation is
 `rig.control.excitation.Multisine`) and receive numbers. Nothing here runs a loop, simulates a rig or opens a recording.
 """
 

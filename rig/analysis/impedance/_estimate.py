@@ -4,9 +4,9 @@
     impedance.z, impedance.deviation, impedance.residual
 
 The excitation r is the instrument: Ẑ = S_rF/S_rV with V = jω·X. The records are whole periods, so no window is needed
-and nothing leaks; only a steady drift of the position is removed. The variance is computed from the scatter over
-realisations (the same lines with other phases). From the periods of a single realisation it is too small if the rig
-has friction, because the distortion by friction repeats in each period.
+and no power leaks between lines; only a steady drift of the position is removed. The variance is computed from the
+scatter over realisations (the same lines with other phases). From the periods of a single realisation it is too small
+if the rig has friction, because the distortion by friction repeats in each period.
 
 Source of the estimator and its variance: the standard theory of instruments and of ratios (Pintelon and Schoukens,
 "System Identification: A Frequency Domain Approach", chapters 2 and 4, from memory); the delta method is written out
@@ -32,7 +32,7 @@ VarianceFrom = Literal["realisations", "periods", "segments", "nothing"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Measured (or ideal) impedance at the excited lines: effort over velocity at the handle.
+    """Measured (or ideal) impedance at the excited lines (frequencies): effort over velocity at the handle.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class Impedance:
         Variance of z at each line, mean |Ẑ − Z|²: half in the real and half in the imaginary part. NaN if unknown.
     coherence_effort, coherence_motion
         Coherence γ² of effort and of velocity with the excitation at each line, over all periods of all realisations;
-        NaN with a single period. Of unrelated signals it is about 1/(periods · realisations), not 0.
+        NaN with a single period. For unrelated signals it is about 1/(periods · realisations), not 0.
     residual
-        Share of the velocity's power within `residual_band_hz` that is not at the excited lines; NaN if the record
-        has no frequencies between the lines (a single period).
+        Share of the velocity's power within `residual_band_hz` that is not at the excited lines; NaN if the record has
+        no frequencies between the lines (a single period).
     residual_band_hz
         Lowest and highest frequency of the band in which `residual` was computed (Hz).
     realisations, periods
@@ -58,7 +58,7 @@ class Impedance:
         Repetitions whose scatter gives the variance: ``"realisations"``, ``"periods"`` (of a single realisation),
         ``"segments"`` (of Welch's method), or ``"nothing"`` if there is no scatter (exact, or a single period).
     degrees_of_freedom
-        Degrees of freedom of the variance; infinite if it is not an estimate: exact (0), or unknown (NaN).
+        Degrees of freedom of the variance; infinite if the variance is exactly known (0) or unknown (NaN).
     """
 
     lines_hz: Floats
@@ -76,7 +76,7 @@ class Impedance:
 
     @classmethod
     def exact(cls, lines_hz: Floats, z: Complexes, method: str = "exact") -> Impedance:
-        """Return an impedance that is known and not measured: variance 0, coherence 1, residual 0."""
+        """Return an impedance that is computed and not measured: variance 0, coherence 1, residual 0."""
         lines = np.asarray(lines_hz, dtype=np.float64)
         ones, none = np.ones(len(lines)), np.zeros(len(lines))
         return cls(lines, np.asarray(z, dtype=np.complex128), none, ones, ones, 0.0, 0, 0, method)
@@ -88,16 +88,16 @@ class Impedance:
 
     @property
     def phase_deg(self) -> Floats:
-        """Return the phase of z at each line (degrees), from −180 to 180, not unwrapped."""
+        """Return the phase of z at each line (degrees), from −180 to 180, not unwrapped, shape (n,)."""
         return np.asarray(np.degrees(np.angle(self.z)))
 
     @property
     def deviation(self) -> Floats:
-        """Return the standard deviation at each line; it is the same for real part, imaginary part and magnitude."""
+        """Return the standard deviation of real part, imaginary part and magnitude at each line, in the unit of z."""
         return np.sqrt(0.5 * self.variance)
 
     def spread(self, z_score: float) -> Floats:
-        """Return the one-sided uncertainty of the real part (or |Z|) at each line, in the unit of z.
+        """Return the one-sided uncertainty of the real part (or |Z|) at each line (N·s/m or N·m·s/rad), shape (n,).
 
         `z_score` gives the confidence, in standard deviations of a normal distribution: 2 means 97.7 %.
         """
@@ -199,7 +199,7 @@ def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> flo
 
 @dataclass(frozen=True)
 class _Lines:
-    """Complex amplitudes at the lines, all at the same instant (delays undone), of shape (periods, lines)."""
+    """Complex amplitudes at the lines, all at the same instant (delays removed), of shape (periods, lines)."""
 
     reference: Complexes
     effort: Complexes
@@ -222,7 +222,7 @@ def _transform(run: ExcitedRun, channel: Floats) -> Complexes:
 def _with_instrument(
     lines: Sequence[_Lines], channel: Literal["effort", "velocity"], of: VarianceFrom
 ) -> Complexes:
-    """Return channel · conj(excitation) at the lines: a row for each realisation, or each period of the only one."""
+    """Return channel · conj(excitation) at the lines: a row for each realisation, or each period of a single one."""
     # Coulomb friction's distortion repeats in every period: periods agree with each other while all are wrong alike.
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]
     return np.stack([p.mean(axis=0) for p in products]) if of == "realisations" else products[0]

@@ -26,7 +26,7 @@ Term = Literal["inertia", "damping", "stiffness"]
 
 @dataclass(frozen=True, slots=True)
 class RigidRig:
-    """Rigid rig: inertia (kg or kg·m²), viscous damping, damping by back-EMF (N·s/m or N·m·s/rad) and its lag (s)."""
+    """A rigid rig: inertia, viscous damping, and damping by back-EMF (SI) behind a lag with time constant `lag_s`."""
 
     inertia: float
     damping: float
@@ -41,17 +41,17 @@ class RigidRig:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Fitted parameters and their standard deviations, by name; terms that were not fitted are absent.
+    """Parameters that `fit` has fitted to an impedance, and their standard deviations.
 
     Attributes
     ----------
     values, deviations
-        Parameters and their standard deviations, in SI units. The deviations follow from the variances of the lines
-        and are multiplied by `misfit` if it is above 1 (Birge's ratio). If variances are unknown, they follow from
-        the misfit alone.
+        Parameters and their standard deviations by name, in SI units; terms that were not fitted are absent. The
+        deviations follow from the variances of the lines and are multiplied by `misfit` if it is above 1 (Birge's
+        ratio). If variances are unknown, the deviations follow from the misfit alone.
     misfit
-        Root mean square of the differences between model and lines, in standard deviations of the lines: near 1 if
-        the model is right, larger if the differences are more than noise. NaN without variances.
+        Root mean square of the differences between model and lines, in standard deviations of the lines: near 1 if the
+        model is right, larger if the differences are more than noise. NaN without variances.
     """
 
     values: dict[Term, float]

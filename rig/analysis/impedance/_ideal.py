@@ -1,21 +1,21 @@
 """Closed forms of the impedance of an ideal wall, of a rig without a wall, and of a rig with a sampled wall.
 
-For a rigid rig without lag, a wall at one rate and an estimator H(z) (velocity over position) it is
+For a rigid rig without lag, a wall at one rate and an estimator H(z) (velocity over position), the impedance is
 
     Z = m·s + b + ZOH(s)·C/s / (1 + A·C),   C = K + B·H(e^{sT}),   ZOH = (1 − e^{−sT})/(s·T),   s = jω
 
 The excitation is continuous, the wall is sampled: it reads the position at its ticks, where motions at all frequencies
-ω + n·2π/T (images) look alike, and its held effort moves the rig at all of them. A is the sum of the images: with P
-from effort to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at
+ω + n·2π/T (images) look alike, and its held effort moves the rig at all these frequencies. A is the sum of the images:
+with P from effort to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at
 ω + n·2π/T. Without images (``images=False``) the impedance is m·s + b + ZOH·(K/s + B·H/s).
 
 For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every line up to 400 Hz, images change Z by at most 0.16 % and
-0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest that are just
-stable. In a record of the loop's own ticks they are 3 % at 250 Hz and 29 % at 400 Hz. At half the rate a line and its
-image coincide, and no impedance is defined.
+0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest walls that are
+just stable. In a record of the loop's own ticks the images are 3 % at 250 Hz and 29 % at 400 Hz. At half the rate a
+line and its image coincide, and no impedance is defined.
 
-In general (two masses, lag, delay in ticks, position at T1 and velocity at T2 = N·T1, held or extrapolated) the
-sampled loop has N frequencies ω + m·2π/T2 that the velocity path mixes. With x_m the sampled position at each, G_m
+In general (two masses, lag, delay in ticks, position at T1 and velocity at T2 = N·T1, held or extrapolated) the sampled
+loop has N frequencies ω + m·2π/T2 that the velocity path mixes. With x_m the sampled position at each frequency, G_m
 the discretisation, D_m the delay, h_m the pattern in which a velocity is used over its N ticks, u_m the command:
 
     u_m = K·x_m + B·h_m·w,   w = H·mean(x_m),   x_m = [m = 0]·P_x·F − G_m·D_m·u_m
@@ -58,7 +58,8 @@ def bare(
 ) -> Complexes:
     """Return the impedance of the rig without a wall and without friction: m·s + b if it is rigid.
 
-    Parameters are those of `rendered_impedance`.
+    The result has the unit N·m·s/rad or N·s/m and the shape of `lines_hz` (Hz). `rendered_impedance` describes the
+    arguments.
     """
     plant = _Plant.of(_loop(rig, scheme))
     return np.asarray(1.0 / (_s(lines_hz) * plant.response(lines_hz, plant.row(seen), EXTERNAL)))
@@ -80,7 +81,8 @@ def rendered_impedance(
     Parameters
     ----------
     rig, scheme
-        See `rig.analysis.theory._loop.linear_loop`, which raises `NotLinearError` for an estimator that is not linear.
+        Rig and sampling scheme for `rig.analysis.theory._loop.linear_loop`, which raises `NotLinearError` for an
+        estimator that is not linear.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m) of a bilateral wall.
     lines_hz
@@ -112,7 +114,11 @@ def walls(
     channel: Channel = "external",
     images: bool = True,
 ) -> Callable[[float, float], Complexes]:
-    """Return a function of (K, B) that returns `rendered_impedance`; parts that do not depend on K, B are cached."""
+    """Return a function of stiffness and damping (SI) that returns the impedance of the rig with this wall.
+
+    The impedance is that of `rendered_impedance`, which describes the arguments; parts of the computation that do not
+    depend on the wall are cached.
+    """
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
     lines = np.atleast_1d(np.asarray(lines_hz, dtype=np.float64))
@@ -144,7 +150,7 @@ COMMAND, EXTERNAL = 0, 1  # inputs of `rig.core.model.StateSpace`
 
 @dataclass(frozen=True, eq=False)
 class _Plant:
-    """Continuous state-space matrices, and the indices of the sensed and of the handle's position in the state."""
+    """State-space matrices of the continuous rig, and the indices of encoder and handle position in the state."""
 
     a: Matrix
     b: Matrix
@@ -161,7 +167,7 @@ class _Plant:
         return self.handle if seen == "handle" else self.sensed
 
     def response(self, lines_hz: ArrayLike, row: int, column: int) -> Complexes:
-        """Return the response from input `column` to state `row` at s = jω, shape (n,)."""
+        """Return the frequency response from input `column` to state `row` at `lines_hz` (Hz), shape (n,)."""
         return _transfer(_s(np.atleast_1d(lines_hz)), self.a, self.b[:, column], row)
 
 

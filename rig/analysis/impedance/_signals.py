@@ -1,8 +1,8 @@
 """Signals of an excited rig: one realisation of an excitation and its response, in whole periods.
 
 Effort and position may be sampled at different instants: each channel has a delay, and a held effort has a hold time.
-Both are undone in the frequency domain, which is exact because the record is periodic. At 4 kHz one sample of
-misalignment turns the phase by 9° at 100 Hz, more than the phase margin of most walls.
+Delay and hold are removed in the frequency domain, which is exact because the record is periodic. At 4 kHz one sample
+of misalignment turns the phase by 9° at 100 Hz, more than the phase margin of most walls.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ ON_GRID = 1e-6  # of a line spacing
 class ExcitedRun:
     """Record of one realisation: whole periods of the excitation and of the rig's response, without transients.
 
+    Excitation, effort and position have shape (period_samples · periods,).
+
     Attributes
     ----------
     rate_hz
@@ -35,16 +37,14 @@ class ExcitedRun:
     effort
         External effort on the handle, measured or known (N·m or N), positive in the direction of the position.
     position
-        Position of the handle (rad or m), measured or true.
+        Position of the handle (rad or m), measured or exact.
     lines_hz
-        Excited lines (Hz), multiples of rate/period_samples below half the rate.
+        Excited lines (frequencies in Hz), multiples of rate/period_samples below half the rate.
     effort_delay_s, position_delay_s
         Delay of each channel (s): sample k shows the value at time k/rate − delay. A negative delay is allowed.
     effort_hold_s
         Time T for which each sample of the effort is held (s); 0 for an effort that is sampled and not held. At
-        frequency f the transform of the held effort is sin(πfT)/(πfT)·e^{−jπfT} times that of its samples.
-
-    Excitation, effort and position have shape (period_samples · periods,).
+        frequency f the transform of the held effort is sin(πfT)/(πfT)·e^{−jπfT} times the transform of its samples.
     """
 
     rate_hz: float
@@ -94,12 +94,12 @@ class ExcitedRun:
         return np.rint(self.lines_hz * self.period_samples / self.rate_hz).astype(np.int64)
 
     def effort_gain(self, frequency_hz: Floats) -> Complexes:
-        """Return the complex factor that undoes the effort's delay and applies its hold, at each frequency."""
+        """Return the complex factor that removes the effort's delay and applies its hold, at each frequency (Hz)."""
         late = np.exp(2j * np.pi * frequency_hz * self.effort_delay_s)
         return np.asarray(late * hold(frequency_hz, self.effort_hold_s))
 
     def velocity_gain(self, frequency_hz: Floats) -> Complexes:
-        """Return jω·e^{jω·delay}: the factor from the recorded position to the velocity without delay."""
+        """Return jω·e^{jω·delay} at each frequency (Hz), the factor from recorded position to undelayed velocity."""
         s = 2j * np.pi * frequency_hz
         return np.asarray(s * np.exp(s * self.position_delay_s))
 
@@ -119,6 +119,6 @@ class ExcitedRun:
 
 
 def hold(frequency_hz: Floats, hold_s: float) -> Complexes:
-    """Return the response of a zero-order hold of T = `hold_s`, (1 − e^{−sT})/(sT), at s = j2πf."""
+    """Return the frequency response of a zero-order hold over `hold_s` = T (s): (1 − e^{−sT})/(sT) at s = j2πf."""
     frequency = np.asarray(frequency_hz, dtype=np.float64)
     return np.asarray(np.sinc(frequency * hold_s) * np.exp(-1j * np.pi * frequency * hold_s))

@@ -1,10 +1,10 @@
 """Judge from a measured impedance whether a wall is passive, and compute its deviation from the ideal wall.
 
 A port is *passive* if the real part of its impedance is not negative; equivalently, if its phase stays within ±90°,
-which is the test of the second paper. Measured lines have noise, and a stiff wall comes within a degree of −90° at low
-frequencies ((b + B − K·T/2)·ω/K rad). So each line gets a tolerance t of `z_score` standard deviations: it fails if
-Re Ẑ < −t, which means a phase beyond ±(90° + asin(t/|Ẑ|)). With a z-score of 0 the test is that of the paper. The
-residual power between the lines is a second test.
+which is the test of the second paper (Chawda et al.). Measured lines have noise, and a stiff wall comes within a degree
+of −90° at low frequencies ((b + B − K·T/2)·ω/K rad). So each line gets a tolerance t of `z_score` standard deviations:
+it fails if Re Ẑ < −t, which means a phase beyond ±(90° + asin(t/|Ẑ|)). With a z-score of 0 the test is that of the
+paper. The residual power between the lines is a second test.
 
 *Fidelity* is defined as in the second paper: root mean square over the lines of |Ẑ| − |K/(jω) + B|. The rig's inertia
 dominates it (1.886·f N·s/m for 0.52 kg up to f Hz), and it depends on band and lines: report it with band and lines.
@@ -45,7 +45,7 @@ class Passivity:
     passive
         True if no line fails.
     tested, failed_hz
-        Number of lines in the band, and the frequencies of those that fail (Hz).
+        Number of lines in the band, and the frequencies of the lines that fail (Hz).
     worst_hz
         Frequency of the line with the smallest Re Ẑ + tolerance (Hz).
     worst_real, worst_tolerance, worst_phase_deg
@@ -55,7 +55,7 @@ class Passivity:
     phase_margin_deg
         Smallest 90° + asin(tolerance/|Ẑ|) − |phase| over the lines (degrees); it has the sign of `margin`.
     band_hz, z_score
-        Band (Hz) and z-score of the test; see `passive`.
+        Band (Hz) and z-score (tolerance in standard deviations) of the test.
     """
 
     passive: bool
@@ -73,7 +73,7 @@ class Passivity:
 
 @dataclass(frozen=True, slots=True)
 class PassivityJudgement:
-    """Judgement of a wall's passivity with its evidence; `reasons` is empty if the wall is judged passive."""
+    """Judgement of whether a measured wall is passive; `reasons` is empty if the wall is judged passive."""
 
     passive: bool
     reasons: tuple[str, ...]
@@ -96,8 +96,9 @@ class Fidelity:
     noise_rms
         The `rms` that noise alone would give (same unit): differences below it do not rank two walls.
     stiffness, damping
-        Effective stiffness and damping over `effective_band_hz` (SI), without the device if it was given (without it,
-        the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES` lines in that band.
+        Effective stiffness and damping over `effective_band_hz` (SI), after subtraction of the device's impedance if it
+        was given (otherwise the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES`
+        lines in that band.
     stiffness_deviation, damping_deviation
         Standard deviations of `stiffness` and `damping`, misfit included.
     stiffness_percent, damping_percent
@@ -131,7 +132,7 @@ class Fidelity:
 def passive(
     impedance: Impedance, band: tuple[float, float] | None = None, z_score: float = Z_SCORE
 ) -> Passivity:
-    """Test at each line of a band that Re Z ≥ −tolerance.
+    """Test at each line of a band that the real part of the impedance is at least −tolerance; return the result.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ def passive(
     Raises
     ------
     ConfigError
-        The band holds no line.
+        The band contains no line.
     """
     part = impedance.within(band)
     tolerance = np.nan_to_num(part.spread(z_score)) if z_score > 0.0 else np.zeros(len(part.z))
@@ -182,9 +183,10 @@ def judge(
     residual_threshold: float = RESIDUAL,
     least_coherence: float = COHERENCE,
 ) -> PassivityJudgement:
-    """Judge whether a wall is passive: not if the real part, the residual power or the coherence is out of limits.
+    """Judge from its impedance whether a wall is passive.
 
-    A residual or coherence that cannot be computed from the record (NaN) is ignored.
+    It is not passive if the real part of the impedance is too low, the residual power too high or the coherence too
+    low. A residual or coherence that cannot be computed from the record (NaN) is ignored.
     """
     found = passive(impedance, band, z_score)
     part = impedance.within(band)
@@ -219,7 +221,7 @@ def fidelity(
     effective_hz: float = EFFECTIVE_HZ,
     weight: Callable[[Floats], Floats] | None = None,
 ) -> Fidelity:
-    """Compare a rendered wall with the ideal K/(jω) + B.
+    """Compare a rendered wall with the ideal wall K/(jω) + B; return errors, and effective stiffness and damping.
 
     Parameters
     ----------
@@ -235,7 +237,7 @@ def fidelity(
     effective_hz
         Highest frequency at which effective stiffness and damping are fitted (Hz).
     weight
-        Weight of `distortion`, a function of frequency (Hz); 1 if left out.
+        Weight of each line in `distortion`, a function of frequency (Hz); 1 if left out.
 
     Notes
     -----
@@ -244,7 +246,7 @@ def fidelity(
     Raises
     ------
     ConfigError
-        The band holds no line.
+        The band contains no line.
     """
     part = impedance.within(band)
     s = 2j * np.pi * part.lines_hz

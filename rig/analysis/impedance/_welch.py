@@ -1,12 +1,13 @@
-"""Impedance by Welch's averaged spectra, with the settings of MATLAB's tfestimate: how the second paper measured it.
+"""Estimate an impedance by Welch's averaged spectra, with the settings of MATLAB's tfestimate.
 
-Use it to compare with the paper and for records that are not periodic; `rig.analysis.impedance._estimate.periodic` is
-better for a multisine. The defaults are those of tfestimate: Hamming window, eight segments that overlap by half (so of
-length N/4.5), a transform of max(256, next power of two), no detrending. Those of `scipy.signal.csd` differ (Hann, 256
-samples, mean removed). Source: MathWorks, documentation of tfestimate and spectrum.welch.
+The second paper (Chawda et al.) measured impedances in this way. Use it to compare with the paper and for records that
+are not periodic; `rig.analysis.impedance._estimate.periodic` is better for a multisine. The defaults are those of
+tfestimate: Hamming window, eight segments that overlap by half (so of length N/4.5), a transform of max(256, next power
+of two), no detrending. Those of `scipy.signal.csd` differ (Hann, 256 samples, mean removed). Source: MathWorks,
+documentation of tfestimate and spectrum.welch.
 
-The transform's grid is not that of the lines: with N = 16 000 samples at 4 kHz a segment has 0.9 s and lines 1 Hz
-apart leak into each other.
+The transform's frequencies are not those of the lines: with N = 16 000 samples at 4 kHz a segment has 0.9 s, and the
+power of lines 1 Hz apart leaks from one line into the other.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class WelchSettings:
     segment_s
         Length of a segment (s); None for the length with which eight overlapping segments fill the record.
     overlap
-        Share of a segment that the next one repeats, 0 to below 1.
+        Share of a segment that the next segment repeats, 0 to below 1.
     transform_samples
         Length of the zero-padded transform; None for max(256, next power of two).
     estimator
@@ -53,13 +54,13 @@ class WelchSettings:
     estimator: Literal["h1", "instrument"] = "h1"
 
     def segment(self, samples: int, rate_hz: float) -> int:
-        """Return the number of samples in a segment of a record with `samples` samples."""
+        """Return the number of samples in a segment, for a record of `samples` samples at `rate_hz` (Hz)."""
         if self.segment_s is None:
             return max(1, int(samples / (SEGMENTS - (SEGMENTS - 1) * self.overlap)))
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Return the length of a transform (samples): as set, or the power of two that holds a segment, min. 256."""
+        """Return the length of a transform (samples): as configured, or the next power of two, at least 256."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 
@@ -72,24 +73,24 @@ def estimate_welch(
     *,
     residual_band_hz: tuple[float, float] | None = None,
 ) -> Impedance:
-    """Return the impedance from averaged spectra, on the transform's grid between the lowest and the highest line.
+    """Return the impedance from averaged spectra, at the transform's frequencies from the lowest to the highest line.
 
     Parameters
     ----------
     runs
         Records with the same rate, period and lines; their spectra are averaged.
     settings
-        Window, segments and estimator; the defaults are tfestimate's.
+        Window, segments and estimator; the defaults are those of tfestimate.
     residual_band_hz
         Band in which the residual power is computed (Hz); from the lowest to the highest line if left out.
 
     Returns
     -------
     Impedance
-        `lines_hz` is the grid. The variance is that of averaged spectra of noise, S_ee·S_uu/(n·|S_uv|²) with u the
-        velocity or the instrument, v the velocity, S_ee the power of F − Ẑ·V and n the number of independent segments
-        after overlap (Welch 1967); for H1 that is |Ẑ|²·(1 − γ²)/(n·γ²). Lines that leak into each other count as
-        noise.
+        `lines_hz` are the transform's frequencies. The variance is that of averaged spectra of noise,
+        S_ee·S_uu/(n·|S_uv|²) with u the velocity or the instrument, v the velocity, S_ee the power of F − Ẑ·V and n the
+        number of independent segments after overlap (Welch 1967); for H1 that is |Ẑ|²·(1 − γ²)/(n·γ²). Power that leaks
+        from one line into another counts as noise.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def estimate_welch(
 
 
 def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
-    """Return the excitation, effort and velocity of a run over time, all at the instants of its samples.
+    """Return excitation, effort and velocity of a run over time, all at the instants of its samples, shape (n,).
 
     Delays, hold and derivative are applied to the transform of the whole record, which is exact for a periodic record.
     """
@@ -169,7 +170,7 @@ def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Averaged spectra of one run (S_xy = mean of X*·Y), and the equivalent number of independent segments."""
+    """Averaged spectra (S_xy = mean of X*·Y) of effort f, velocity v and excitation r, and independent segments."""
 
     frequency: Floats
     ff: Floats
@@ -216,9 +217,10 @@ class _Spectra:
 
 
 def _independent(window: Floats, step: int, count: int) -> float:
-    """Return the equivalent number of independent segments: n/(1 + 2·Σ (1 − k/n)·ρ_k), ρ_k of the shifted window.
+    """Return the equivalent number of independent segments among `count` segments that overlap.
 
-    Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967), 70.
+    The number is n/(1 + 2·Σ (1 − k/n)·ρ_k), with n = `count` and ρ_k the squared correlation of the window with itself,
+    shifted by k·`step` samples. Source: Welch, IEEE Trans. Audio Electroacoust. 15 (1967), 70.
     """
     power = float(np.sum(window**2))
     total = 1.0

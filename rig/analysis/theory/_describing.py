@@ -1,8 +1,8 @@
-"""Predict amplitude and frequency of the limit cycle by the encoder's quantum, with describing functions.
+"""Predict amplitude and frequency of the limit cycle that the encoder's quantum causes, with describing functions.
 
 A constant push holds the handle at rest in the wall if the mean reading is push/K, which is usually not a whole number
-of counts: the count toggles, and the effort toggles with it by K·Δ or more. Suppose that the encoder's side moves as
-x0 + A·cos ωt. Then the first harmonic
+of counts: the count toggles, and the effort toggles with it by K·Δ or more. Suppose that the encoder's side moves as x0
++ A·cos ωt. Then the first harmonic
 
     of the reading is  q = (2Δ/π)·Σ √(1 − ((e − x0)/A)²)   over the edges e that are crossed, in phase with x,
     of a friction is   4·f/π, against the velocity of its mass,
@@ -12,10 +12,10 @@ held (and extrapolated), the delay, and the plant G at its ticks, hold included.
 
     A = −G·C·q(A, x0) − friction,   with imaginary part 0,   and   mean reading = push/K,
 
-three equations for A, ω and x0. Without friction, ω is the frequency at which the phase of G·C is −180°, for any A,
-and A = |G·C|·q. While one edge is crossed, A is at most (2/π)·|G·C| counts, so a wall that is linearly stable
-(|G·C| < 1) buzzes by less than 0.64 counts. `duty` is the fractional part of the mean reading in counts: the limit
-cycle is largest at ½; at 0 it does not exist (until A is half a count).
+three equations for A, ω and x0. Without friction, ω is the frequency at which the phase of G·C is −180°, for any A, and
+A = |G·C|·q. While one edge is crossed, A is at most (2/π)·|G·C| counts, so a wall that is linearly stable (|G·C| < 1)
+buzzes by less than 0.64 counts. `duty` is the fractional part of the mean reading in counts: the limit cycle is largest
+at ½; at 0 it does not exist (until A is half a count).
 
 The theory assumes a sinusoidal motion without rest. The loop is a low pass, so harmonics of the reading, its images by
 the velocity's sampling and toggling between two ticks are left out.
@@ -49,7 +49,7 @@ NOTHING = (0.0, 0.0)  # amplitude and frequency where nothing balances
 
 @dataclass(frozen=True, slots=True)
 class LimitCycle:
-    """A predicted limit cycle.
+    """A limit cycle of a wall, as predicted by `limit_cycle`.
 
     Attributes
     ----------
@@ -85,12 +85,12 @@ def limit_cycle(
     friction: bool = True,
     operator: str | None = None,
 ) -> LimitCycle:
-    """Predict the limit cycle of a wall that is held at rest.
+    """Predict the limit cycle of a handle that a constant push holds in a wall.
 
     Parameters
     ----------
     rig, scheme, operator
-        See `rig.analysis.theory._loop.resolve` and `rig.analysis.theory._loop.linear_loop`.
+        Rig, sampling scheme and hand, as for `rig.analysis.theory._loop.linear_loop`.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m).
     duty
@@ -100,8 +100,10 @@ def limit_cycle(
 
     Raises
     ------
-    ConfigError, NotLinearError
-        See `rig.analysis.theory._loop.linear_loop`.
+    ConfigError
+        The rig, the scheme or the hand is not valid.
+    NotLinearError
+        Linear theory does not cover the estimator or the wall.
     """
     loop = rig if isinstance(rig, LinearLoop) else linear_loop(rig, scheme, operator=operator)
     model = loop.subject.model
@@ -122,9 +124,10 @@ def limit_cycle(
 
 
 def reading(amplitude: float, duty: float) -> float:
-    """Return the first harmonic (counts) of the reading of x0 + A·cos ωt, whose mean reading is an integer + duty.
+    """Return the first harmonic (counts) of the encoder's reading of a motion x0 + A·cos ωt.
 
-    x0 follows from the mean reading. At an amplitude A of 0 return the value of a single edge, (2/π)·sin(π·duty).
+    `amplitude` is A in counts; x0 is such that the mean reading is a whole number of counts plus `duty`. For an
+    amplitude of 0 return the value of a single edge, (2/π)·sin(π·duty).
     """
     if amplitude <= 0.0:
         return 2.0 / math.pi * math.sin(math.pi * duty)
@@ -146,7 +149,7 @@ def reading(amplitude: float, duty: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Open:
-    """Responses of the opened loop over frequency: motion of both masses (counts) to a reading of 1 and to friction."""
+    """Frequency responses of the open loop: motion of both masses (counts) to a reading of 1 count, and to friction."""
 
     hz: Vector
     loop: Complex  # encoder's side, from the reading
@@ -178,7 +181,7 @@ class _Open:
         )
 
     def motion(self, read: float) -> Complex:
-        """Return the complex motion of the encoder's side (counts) to a reading of amplitude `read`, per frequency."""
+        """Return the complex motion of the encoder's side (counts) at each frequency, to a reading of `read` counts."""
         x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
         if not any(self.rubs[1:]):
             return np.asarray(x)
@@ -195,7 +198,7 @@ class _Open:
         return [frequency for frequency, _ in self._in_phase(reading(0.0, duty))]
 
     def _in_phase(self, read: float) -> list[tuple[float, float]]:
-        """Return the frequencies (Hz) at which the motion is in phase with the reading, each with the amplitude."""
+        """Return each frequency (Hz) at which the motion is in phase with the reading, with the amplitude (counts)."""
         x = self.motion(read)
         place = np.flatnonzero((x.imag[1:] > 0.0) != (x.imag[:-1] > 0.0))
         share = x.imag[place] / (x.imag[place] - x.imag[place + 1])
@@ -204,9 +207,9 @@ class _Open:
         return [(float(f), float(a)) for f, a in zip(frequency, amplitude, strict=True) if a > 0.0]
 
     def balance(self, frequency: float, duty: float) -> tuple[float, float]:
-        """Iterate from the crossing at `frequency` until the reading fits the amplitude; return amplitude, frequency.
+        """Return amplitude (counts) and frequency (Hz) at which the reading fits the motion that it causes, or (0, 0).
 
-        Amplitude in counts, frequency in Hz; (0, 0) if no frequency balances.
+        The iteration starts at `frequency`; the amplitude is infinite beyond `LARGEST` counts.
         """
         read, amplitude = reading(0.0, duty), 0.0
         for _ in range(ITERATIONS):
@@ -223,7 +226,7 @@ class _Open:
 
 
 def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
-    """Return the law K + B·H·h, effort over reading at the ticks, for each frequency."""
+    """Return the frequency response K + B·H·h of the law at each frequency: effort over reading at the ticks."""
     ticks = np.arange(loop.divider)
     used = np.ones((len(hz), loop.divider), complex)
     if loop.extrapolate:

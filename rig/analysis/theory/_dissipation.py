@@ -58,11 +58,11 @@ class Damping:
 
     @property
     def slow(self) -> float:
-        """Return the damping of a slow motion, viscous and back-EMF together (N·m·s/rad or N·s/m)."""
+        """Return the damping of a slow motion: the sum of viscous damping and back-EMF (N·m·s/rad or N·s/m)."""
         return self.viscous + self.back_emf
 
     def passive(self, loop: LinearLoop) -> bool:
-        """Return True if some wall is passive: viscous damping is above 0, or back-EMF damps without a lag."""
+        """Return True if any wall can be passive: viscous damping is above 0, or back-EMF damps without a lag."""
         return self.viscous > 0.0 or (self.slow > 0.0 and loop.subject.model.amplifier.lag_s == 0.0)
 
 
@@ -124,14 +124,14 @@ class Waves:
         return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def needed(self, sign: float) -> Vector:
-        """Return the share of the rig's damping that a damper of ±1 needs at each phase, without a spring."""
+        """Return the share of the rig's damping that a damper of ±1 (`sign`) needs at each phase, without a spring."""
         reading = self.read.sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given).sum(axis=1)
         both = sign * (self.heard * self.along).sum(axis=1)
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
     def passive(self, stiffness: Vector, damping: Vector) -> Flags:
-        """Return True at each phase at which rig and wall are passive; K and B are one per phase, or one for all."""
+        """Return True at each phase at which rig and wall are passive; K and B have one value, or one per phase."""
         k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
@@ -147,9 +147,9 @@ class Waves:
 
 
 def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
-    """Return the share of the rig's damping that each unit of B needs at K = 0, at the worst phase.
+    """Return the share of the rig's damping that each unit of the wall's damping B needs, without a spring.
 
-    Without `late`, lag and delay are left out; with `negative`, the wall has a negative damping.
+    The value is for the worst phase. Without `late`, lag and delay are left out; with `negative`, B is negative.
     """
     sign = -1.0 if negative else 1.0
     # Slow motion needs this much of any estimator: it reads the velocity exactly.

@@ -1,15 +1,15 @@
 """Compute the exact stability of a dual-rate wall from the eigenvalues of the loop over one velocity period.
 
-The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic and not time-invariant; lifted to
-T2 it is time-invariant. With the state z = [plant; estimator; velocity in use; its slope; commands on their way] one
-tick in the order of `rig.control.step` consists of
+The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic and not time-invariant; lifted to T2
+it is time-invariant. With the state z = [plant; estimator; velocity in use; its slope; commands in the delay] one tick
+in the order of `rig.control.step` consists of
 
-    V   in the first tick of a period: the estimator reads this position and gives a new velocity
+    V   in the first tick of a period: the estimator reads this position and outputs a new velocity
     E   in the other ticks: the velocity is held, or extrapolated by its slope
-    P(K, B)   the law's effort −(K·θ + B·v) is commanded; the one that is due acts over T1
+    P(K, B)   the law's effort −(K·θ + B·v) is commanded; the command whose delay has passed acts over T1
 
 and the period is Φ = (P·E)^(N−1)·P·V. By linear theory the wall is stable iff all eigenvalues of Φ lie inside the unit
-circle: see `rig.analysis.theory._loop` for what that leaves out.
+circle: `rig.analysis.theory._loop` lists what this leaves out.
 
 Source: own derivation; the lifting is the standard one for periodic systems (Kranc 1957; Bittanti and Colaneri 2009).
 """
@@ -53,9 +53,9 @@ class Lifted:
     position, velocity
         Rows that select the position and the velocity that the law uses, length n.
     softest
-        The lifted loop at the position with the softest cogging, if the motor cogs; a wall is judged at the worse of
-        the two positions. A wall that is softer than that cogging lets the handle slide to the next detent, which is
-        not an oscillation: it is not judged at that position.
+        The lifted loop at the position with the softest cogging, if the motor has cogging; a wall is stable only if it
+        is stable at both positions. A wall that is softer than that cogging lets the handle slide to the next detent,
+        which is not an oscillation: such a wall is not tested at that position.
     """
 
     loop: LinearLoop
@@ -69,7 +69,7 @@ class Lifted:
 
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
-        """Lift a dual-rate loop to its slow period."""
+        """Return a dual-rate loop lifted to its velocity period."""
         plant, states = len(loop.gamma), loop.estimator.order
         held, slope = plant + states, plant + states + 1
         queue = slope + 1
@@ -101,29 +101,29 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """Return P·V and P·E, the first and any other tick, for walls of any broadcast shape: shape (…, n, n)."""
+        """Return the matrices P·V of the first tick and P·E of each other tick, for each wall, shape (…, n, n)."""
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
         law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
         return closed @ self.first, closed @ self.other
 
     def period(self, stiffness: ArrayLike, damping: ArrayLike) -> Matrix:
-        """Return the transition Φ over one velocity period for each wall, shape (…, n, n)."""
+        """Return the transition matrix Φ over one velocity period for each wall, shape (…, n, n)."""
         first, other = self.ticks(stiffness, damping)
         return (
             first if self.loop.divider == 1 else np.linalg.matrix_power(other, self.loop.divider - 1) @ first
         )
 
     def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
-        """Return the spectral radius of Φ for each wall: the growth of the motion per velocity period, after long."""
+        """Return the spectral radius of Φ for each wall: the final growth of the motion per velocity period."""
         return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
-        """Return True for each wall whose `radius` is below 1; usually at a fifth of the cost of `radius`."""
+        """Return True for each wall whose spectral radius is below 1; usually at a fifth of the cost of `radius`."""
         return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
-        """Return the frequency (Hz) of the mode with the largest eigenvalue, not aliased by the velocity rate.
+        """Return the frequency (Hz) of the mode with the largest eigenvalue; the velocity rate does not alias it.
 
         Frequencies above half the position rate are still aliased.
         """
@@ -156,7 +156,7 @@ def _at_the_worse_place(
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
-    """Apply `measure` to Φ of each wall; with cogging also to Φ of the softest position, and return the worse value."""
+    """Return the `measure` of Φ of each wall; with cogging, the worse value of stiffest and softest position."""
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
@@ -209,7 +209,7 @@ def spectral_radius(
     Parameters
     ----------
     rig, scheme, operator
-        See `rig.analysis.theory._loop.resolve` and `rig.analysis.theory._loop.linear_loop`.
+        Rig, sampling scheme and hand, as for `rig.analysis.theory._loop.linear_loop`.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m), of any shapes that broadcast.
 
@@ -222,7 +222,7 @@ def spectral_radius(
 
 
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
-    """Return V: the estimator updates the velocity; the slope is the difference of its last two velocities per tick."""
+    """Return the matrix V: the estimator reads the position and updates the velocity and its slope per tick."""
     e = loop.estimator
     held, slope = plant + e.order, plant + e.order + 1
     matrix = np.eye(len(position))
@@ -241,7 +241,7 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
 
 
 def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
-    """Return E: the velocity changes by its slope, which is zero without extrapolation."""
+    """Return the matrix E: the velocity changes by its slope, which is zero without extrapolation."""
     matrix = np.eye(size)
     held = plant + loop.estimator.order
     matrix[held, held + 1] = 1.0

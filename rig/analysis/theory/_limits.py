@@ -1,8 +1,9 @@
 """Compute the stability limits of a wall: K_max over B, B_max, islands of stability, and maps over K and B.
 
 Stability is not monotone in K. A limit is the end of the *connected* stable range that begins at the lowest stiffness;
-stable ranges above it (islands) are listed. A scan detects islands wider than its step (8 % of K); their ends are found
-by bisection. If the range reaches the end of the scan, the limit is marked as capped, because it is not a result.
+stable ranges above the limit (islands) are listed. A scan detects islands wider than its step (8 % of K); their ends
+are found by bisection. If the range reaches the end of the scan, the limit is marked as capped, because it is not a
+result.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0  # of the scan for B_max, in J/T2
 
 @dataclass(frozen=True, slots=True)
 class Island:
-    """Stable range of stiffness (N·m/rad or N/m) above the connected range; capped if the scan ends within it."""
+    """A stable range of stiffness (N·m/rad or N/m) above an unstable one; capped if the scan ends within it."""
 
     low: float
     high: float
@@ -41,7 +42,7 @@ class Island:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Largest stable stiffness at a damping.
+    """Largest stable stiffness at one damping of the wall.
 
     Attributes
     ----------
@@ -64,7 +65,7 @@ class Limit:
 
     @property
     def highest(self) -> float:
-        """Return the largest stable stiffness, islands included (N·m/rad or N/m)."""
+        """Return the largest stable stiffness (N·m/rad or N/m), islands included."""
         return self.islands[-1].high if self.islands else self.stiffness
 
 
@@ -115,7 +116,9 @@ def k_max(
 ) -> Limit:
     """Return the largest stable stiffness at a damping (N·m·s/rad or N·s/m).
 
-    For `rig`, `scheme` and `operator` see `resolve` and `linear_loop` in `rig.analysis.theory._loop`.
+    `rig` may be a preset's name, a path, an experiment or a model, `scheme` a text such as ``dual:20k/2k``, and
+    `operator` the hand on the handle; `resolve` and `linear_loop` in `rig.analysis.theory._loop` describe them and the
+    errors.
     """
     return k_max_curve(rig, scheme, [damping], operator=operator)[0]
 
@@ -127,7 +130,10 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the largest stable stiffness at each damping (N·m·s/rad or N·s/m); other parameters as `k_max`."""
+    """Return the largest stable stiffness at each damping in `dampings` (N·m·s/rad or N·s/m).
+
+    `rig`, `scheme` and `operator` are the same as for `k_max`. Raise `ConfigError` for a damping that is not finite.
+    """
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -144,7 +150,10 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Return the largest stable damping, without and with islands of stiffness; parameters as `k_max`."""
+    """Return the largest stable damping of a wall, without and with islands of stiffness.
+
+    `rig`, `scheme` and `operator` are the same as for `k_max`.
+    """
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -175,7 +184,10 @@ def stability_map(
     *,
     operator: str | Operator | None = None,
 ) -> StabilityMap:
-    """Return the spectral radius at each pair of stiffness and damping (SI); other parameters as `k_max`."""
+    """Return the spectral radius at each pair of `stiffnesses` (N·m/rad or N/m) and `dampings` (N·m·s/rad or N·s/m).
+
+    `rig`, `scheme` and `operator` are the same as for `k_max`.
+    """
     k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
     return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
 
@@ -183,14 +195,14 @@ def stability_map(
 def as_lifted(
     rig: RigLike | Lifted, scheme: SchemeLike | None, operator: str | Operator | None = None
 ) -> Lifted:
-    """Return the lifted loop of a rig under a scheme; a `Lifted` is returned as it is."""
+    """Return the loop of a rig under a scheme, lifted to the velocity period; a `Lifted` is returned unchanged."""
     if isinstance(rig, Lifted):
         return rig
     return Lifted.of(linear_loop(rig, scheme, operator=operator))
 
 
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
-    """Return the stiffnesses of a scan (N·m/rad or N/m) for dampings up to `damping`, ascending in equal ratios."""
+    """Return the stiffnesses (N·m/rad or N/m) of a scan for dampings up to `damping`, ascending in equal ratios."""
     loop = lifted.loop
     # Up to where the motor alone would oscillate at half the position rate, or to what damping could allow.
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
@@ -222,7 +234,7 @@ def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_
 
 
 def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable_below: bool) -> Limit:
-    """Return the connected range and the islands, from the stiffnesses `edges` at which stability changes."""
+    """Return the limit at one damping with its islands, from the stiffnesses `edges` at which stability changes."""
     end = float(k[-1])
     if stable_below and not edges:
         return Limit(damping, end, math.nan, True)
@@ -238,7 +250,7 @@ def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable
 
 
 def _last_island(lifted: Lifted, damping: float, highest: float) -> tuple[float, float]:
-    """Return the largest damping up to `highest` with a stable stiffness, and that stiffness; by grid and bisection."""
+    """Return the largest damping up to `highest` at which some stiffness is stable, and such a stiffness."""
     reach = min(highest, ISLAND_REACH * damping) if damping > 0.0 else highest
     scanned = stiffnesses(lifted, reach)
     k = np.geomspace(float(scanned[0]), float(scanned[-1]), ISLAND_STIFFNESSES)

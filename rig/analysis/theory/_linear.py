@@ -42,7 +42,7 @@ HANKEL = 96  # rows and columns at most
 
 
 class NotLinearError(ConfigError):
-    """An estimator or a law is not linear, so linear theory does not apply; `reason` says why."""
+    """An estimator or a law is not linear, so linear theory does not apply; `reason` is the explanation."""
 
     def __init__(self, message: str, *, reason: str, remedy: str = "") -> None:
         super().__init__(message, remedy=remedy)
@@ -51,10 +51,11 @@ class NotLinearError(ConfigError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Realisation:
-    """State space of an estimator: x ← A x + B p, v = C x + D p once each velocity period; p position, v velocity (SI).
+    """State space of an estimator, x ← A x + B p, v = C x + D p, with position p, velocity v (SI) and state x.
 
-    ``a`` is order × order, ``b`` and ``c`` have length order. `error` is the largest difference between the impulse
-    response of these matrices and the estimator's own, relative to its peak.
+    It is updated once in each velocity period. ``a`` is order × order, ``b`` and ``c`` have length order. `error` is
+    the largest difference between the impulse response of these matrices and that of the estimator, relative to its
+    peak.
     """
 
     a: Matrix
@@ -70,21 +71,21 @@ class Realisation:
         return len(self.b)
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return H(e^{jωT2}), velocity over position (1/s), at these frequencies."""
+        """Return the frequency response H(e^{jωT2}), velocity over position (1/s), at each frequency (Hz)."""
         z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
         resolvent = z[:, None, None] * np.eye(self.order) - self.a
         states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
         return np.asarray(states[..., 0] @ self.c + self.d)
 
     def impulse(self, samples: int) -> Vector:
-        """Return the velocities in response to a position of 1 at the first sample and 0 afterwards."""
+        """Return the velocity at each of `samples` samples, for a position of 1 at the first sample and 0 later."""
         return _impulse(self.a, self.b, self.c, self.d, samples)
 
 
 def realise(
     name: str, settings: Mapping[str, float | str], period_s: float, resolution: float
 ) -> Realisation:
-    """Return the state space of an estimator with its settings, at a velocity period (s).
+    """Return the state space of an estimator with these settings, at the velocity period `period_s` (s).
 
     `resolution` is the travel for one count (rad or m); it matters only if a setting has a unit of position.
 
@@ -127,7 +128,7 @@ def _find_realisation(
 
 @dataclass(frozen=True, slots=True)
 class _Probe:
-    """An estimator with its settings, restarted for each sequence of counts."""
+    """An estimator with its settings, which starts anew for each sequence of counts."""
 
     estimator: Estimator
     settings: Mapping[str, float | str]
@@ -140,7 +141,7 @@ class _Probe:
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
-        """Return the response per count to an impulse of `size` counts, after `rest` samples at count `place`."""
+        """Return the velocities per count for an impulse of `size` counts, after `rest` samples at count `place`."""
         counts = np.full(rest + length, place, np.int64)
         counts[rest] += size
         return self.motion(counts)[rest:] / size
@@ -208,7 +209,7 @@ def _impulse(a: Matrix, b: Vector, c: Vector, d: float, samples: int) -> Vector:
 
 
 def _places(length: int) -> NDArray[np.int64]:
-    """Return the samples that form the rows of the Hankel matrix: every sample at first, then with growing steps."""
+    """Return the indices of samples for the rows of the Hankel matrix: every sample first, then growing steps."""
     far = np.geomspace(1.0, max(2.0, length), HANKEL).round().astype(np.int64)
     places: NDArray[np.int64] = np.unique(np.concatenate([np.arange(min(LARGEST_ORDER, length)), far]))
     return places[places < length]

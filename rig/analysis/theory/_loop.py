@@ -1,10 +1,10 @@
 """Build the linear loop of the theory from a rig and a scheme: plant, held effort, estimator and their rates.
 
-`resolve` accepts a rig in several forms; `linear_loop` builds the matrices. The theory leaves out what is not linear:
-Coulomb friction, the encoder's quantum, saturation, and the release (its wall may pull, τ = −(K·θ + B·v)).
-Hits on koul-compliant, koul-rigid and chawda-linear (`rig zwidth -B 0`: 1, 5 and 20 kHz, B = 0, a normal hand) are
-stable up to 1.1 to 2.5 times the K_max of theory, and without friction up to 0.4 to 0.9 times. The quantum reduces the
-range of stable damping by 30 to 50 % for a dual-rate wall and by nearly all for a uniform 20 kHz wall.
+`resolve` accepts a rig in several forms; `linear_loop` computes the matrices. The theory leaves out what is not linear:
+Coulomb friction, the encoder's quantum, saturation, and the release (its wall may pull, τ = −(K·θ + B·v)). Hits on
+koul-compliant, koul-rigid and chawda-linear (`rig zwidth -B 0`: 1, 5 and 20 kHz, B = 0, a normal hand) are stable up to
+1.1 to 2.5 times the K_max of theory, and without friction up to 0.4 to 0.9 times. The quantum reduces the range of
+stable damping by 30 to 50 % for a dual-rate wall and by nearly all for a uniform 20 kHz wall.
 
 Cogging enters as a stiffness of the motor's side (its slope), at the stiffest and the softest position between the wall
 and the end of the window. Ripple is not included: it multiplies K and B by 1 ± r (`rig experiment plan` reports r).
@@ -37,7 +37,7 @@ SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its 
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Rig that theory examines: its model, the experiment that it comes from (or None), and the hand (or None)."""
+    """A rig to which theory is applied: its model, its experiment (or None), and the hand on the handle (or None)."""
 
     model: RigModel
     experiment: Experiment | None
@@ -47,7 +47,7 @@ class Subject:
     def damping(self) -> float:
         """Return the damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, back-EMF under voltage drive.
 
-        The hand is left out, because a passive wall must be stable with any hand, the lightest included.
+        The hand is left out, because a passive wall must be stable with any hand, even the lightest.
         """
         return self.model.damping
 
@@ -66,13 +66,13 @@ class Subject:
 
     @property
     def inertia(self) -> float:
-        """Return the inertia of a rigid motion, without the hand (kg·m² or kg)."""
+        """Return the inertia of a rigid motion of motor and link, without the hand (kg·m² or kg)."""
         return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearLoop:
-    """Matrices of the plant over one tick, and the timing of the law.
+    """Linear model of a rig under a scheme: matrices of the plant over one tick, estimator, and timing of the law.
 
     ``phi`` and ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
     encoder measures. `cogging` is the stiffness by cogging at the stiffest position (N·m/rad or N/m), `compensated` the
@@ -100,20 +100,21 @@ class LinearLoop:
 
     @property
     def late_s(self) -> float:
-        """Return the delay of an effort beside the hold: electrical lag plus computation delay (s)."""
+        """Return the delay of an effort (s) in addition to the hold: electrical lag plus computation delay."""
         return self.subject.model.amplifier.lag_s + self.delay_ticks * self.tick_s
 
 
 def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
-    """Return the subject of a rig that is given as a preset's name, a TOML file, an experiment or a model.
+    """Return model, experiment and hand of a rig that is given as preset name, TOML file, experiment or model.
 
     Parameters
     ----------
     rig
-        A text without a suffix that names a preset selects it; any other text is a path.
+        A text without a suffix that names a preset selects the preset; any other text is a path.
     operator
-        Hand on the handle: None for the hand of the rig's model (no hand unless its trial is a human one), ``"none"``,
-        the name of a grip, or an `rig.core.model.Operator`. With a hand the end mass is 0, as in trials by hand.
+        Hand on the handle: None for the hand of the rig's model (no hand unless a person performs its trial),
+        ``"none"``, the name of a grip, or an `rig.core.model.Operator`. With a hand the end mass is 0, as in trials by
+        hand.
 
     Raises
     ------
@@ -138,15 +139,15 @@ def linear_loop(
     operator: str | Operator | None = None,
     estimator: Realisation | None = None,
 ) -> LinearLoop:
-    """Return the matrices of a rig under a scheme; None for the experiment's own scheme.
+    """Return the linear model of a rig under a sampling scheme; None selects the experiment's own scheme.
 
-    `estimator` is the estimator's realisation, if it is known from another hand on the same rig and scheme: to find it
-    takes longer than all other computations here.
+    `rig` and `operator` are the same as for `resolve`. `estimator` is the estimator's realisation, if it is known from
+    another hand on the same rig and scheme: to compute it takes longer than all other computations here.
 
     Raises
     ------
     ConfigError
-        See `resolve`; or the scheme is missing or not valid.
+        The rig, the hand or the scheme is not valid, or the scheme is missing.
     NotLinearError
         The estimator is not linear, the velocity rate depends on speed, or the wall has options that theory lacks.
     """
@@ -186,7 +187,8 @@ def linear_loop(
 def cogging_stiffness(subject: Subject) -> tuple[float, float]:
     """Return the smallest (at most 0) and largest (at least 0) stiffness by cogging at the motor (N·m/rad or N/m).
 
-    The range is from the experiment's wall to the end of the window; for a model without experiment, a whole period.
+    The range of positions is from the experiment's wall to the end of the window; for a model without experiment, one
+    period of cogging.
     """
     cogging, x = subject.model.cogging, subject.experiment
     if cogging.period is None or not cogging.orders:
@@ -202,7 +204,7 @@ def cogging_stiffness(subject: Subject) -> tuple[float, float]:
 
 
 def _stiffer(continuous: StateSpace, stiffness: float) -> StateSpace:
-    """Return the rig with a spring of `stiffness` (N·m/rad or N/m) at its motor."""
+    """Return the state space of a rig with an additional spring of `stiffness` (N·m/rad or N/m) at its motor."""
     if stiffness == 0.0:
         return continuous
     a, motor = continuous.a.copy(), continuous.sensed_position
@@ -282,7 +284,7 @@ def _check_fixed_rates(controller: Controller) -> None:
 
 
 def _over_tick(continuous: StateSpace, tick_s: float) -> tuple[Matrix, Vector]:
-    """Return the exact transition matrix and input vector over a tick (s), with the command held."""
+    """Return the exact transition matrix and input vector of a plant over a tick (s), with the command held."""
     order = continuous.order
     whole = np.zeros((order + 1, order + 1))
     whole[:order, :order], whole[:order, order] = continuous.a, continuous.b[:, 0]

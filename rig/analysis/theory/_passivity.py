@@ -48,7 +48,7 @@ SLOW = 1e-3  # of Nyquist: where the delay of an estimator is read off
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Largest stiffness by one condition, at one damping of the wall.
+    """The largest stiffness that one condition for passivity or stability allows, at one damping of the wall.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class PassivityBound:
-    """Passivity of a rig under a scheme at one damping of the wall.
+    """Conditions for the passivity of a rig under a scheme, at one damping of the wall.
 
     Attributes
     ----------
@@ -91,12 +91,12 @@ class PassivityBound:
 
     @property
     def stiffness(self) -> float:
-        """Return the largest K of a passive wall, with lag and delay; exact on a rigid rig, else sufficient."""
+        """Return the largest K of a passive wall, with lag and delay; exact on a rigid rig, else a sufficient value."""
         return self.bounds[0].stiffness
 
     @property
     def binding(self) -> Bound:
-        """Return the condition with the smallest stiffness, without approximate rules; the first of equal ones."""
+        """Return the condition with the smallest stiffness; approximate rules are ignored."""
         proven = (bound for bound in self.bounds if bound.meaning != "approximate")
         return min(proven, key=lambda bound: bound.stiffness)
 
@@ -110,7 +110,7 @@ def passivity_bound(
 ) -> PassivityBound:
     """Return all conditions for passivity or stability at a damping of the wall (N·m·s/rad or N·s/m).
 
-    For other parameters and errors see `rig.analysis.theory._loop.linear_loop`.
+    `rig`, `scheme`, `operator` and the errors are the same as for `rig.analysis.theory._loop.linear_loop`.
     """
     loop = as_lifted(rig, scheme, operator).loop
     share = beta(loop, negative=damping < 0.0)
@@ -124,7 +124,7 @@ def passivity_bound(
 
 
 def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
-    """Return for each damping the largest K of a passive wall (N·m/rad or N/m), as `PassivityBound.stiffness`."""
+    """Return for each damping (N·m·s/rad or N·s/m) the largest stiffness (N·m/rad or N/m) of a passive wall."""
     return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
 
 
@@ -146,7 +146,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
 
     For velocities held over T2 this is Colgate and Schenkel's expression for H, the estimator, maximised over ω. In
     general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
-    must make up for the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
+    must compensate the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
 
     Lag and delay are not included; with `negative` the wall has a negative damping.
     """
@@ -154,7 +154,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
-    """Return normalised damping and friction of an undamped wall of this stiffness (N·m/rad or N/m)."""
+    """Return the normalised damping and friction of an undamped wall of this stiffness (N·m/rad or N/m)."""
     loop = as_lifted(rig, scheme).loop
     mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
@@ -253,7 +253,7 @@ def _rules(loop: LinearLoop, damping: float) -> list[Bound]:
 
 
 def _fast_damping(subject: Subject) -> float:
-    """Return the damping of a fast rigid motion (N·m·s/rad or N·s/m): without back-EMF that acts behind a lag."""
+    """Return the damping of a fast rigid motion (N·m·s/rad or N·s/m): back-EMF that acts behind a lag is left out."""
     amplifier = subject.model.amplifier
     return subject.damping - (amplifier.back_emf if amplifier.lag_s > 0.0 else 0.0)
 
@@ -277,7 +277,7 @@ def rigid_b_max(loop: LinearLoop) -> float:
 
 
 def estimator_delay_s(loop: LinearLoop) -> float:
-    """Return the delay of the estimator for slow motions (s): of its difference and of its filter together."""
+    """Return the delay (s) of the velocity estimator (difference and filter together) for slow motions."""
     frequency = SLOW * 0.5 / loop.period_s
     value = complex(loop.estimator.response(frequency)[0]) / (2j * math.pi * frequency)
     return -math.atan2(value.imag, value.real) / (2.0 * math.pi * frequency)

@@ -1,4 +1,4 @@
-"""Collect all results of the theory for a rig under some schemes; `rig theory walls` prints and draws them."""
+"""Collect all results of linear theory for a rig under several schemes; `rig theory walls` prints and draws them."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ PASSIVE_POINTS = 25  # of the passive walls, which end at a damping
 
 @dataclass(frozen=True, slots=True)
 class AtDamping:
-    """Results at one damping of the wall: the exact limit of the linear loop, and the conditions for passivity."""
+    """Results of the theory at one damping of the wall: limit of the linear loop, and passivity conditions."""
 
     limit: Limit
     passivity: PassivityBound
 
     @reported
     def binding(self) -> str:
-        """Return the name of the condition with the smallest stiffness, without approximate rules."""
+        """Return the name of the passivity condition with the smallest stiffness; approximate rules are ignored."""
         return self.passivity.binding.name
 
 
 @dataclass(frozen=True, slots=True)
 class SchemeTheory:
-    """Results of the theory for one scheme.
+    """Results of the theory for one sampling scheme.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class SchemeTheory:
     damping_limit, rigid_rule
         Exact B_max, and B_max by the approximate rule for a rigid rig (N·m·s/rad or N·s/m).
     curve
-        K_max at ascending dampings.
+        Stability limits K_max at ascending dampings.
     passive
         Pairs of B and the largest K of a passive wall, with lag and delay, up to the largest passive B.
     """
@@ -84,7 +84,7 @@ class SchemeTheory:
 
 @dataclass(frozen=True, slots=True)
 class NotLinear:
-    """A scheme that linear theory does not cover, and the reason."""
+    """A sampling scheme that linear theory does not cover, and the reason."""
 
     scheme: str
     label: str
@@ -93,7 +93,7 @@ class NotLinear:
 
 @dataclass(frozen=True, slots=True)
 class InHand:
-    """Limits of the schemes at B = 0 with the experiment's hand on the handle."""
+    """Stability limits of each scheme at B = 0 while the experiment's hand holds the handle."""
 
     operator: str
     limits: tuple[Limit, ...]
@@ -101,7 +101,7 @@ class InHand:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Theory(Shown, Drawn):
-    """Results of the theory for a rig under several schemes.
+    """Results of the theory for a rig under several sampling schemes.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class Theory(Shown, Drawn):
     lag_s, set_point_delay_s, delay_ticks
         Lag of the amplifier (s), delay of the set-point to it (s), and computation delay of the device (ticks).
     in_hand
-        Limits with the experiment's hand; None if the operator was given or the trial is a human one.
+        Limits with the experiment's hand; None if the caller chose the hand or if a person performs the trial.
     not_linear
         Schemes that are left out because they are not linear.
     cutoffs
@@ -160,23 +160,23 @@ def theory_of(
     operator: str | Operator | None = None,
     damping: float | None = None,
 ) -> Theory:
-    """Compute limits, passivity conditions and curves of a rig under several schemes.
+    """Compute stability limits, passivity conditions and curves of a rig under several sampling schemes.
 
     Parameters
     ----------
     rig, operator
-        See `rig.analysis.theory._loop.resolve`.
+        Rig (preset name, path, experiment or model) and hand, as for `rig.analysis.theory._loop.resolve`.
     schemes
         Texts or `rig.config.schemes.Scheme`; `default_schemes` of the experiment if not given.
     damping
-        Damping of the wall (N·m·s/rad or N·s/m) for `SchemeTheory.at_wall`; the experiment's if not given, 0 without
-        an experiment.
+        Damping of the wall (N·m·s/rad or N·s/m) for `SchemeTheory.at_wall`; the experiment's if not given, 0 without an
+        experiment.
 
     Raises
     ------
     ConfigError
-        See `rig.analysis.theory._loop.linear_loop`. Schemes that are not linear are left out and listed in the result;
-        if all are, the first error is raised.
+        The rig, the hand or a scheme is not valid. Schemes that are not linear are left out and listed in the result;
+        if no scheme is linear, the error of the first scheme is raised.
     """
     subject = resolve(rig, operator)
     experiment = subject.experiment
@@ -266,7 +266,7 @@ def _of_scheme(lifted: Lifted, scheme: Scheme, experiment: Experiment | None, da
 
 
 def _dampings(largest: DampingLimit, passive: float, damping: float) -> Floats:
-    """Return the dampings of the curve: evenly spaced, just below and above B_max, and up to the passive range."""
+    """Return the dampings of the curve of limits: evenly spaced, next to B_max, and denser in the passive range."""
     reach = CURVE_REACH * max(largest.with_islands, damping)
     return np.unique(
         [

@@ -1,10 +1,10 @@
-"""Profiles of amplifiers: how they receive the set-point, and how to set them up with the maker's tool.
+"""Profiles of motor amplifiers: how an amplifier receives its set-point, and how to configure it with the maker's tool.
 
 Each TOML file in this folder is a profile. The firmware outputs a set-point to an external amplifier; it has no current
 loop of its own.
 
-Predictions of `rig.doctor`, `rig firmware`, firmware builds and `rig.experiments.new_rig` read it. It must not set up
-an amplifier: a person does that with the maker's tool.
+Predictions of `rig.doctor`, `rig firmware`, firmware builds and `rig.experiments.new_rig` read the profiles. This file
+must not configure an amplifier: a person does that with the maker's tool.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ REFUSED = dict.fromkeys(("in-in-bridge", "l298n", "drv8871", "tb6612", "bts7960"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierProfile:
-    """Profile of one amplifier.
+    """Properties of one motor amplifier from its data sheet.
 
     Attributes
     ----------
     name, description
-        Name in `rig.amplifier.profile`, and description in one line.
+        Name for the key `rig.amplifier.profile`, and description in one line.
     source
-        Data sheet from which the numbers are, or a note that no data sheet was read.
+        Data sheet that gives the numbers, or a note that no data sheet was read.
     drive
         ``current``: the amplifier has a current loop; ``voltage``: it has none; None: both are possible.
     set_point_delay_s
-        Delay from a set-point to the response of the amplifier (s). For PWM, half a period until the next pulse
-        begins and half a period until its width is measured, at worst twice that. For a voltage, its transfer, its
-        settling, and the time until the amplifier samples it.
+        Delay from a set-point to the response of the amplifier (s). For PWM, half a period until the next pulse begins
+        and half a period until its width is measured, at worst twice that. For an analogue voltage, the time to send
+        the value to the converter, to settle, and until the amplifier samples the voltage.
     most_a
         Largest current of the amplifier (A); None: unknown.
     steps
         Number of distinct set-points from full negative to full positive current; None: not limited by the amplifier.
     pwm_frequency
-        Least and greatest PWM frequency that the amplifier accepts (Hz); None: unknown.
+        Lowest and highest PWM frequency that the amplifier accepts (Hz); None: unknown.
     settings
         Settings of the board that replace the board's defaults.
     set_up
@@ -63,7 +63,7 @@ class AmplifierProfile:
     set_up: tuple[str, ...] = ()
 
     def items(self) -> list[Item]:
-        """Return the profile as text and rows, to print."""
+        """Return the profile as text and rows for printing."""
         asked = {"profile": f'"{self.name}"'}
         if self.drive is not None:
             asked["drive"] = f'"{self.drive}"'
@@ -81,14 +81,14 @@ class AmplifierProfile:
 
 @cache
 def names() -> tuple[str, ...]:
-    """Return the names of all profiles, sorted."""
+    """Return the sorted names of all amplifier profiles."""
     found = (entry.name for entry in files(__name__).iterdir())
     return tuple(sorted(name.removesuffix(".toml") for name in found if name.endswith(".toml")))
 
 
 @cache
 def load(name: str) -> AmplifierProfile:
-    """Return the profile with a name from `names`."""
+    """Return the amplifier profile with this name, which must be one of `names`."""
     content = tomllib.loads((files(__name__) / f"{name}.toml").read_text(encoding="utf-8"))
     for key in ("set_up", "pwm_frequency"):
         if key in content:

@@ -1,4 +1,4 @@
-"""Convert a controller to the parameters of a law that the device runs itself.
+"""Convert the host's controller to the parameters of a law that the device runs itself.
 
 `rig.control.step` runs in SI and float64 on the host. A device runs the same law tick by tick in integers or in float32
 (firmware/law): lengths are in counts, velocities in counts per velocity period, currents in quanta, times in ticks.

@@ -1,4 +1,4 @@
-"""Frames in which a device that runs the law sends its samples: layout, samples per frame, bytes per second."""
+"""Compute layout and size of BATCH frames, in which a device that runs the law sends the samples of several ticks."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ _FORMATS = {"i8": "b", "i16": "h"}
 
 
 def counts_in_a_tick(experiment: Experiment) -> float:
-    """Return the number of counts that the handle passes in a tick at the speed limit of the guard."""
+    """Return how many encoder counts the handle passes in one tick at the speed limit `rig.limits.speed`."""
     return experiment.rig.limits.speed / (
         experiment.rig.encoder.resolution * experiment.controller.position_rate
     )
 
 
 def batch_layout(experiment: Experiment) -> int:
-    """Return the layout of a BATCH: count differences in one byte if the speed limit allows it, else in two bytes.
+    """Return the number of the layout of BATCH frames, an index of `BATCH_LAYOUTS`.
 
-    Raise `PlanError` if two bytes are not enough either.
+    Count differences between two samples take one byte if the speed limit allows it, else two. Raise `PlanError` if two
+    bytes are not enough either.
     """
     counts = MARGIN * counts_in_a_tick(experiment) + 1.0
     if counts > _I16_GREATEST:
@@ -47,12 +48,12 @@ def batch_layout(experiment: Experiment) -> int:
 
 
 def sample_bytes(layout: int) -> int:
-    """Return the size of one sample in a layout (bytes)."""
+    """Return the size (bytes) of one sample in a BATCH frame with this layout, an index of `BATCH_LAYOUTS`."""
     return struct.calcsize("<" + "".join(_FORMATS[kind] for kind in BATCH_LAYOUTS[layout] if kind))
 
 
 def batch_samples(experiment: Experiment) -> int:
-    """Return the samples per frame: as many as fit, of at most `LONGEST_FRAME_S` in total, but at least one."""
+    """Return the number of samples in one BATCH frame: as many as fit into a frame and into `LONGEST_FRAME_S`."""
     room = RAW_LIMIT - _overhead()
     fitting = room // sample_bytes(batch_layout(experiment))
     in_time = math.floor(LONGEST_FRAME_S * experiment.controller.position_rate)
@@ -60,7 +61,7 @@ def batch_samples(experiment: Experiment) -> int:
 
 
 def bytes_per_second(experiment: Experiment) -> float:
-    """Return the data rate of a device that runs the law (bytes/s): BATCH frames with every tick, and STATEs."""
+    """Return the bytes per second that a device sends while it runs the law: BATCH frames and State messages."""
     samples, rate = batch_samples(experiment), experiment.controller.position_rate
     raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
     stuffed = raw + 2  # one byte of COBS for a frame below 254 bytes, and the delimiter
@@ -68,5 +69,5 @@ def bytes_per_second(experiment: Experiment) -> float:
 
 
 def _overhead() -> int:
-    """Return the size of a raw BATCH without samples (bytes)."""
+    """Return the size (bytes) of a BATCH frame without samples, before byte stuffing."""
     return encoded_bytes(messages.Batch) - 2

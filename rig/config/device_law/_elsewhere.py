@@ -1,7 +1,7 @@
-"""Interface to an extra for a wall that a drive behind the board renders, not this computer or the board.
+"""Interface to an optional package ("extra") for a wall that a motor drive behind the board renders.
 
-Plans (`rig.experiments.trials.plan`) and the design of the device's parameters call it. Theory, maps and verdicts only
-check `Controller.wall_is_elsewhere`, because such a wall has filters that they do not model.
+Plans (`rig.experiments.trials.plan`) and the computation of the device's parameters call it. Theory, maps and verdicts
+only check `Controller.wall_is_elsewhere`, because such a wall has filters that they do not model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rig.core.check import Check
 
 
 class WallElsewhere(Protocol):
-    """Functions that an extra provides for a wall in its own arithmetic.
+    """Functions that an optional package provides for a wall that a motor drive renders in its own arithmetic.
 
     Attributes
     ----------
@@ -28,19 +28,19 @@ class WallElsewhere(Protocol):
     stands_for: str
 
     def refuse_what_it_lacks(self, controller: ControllerState, c: Control) -> None:
-        """Raise `NotOnDeviceError` if the controller has a feature that this wall does not support."""
+        """Raise `NotOnDeviceError` if the controller, with the settings `c`, has a feature that the drive lacks."""
         ...
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return the checks of this wall for a plan."""
+        """Return checks of whether the drive can render the experiment's wall, as far as the experiment shows it."""
         ...
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-        """Return checks whether a device with this dictionary can render the wall of an experiment."""
+        """Return checks of whether a device with this `dictionary` of features can render the experiment's wall."""
         ...
 
 
 def wall_elsewhere(arithmetic: str) -> WallElsewhere:
-    """Return the `WallElsewhere` of an extra's arithmetic; raise `ConfigError` if the extra is missing."""
+    """Return the optional package's functions for an arithmetic such as "drive"; raise `ConfigError` if missing."""
     found: WallElsewhere = extras.load("arithmetics", arithmetic)()
     return found

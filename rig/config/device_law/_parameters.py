@@ -1,4 +1,4 @@
-"""Parameters of a law on the device, and those of them that can change while it runs."""
+"""Compute the parameters of a law that runs on the device, and which of them may change while the law runs."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ _KEYS = {
 
 
 def arithmetic_of(rates: Rates) -> Arithmetic:
-    """Return the arithmetic of the law on a device: as configured, or for "auto" integers if the estimator has them."""
+    """Return the configured arithmetic; for "auto" integers ("fixed") if the estimator has them, else "float32"."""
     if rates.arithmetic != "auto":
         return rates.arithmetic
     return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
 
 
 def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Values:
-    """Return the values of the parameters that the law on the device reads, without those of the BATCH frames.
+    """Return the value of each parameter that the law on the device reads, by name, except those of BATCH frames.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
 
 
 def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
-    """Return the values of the parameters that change the wall while the law runs.
+    """Return the values of the device parameters that change the wall while the law runs, by name.
 
     Parameters
     ----------
@@ -161,14 +161,14 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
 
 
 def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> DeviceWall:
-    """Return the wall that a device renders, in SI.
+    """Return stiffness, damping and position (SI units) of the wall that a device renders.
 
     Parameters
     ----------
     values
         Active parameters of a device that runs the law.
     controller
-        Controller from which the parameters were computed, for its scales.
+        Controller from which the parameters were computed; it has the scale factors.
     """
     fixed = ARITHMETICS[int(values["law"])] == "fixed"
     in_si = fixed_wall_in_si if fixed else float_wall_in_si
@@ -176,7 +176,7 @@ def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> D
 
 
 def check_values(values: Mapping[str, Value]) -> None:
-    """Raise `PlanError` if a value is out of the range of its parameter; the message names the experiment's key."""
+    """Raise `PlanError` with the experiment's key if a value is out of the range of its device parameter."""
     for name, value in values.items():
         parameter = BY_NAME[name]
         if parameter.accepts(value):
@@ -233,7 +233,7 @@ def _check_work(c: Control) -> None:
 
 
 def _places(c: Control) -> Values:
-    """Return window, start and homing range in counts from the reference, with the same decisions as the host's law."""
+    """Return position window, homing range and homing target in counts from the reference, by parameter name."""
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {
@@ -255,17 +255,17 @@ def _places(c: Control) -> Values:
 
 
 def _least(position: float, delta: float) -> int:
-    """Return the lowest count whose position is at or above `position`; `delta` is the travel per count."""
+    """Return the lowest count whose position is at or above `position` (rad or m); `delta` is the travel per count."""
     return _first(lambda t: delta * t >= position, position / delta)
 
 
 def _most(position: float, delta: float) -> int:
-    """Return the highest count whose position is at or below `position`; `delta` is the travel per count."""
+    """Return the highest count whose position is at or below `position` (rad or m); `delta` is the travel per count."""
     return _first(lambda t: delta * t > position, position / delta) - 1
 
 
 def _first(passes: Callable[[int], bool], near: float) -> int:
-    """Return the lowest 32-bit count for which `passes` is True; it must be False below and True above that count."""
+    """Return the lowest 32-bit count from which on `passes` is True; the search begins just below `near`."""
     if not abs(near) < 2.0**31:
         return I32[near > 0.0] + (near > 0.0)
     at = math.floor(near) - 2

@@ -1,7 +1,7 @@
-"""Built-in experiment files: rigs of the two papers, and real rigs; comments in them give the sources of numbers.
+"""Load built-in experiment files (presets): rigs of the two papers, and real rigs.
 
-Commands, theory, `rig.doctor`, sessions, the reproductions of papers and `rig.testing` load them. Nothing here writes a
-file or opens a device.
+Comments in the files give the sources of the numbers. Commands, theory, `rig.doctor`, sessions, the reproductions of
+papers and `rig.testing` load them. Nothing here writes a file or opens a device.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["load", "load_named", "names", "text"]
 
 
 def load(name: str) -> Experiment:
-    """Return the experiment of a preset; raise `ConfigError` (with the closest name) for an unknown name."""
+    """Return the experiment of the preset `name`; raise `ConfigError` (with the closest name) for an unknown name."""
     return experiment_from_mapping({"preset": name}, f"preset {name}")
 
 
 def load_named(name: str | Path | Experiment) -> Experiment:
-    """Return the experiment of a file (name with .toml or a slash) or of a preset; return an experiment unchanged."""
+    """Return the experiment of a file (path or text with .toml) or a preset; return an `Experiment` unchanged."""
     if isinstance(name, Experiment):
         return name
     if isinstance(name, Path) or name.endswith(".toml") or "/" in name:

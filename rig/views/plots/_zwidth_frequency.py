@@ -1,9 +1,9 @@
-"""Draw maps of passive walls, coloured by their fidelity error, like figures 7 and 8 of Chawda et al.
+"""Draw maps of passive walls (damping B, stiffness K), coloured by fidelity error, like Chawda et al., Figs. 7 and 8.
 
-There is one panel for each scheme, and one colour scale for all. Plain cells are connected with the softest wall of
-their damping, hatched cells are islands, walls of grey cells were not passive, walls of dark grey cells threw the
-handle out. Lines show the boundary search of the paper's Fig. 5 and the limits by linear theory: dashed for stability,
-dotted for passivity in the band.
+There is one panel for each scheme, and one colour scale for all panels. A cell is one wall. Cells without hatching are
+connected with the softest wall of their damping, hatched cells are islands. Grey walls were not passive; dark grey
+walls drove the handle out of its limits. Lines show the boundary search of the paper's Fig. 5 and the limits by linear
+theory: dashed for stability, dotted for passivity in the band.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def draw_frequency_map(
     search: bool = True,
     realisation: int = -1,
 ) -> Path:
-    """Draw a map into a file and return its path.
+    """Draw a map of passive walls into a file and return the file's path.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def frequency_figure(
     search: bool = True,
     realisation: int = -1,
 ) -> Any:
-    """Return the figure of a map; parameters as `draw_frequency_map`."""
+    """Return the matplotlib figure of a map of passive walls, from the arguments of `draw_frequency_map`."""
     plan = found.plan
     count = len(plan.schemes)
     columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
@@ -168,7 +168,7 @@ def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[flo
 
 
 def _scale(values: Floats) -> tuple[float, float]:
-    """Return the ends of the colour scale; the largest few per cent of the errors have the same colour."""
+    """Return the ends of the colour scale: smallest error, and 98 % quantile, above which errors have one colour."""
     finite = values[np.isfinite(values)]
     if len(finite) == 0:
         return 0.0, 1.0
@@ -177,7 +177,7 @@ def _scale(values: Floats) -> tuple[float, float]:
 
 
 def _edges(values: Sequence[float]) -> Floats:
-    """Return the borders of cells around ascending values: half-way between them; outer cells are symmetric."""
+    """Return the borders between cells, half-way between neighbours of `values`, which ascend; one more than values."""
     centres = np.asarray(values, dtype=np.float64)
     if len(centres) == 1:
         half = 0.5 * max(abs(float(centres[0])), 1e-9)

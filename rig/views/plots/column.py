@@ -10,7 +10,7 @@ from rig.views.plots import style
 
 @style.own_style()
 def column_figure(column: Column) -> Any:
-    """Return the figure of one column over time."""
+    """Return the matplotlib figure of one column of a recording over time (s)."""
     figure = style.new_figure(height=3.5)
     axes = figure.subplots()
     shown = style.visible(column.values)

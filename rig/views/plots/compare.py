@@ -21,7 +21,7 @@ SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 @style.own_style()
 def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
-    """Return the figure of penetration (above) and velocities (below) since first contact, at one encoder offset."""
+    """Return the figure of penetration and velocity since first contact, for the encoder offset number `offset`."""
     x, motion = comparison.experiment, comparison.experiment.rig.motion
     until_s = _shown_s(comparison.outcomes)
     figure = style.new_figure(width=9.0, height=3.5 + 1.8 * len(comparison.outcomes))
@@ -47,7 +47,7 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
 
 
 def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:
-    """Draw the penetration (encoder counts) of each outcome at one encoder offset, with the wall's surface."""
+    """Draw each scheme's penetration (encoder counts) over time, for the encoder offset number `offset`."""
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
         # Equal curves remain visible under each other: widths differ.
@@ -58,7 +58,7 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
 
 
 def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
-    """Return the length of the time axis (s): until the slowest scheme has settled, plus a margin."""
+    """Return the length of the time axis (s): the settling time of the slowest scheme plus a margin."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)
     longest = max(float(impact.time_s[-1]) for outcome in outcomes for impact in outcome.impacts)

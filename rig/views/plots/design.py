@@ -1,4 +1,4 @@
-"""Draw a design: trade-off between the schemes, and the recommended boundary beside the experiment's own."""
+"""Draw a design: trade-off between the schemes, and the recommended scheme's limits beside those of the experiment."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
 
 @style.own_style()
 def design_figure(found: Design) -> Any:
-    """Return the figure of a design.
+    """Return the matplotlib figure of a design.
 
-    Left: largest K and range of B of the schemes in the second round. A larger marker means more noise at rest; filled
-    markers are schemes of the Pareto front. Right: limits of K over B of the last round, with the band between encoder
-    offsets.
+    Left: largest stiffness K and range of damping B of each scheme in the second round. A larger marker means more
+    noise at rest; filled markers are schemes of the Pareto front. Right: largest stable K over B in the last round,
+    with a band between the lowest and highest limit over all encoder offsets.
     """
     motion = found.experiment.rig.motion
     stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)

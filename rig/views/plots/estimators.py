@@ -1,4 +1,4 @@
-"""Draw a comparison of estimators: errors over the rate, or with a single rate the estimates over time."""
+"""Draw a comparison of velocity estimators: errors over the rate, or with a single rate, estimates over time."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ PANELS = 4  # more would be too small to read
 
 @style.own_style()
 def estimators_figure(comparison: EstimatorComparison) -> Any:
-    """Return the figure of a comparison (`matplotlib.figure.Figure`); raise `ConfigError` if the comparison is empty.
+    """Return the matplotlib figure of a comparison of estimators; raise `ConfigError` if the comparison is empty.
 
-    There is a row of panels for each signal and resolution, at most `PANELS`. Left: error after removal of the delay;
-    right: the delay; both over the velocity rate. With a single rate the panels show the estimates over time instead.
+    There is a row of panels for each signal and resolution, at most `PANELS` rows. Left: error after removal of the
+    delay; right: the delay; both over the velocity rate. With a single rate the panels show estimates and errors over
+    time instead.
     """
     panels: dict[tuple[str, float], list[Case]] = {}
     for case in comparison.cases:

@@ -1,4 +1,4 @@
-"""Draw a hit: position and wall, velocity, and effort, on one time axis that starts at contact.
+"""Draw a hit: position and wall, velocity, and effort, on one time axis that starts at the first contact.
 
 ``rig/views/table.json``, `rig recording show`, the console and the drawing process of `rig hit` call it. It must not
 write to a recording.
@@ -51,7 +51,7 @@ def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
 
 
 def main() -> None:
-    """Read lines of JSON with the path of a recording and of its picture; draw each, and reply with a line of JSON."""
+    """Run the drawing process of `rig hit`: draw a picture for each line of JSON, and reply with a line of JSON."""
     program.begin()
     for line in sys.stdin:
         try:
@@ -63,9 +63,9 @@ def main() -> None:
 
 @style.own_style()
 def hit_figure(recording: Recording) -> Any:
-    """Return the figure of a recording (`matplotlib.figure.Figure`): impact on the left, whole push on the right.
+    """Return the matplotlib figure of a hit: impact on the left, whole push on the right.
 
-    For imported counts, which have no wall, the figure shows the position over time.
+    For a recording of imported counts, which has no wall, the figure shows the position over time.
     """
     if counts_facts(recording) is not None:
         return column_figure(recording["position"])
@@ -89,10 +89,10 @@ def hit_figure(recording: Recording) -> Any:
 
 @style.own_style()
 def xy_figure(recording: Recording) -> Any:
-    """Return the figure of force over penetration, as a force gauge at the handle would measure it.
+    """Return the figure of the wall's force over penetration, as a force gauge at the handle would measure it.
 
     An ideal spring gives the straight line K·x. The area of a loop is the energy that the wall takes out of the handle
-    (clockwise) or gives to it (counter-clockwise), by damping, delay and the held velocity.
+    (clockwise) or gives to it (counter-clockwise), because of damping, delay and the velocity held between its samples.
     """
     rows, wall, motion = recording.rows, recording.experiment["wall"], recording.header["motion"]
     inside = (rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)
@@ -118,9 +118,9 @@ def xy_figure(recording: Recording) -> Any:
 
 
 def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]:
-    """Return the rows from shortly before contact to the end of the push, and their time since contact (s).
+    """Return the rows from shortly before the first contact to the end of the push, and their time since contact (s).
 
-    Without contact return all rows.
+    Without contact, return all rows and their time since the recording's start (s).
     """
     rows, time_s = recording.rows, recording.time_s
     contact = _contact(recording)
@@ -133,19 +133,19 @@ def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]
 
 
 def _contact(recording: Recording) -> NDArray[np.int64]:
-    """Return the indices of the rows of the trial in which the handle is in the wall."""
+    """Return the indices of the trial's rows in which the handle is inside the wall."""
     rows = recording.rows
     return np.flatnonzero((rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0))
 
 
 def _last_phase(recording: Recording) -> str:
-    """Return the name of the phase in which the run ended."""
+    """Return the name of the phase in which the run ended, such as ``homing``; ``nothing`` without rows."""
     phases = [Phase(phase) for phase in recording.rows["phase"] if phase != Phase.DONE]
     return phases[-1].name.lower() if phases else "nothing"
 
 
 def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
-    """Return the length of the panel of the impact (s): slightly longer than the settling time, if it settled."""
+    """Return the end of the impact panel's time axis (s): 1.5 times the settling time, within the panel's limits."""
     verdict = (recording.trailer or {}).get("verdict") or {}
     settling_s = verdict.get("settling_s")
     wanted = LONGEST_IMPACT_S if settling_s is None else 1.5 * settling_s
@@ -156,7 +156,7 @@ def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
 def _draw_column(
     panels: Any, recording: Recording, rows: NDArray[np.void], time_s: NDArray[np.float64], scale: float
 ) -> None:
-    """Draw position, velocity and effort of the rows; each side of the transmission has one colour in all panels."""
+    """Draw position, velocity and effort over time in three panels; `scale` multiplies the position."""
     top, middle, bottom = panels
     wall, limit = recording.experiment["wall"], recording.experiment["rig"]["limits"]["effort"]
 

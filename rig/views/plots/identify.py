@@ -15,7 +15,7 @@ from rig.views.plots import style
 
 @style.own_style()
 def identification_figure(found: Identification) -> Any:
-    """Return the figure of data, fits and residuals (`matplotlib.figure.Figure`)."""
+    """Return the matplotlib figure with the data, fits and residuals of an identification."""
     mapped = found.cogging is not None
     figure = style.new_figure(12.0, 11.5 if mapped else 8.5)
     rows = figure.subplots(3 + mapped, 2, height_ratios=(3, 3, 2, 3)[: 3 + mapped])

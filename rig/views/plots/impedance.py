@@ -22,18 +22,18 @@ HEADROOM = 1.3  # of the real part's axis, over what was measured
 
 
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
-    """Draw results into a file and return its path; raise `RecordingError` if nothing was measured or written."""
+    """Draw impedances into a file and return its path; raise `RecordingError` if none was measured or written."""
     return style.save(impedance_figure(results), Path(picture))
 
 
 @style.own_style()
 def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
-    """Return the figure of results (`matplotlib.figure.Figure`), with one colour for each result.
+    """Return the matplotlib figure of measured impedances, with one colour for each result.
 
     Solid lines with a band of two standard deviations are measured. Thin dark lines are the closed form of rig and wall
-    without friction and quantum. Dashed lines are the ideal wall K/(jω) + B.
+    without friction and quantisation. Dashed lines are the ideal wall K/(jω) + B.
 
-    Raise `RecordingError` if nothing was measured.
+    Raise `RecordingError` if no result has a measured impedance.
     """
     shown = [result for result in results if result.impedance is not None]
     if not shown:
@@ -100,7 +100,7 @@ def _plain(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> Non
 
 
 def _limits(phase: Any, real: Any, shown: Sequence[ImpedanceResult]) -> None:
-    """Mark the limits of passivity (phase ±90°, real part 0), and keep outliers out of the range of the real part."""
+    """Draw lines at the limits of passivity (phase ±90°, real part 0), and choose axes that cut off outliers."""
     for level in (-90.0, 90.0):
         phase.axhline(level, color=style.BAD, linewidth=0.8)
     real.axhline(0.0, color=style.BAD, linewidth=0.8)

@@ -1,4 +1,4 @@
-"""Figures that need more data than the result itself (a recording, theory); ``rig/views/table.json`` registers them.
+"""Figures of results that need more data than the result itself (a recording, theory); ``table.json`` registers them.
 
 `rig.core.shown` calls them. They must not compute results that the command does not print.
 """
@@ -24,25 +24,25 @@ from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 
 
 def hit_result_figure(result: HitResult) -> Any:
-    """Return the figure of the recording of a hit."""
+    """Return the matplotlib figure of a hit, drawn from its recording."""
     return hit_figure(result.recording)
 
 
 def impedance_result_figure(result: ImpedanceResult) -> Any:
-    """Return the figure of a single impedance."""
+    """Return the matplotlib figure of a single measured impedance."""
     return impedance_figure([result])
 
 
 def zwidth_with_theory_figure(found: ZWidth) -> Any:
-    """Return the figure of a Z-width map, with the stability limits of its schemes by linear theory."""
+    """Return the figure of a Z-width map (stable walls), with the stability limits of its schemes by linear theory."""
     return zwidth_figure(found, theory=theory_curves(found.plan))
 
 
 def kmax_with_theory_figure(found: KMax) -> Any:
-    """Return the figure of the largest stable K at B = 0 over the rate, with the limits by linear theory."""
+    """Return the figure of the largest stable stiffness K without damping over the sampling rate, with theory."""
     return kmax_figure(found, theory=kmax_theory(found))
 
 
 def frequency_with_theory_figure(found: FrequencyMap) -> Any:
-    """Return the figure of an impedance map, with the limits of its schemes by linear theory."""
+    """Return the figure of a map of passive walls, with the limits of its schemes by linear theory."""
     return frequency_figure(found, theory=linear_curves(found.plan))

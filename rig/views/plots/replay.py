@@ -1,4 +1,4 @@
-"""Draw a replay: recorded and replayed velocity and effort on one time axis."""
+"""Draw a replay (a recording recomputed with another estimator): recorded and replayed velocity and effort."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.views.plots import style
 
 @style.own_style()
 def replay_figure(result: ReplayResult) -> Any:
-    """Return a figure of recorded and replayed velocity and effort over time."""
+    """Return the matplotlib figure of recorded and replayed velocity and effort over time."""
     recording = result.of
     motion, time_s = recording.header["motion"], recording.time_s
     figure = style.new_figure(height=5.0)

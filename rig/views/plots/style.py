@@ -74,26 +74,26 @@ def own_style() -> Iterator[None]:
 
 
 def new_figure(width: float = 9.0, height: float = 7.0) -> Any:
-    """Return a new figure (size in inches) that belongs to no window."""
+    """Return a new matplotlib figure that belongs to no window; `width` and `height` are in inches."""
     figure = figures.Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     agg.FigureCanvasAgg(figure)
     return figure
 
 
 def tidy(axes: Any, ylabel: str) -> None:
-    """Label the vertical axis of a panel, draw a light grid, and remove the box."""
+    """Label the vertical axis of a panel, draw a light grid, and hide the top and right border of the panel."""
     axes.set_ylabel(ylabel)
     lighten(axes)
 
 
 def lighten(axes: Any) -> None:
-    """Draw a light grid, and remove the box."""
+    """Draw a light grid in a panel, and hide the top and right border of the panel."""
     axes.grid(True, color="#e6e6e6", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def at_least(axes: Any, which: str, span: float) -> None:
-    """Widen an axis (``"x"`` or ``"y"``) to at least `span` about its middle, so that rounding is not magnified."""
+    """Widen the axis `which` (``"x"`` or ``"y"``) about its middle to a range of at least `span`."""
     low, high = getattr(axes, f"get_{which}lim")()
     more = 0.5 * (span - (high - low))
     if more > 0.0:
@@ -101,13 +101,13 @@ def at_least(axes: Any, which: str, span: float) -> None:
 
 
 def count_along(axes: Any) -> None:
-    """Set the horizontal axis to whole numbers, with at least one on each side of a value."""
+    """Show only whole numbers at the ticks of the horizontal axis, and widen the axis to a range of at least 2."""
     at_least(axes, "x", 2.0)
     axes.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
 
 
 def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
-    """Return the indices of the points to draw of long lines: minimum and maximum of each line in each stretch."""
+    """Return the indices of points that suffice to draw long lines: minimum and maximum in each short stretch."""
     size = len(values[0])
     rows = size // STRETCHES
     if rows <= 2 * len(values):
@@ -121,7 +121,7 @@ def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
 
 
 def say(axes: Any, text: str) -> None:
-    """Write a text, such as the reason why it is empty, into the middle of a panel, and remove its ticks."""
+    """Write a text into the middle of a panel, such as the reason why the panel is empty, and remove its ticks."""
     look = {"ha": "center", "va": "center", "color": "#666666", "fontsize": 8, "bbox": {"color": "white"}}
     axes.text(0.5, 0.5, text, transform=axes.transAxes, **look)
     axes.set(xticks=[], yticks=[])
@@ -142,9 +142,10 @@ def key_below(figure: Any, axes: Any) -> None:
 
 
 def save(figure: Any, path: Path) -> Path:
-    """Write a figure in the format of the path's ending, one of `FORMATS`; equal figures give equal bytes.
+    """Write a figure to a file and return its path; the ending of the path selects the format, one of `FORMATS`.
 
-    Raise `RecordingError` if the file cannot be written, or for another ending, so that no recording is overwritten.
+    Equal figures give equal bytes. Raise `RecordingError` if the file cannot be written, or for another ending, so that
+    no recording is overwritten.
     """
     ending = path.suffix.lower().removeprefix(".")
     if ending not in FORMATS:
@@ -163,7 +164,7 @@ def save(figure: Any, path: Path) -> Path:
 
 
 def png(figure: Any) -> bytes:
-    """Return the bytes of the PNG that `save` would write, for a notebook."""
+    """Return a figure as the bytes of a PNG file, for a notebook."""
     buffer = BytesIO()
     _write(figure, buffer, "png")
     return buffer.getvalue()

@@ -1,4 +1,4 @@
-"""Draw K_max over B by theory: limit of stability of each scheme, islands of stability, and limit of passivity."""
+"""Draw the stability limit by theory: largest stable stiffness over damping for each scheme, with passivity limits."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ CORNER = 1.5  # width and height of the right panel, in what passivity allows
 
 @style.own_style()
 def theory_figure(theory: Theory) -> Any:
-    """Return the figure of the theory's results for a rig.
+    """Return the matplotlib figure of the stability and passivity limits of a rig by theory.
 
-    Solid lines are K_max of the linear loop; islands of stability above them are shaded. The right panel shows the
-    range of B in which a wall can be passive: below the dashed lines it is passive, with lag and delay; above them it
-    is not passive if the rig is rigid.
+    Solid lines are the largest stable stiffness of the linear loop; islands of stability above these lines are shaded.
+    The right panel shows the range of damping B in which a wall can be passive: below the dashed lines it is passive,
+    with lag and delay; above the dashed lines it is not passive if the rig is rigid.
     """
     figure = style.new_figure(12.0, 6.0)
     whole, corner = figure.subplots(1, 2, width_ratios=(2, 1))
@@ -60,7 +60,7 @@ def _draw_edge(axes: Any, scheme: SchemeTheory, colour: str) -> None:
 
 
 def _draw_islands(axes: Any, scheme: SchemeTheory, colour: str) -> None:
-    """Shade the islands of stability above the limit: the lowest at each damping, then the next, and so on."""
+    """Shade the islands (ranges of stable stiffness above the limit) over damping, with one legend entry."""
     b = np.array([limit.damping for limit in scheme.curve])
     most = max((len(limit.islands) for limit in scheme.curve), default=0)
     for n in range(most):

@@ -1,4 +1,4 @@
-"""Draw the latency of each stage of a tick: distribution, worst ticks, and course over the run."""
+"""Draw the duration of each stage of a tick: distribution, worst ticks, and course over the run."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ US = 1e-3  # µs in a ns
 
 
 def label(name: str) -> str:
-    """Return the text that a legend shows for a stage."""
+    """Return the text for a stage of a tick in a legend; `name` is a stage of `STAGES` or `LATENESS`."""
     return STAGES[name].label if name in STAGES else "late on the grid"
 
 
 @style.own_style()
 def timing_figure(timing: Timing) -> Any:
-    """Return the figure of a ledger and its summary."""
+    """Return the matplotlib figure of a run's timing: distribution, worst ticks, and course over the run."""
     ledger, summary = timing.ledger, timing.summary
     figure = style.new_figure(width=11.0, height=7.5)
     panels = figure.subplot_mosaic([["often", "worst"], ["when", "when"]], height_ratios=(3, 2))
@@ -43,7 +43,7 @@ def timing_figure(timing: Timing) -> Any:
 
 
 def _draw_survival(axes: Any, ledger: Ledger) -> None:
-    """Draw the share of the ticks in which each stage took longer than x, on logarithmic axes, without times of 0."""
+    """Draw for each stage the share of ticks in which it took longer than a time (µs), on logarithmic axes."""
     drawn = False
     for name, colour in COLOURS.items():
         values, known = ledger.stage(name)
@@ -72,7 +72,7 @@ def _draw_survival(axes: Any, ledger: Ledger) -> None:
 
 
 def _draw_worst(axes: Any, summary: TimingSummary) -> None:
-    """Draw a bar for each of the worst ticks, from its sample to its effort."""
+    """Draw a bar for each of the worst ticks, from its sample to the effort; each stage has its colour."""
     for place, bad in enumerate(summary.worst):
         begin = 0.0
         for name in IN_A_ROW:
@@ -94,7 +94,7 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
 
 
 def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
-    """Draw the longest time from sample to command, or the largest lateness, in each stretch of the run."""
+    """Draw over the run the longest time (µs) from sample to command, or if it is unknown, the largest lateness."""
     values, known = ledger.stage("answered")
     name = "answered"
     if not known.any():
@@ -125,7 +125,7 @@ def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
 def _longest(
     time_s: NDArray[np.float64], values: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return time (s) and largest value of each stretch, so that a curve of a million ticks shows its peaks."""
+    """Return start time (s) and largest value of each stretch of a curve, of at most `POINTS` stretches."""
     each = -(-len(values) // POINTS)
     starts = np.arange(0, len(values), each)
     return time_s[starts], np.maximum.reduceat(values, starts)

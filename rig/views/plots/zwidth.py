@@ -1,4 +1,4 @@
-"""Draw Z-width maps: limits of each scheme over damping, and the limit at B = 0 over the rate.
+"""Draw Z-width maps: largest stable stiffness K of each scheme over damping B, or without damping over the rate.
 
 For a map with a single damping the limits of the schemes are drawn side by side. Circles are means over encoder offsets
 and repeats.
@@ -40,7 +40,7 @@ def draw_zwidth(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Path:
-    """Draw a map with one panel for each criterion, and return the path; `theory` has a curve for a scheme's number."""
+    """Draw a map of stable walls into a file and return its path; `theory` has a curve for a scheme's number."""
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
 
@@ -51,7 +51,7 @@ def zwidth_figure(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Any:
-    """Return the figure of a map; parameters as `draw_zwidth`."""
+    """Return the figure of a map of stable walls, a panel for each criterion; `theory` has a curve by scheme number."""
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
     highest = max(b.highest for b in found.boundaries)
@@ -89,7 +89,7 @@ def zwidth_figure(
 
 @style.own_style()
 def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
-    """Return the figure of the limits at B = 0 over the rate, with curves of theory and of a paper if given."""
+    """Return the figure of the largest stable stiffness without damping over the rate; `paper` has curves by name."""
     experiment = found.map.plan.experiment
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()
@@ -122,7 +122,7 @@ def draw_boundaries(
     *,
     width: float = 1.6,
 ) -> None:
-    """Draw one curve of limits: mean, band between extremes, marks of capped searches, and islands."""
+    """Draw one curve of limits over `along`: mean, band between extremes, islands, and marks of missing limits."""
     size = 2.0 + 1.2 * width
     limits = [b.stiffness if b.stiffness > 0.0 else math.nan for b in curve]  # no line leads through a hole
     axes.plot(along, limits, "o-", color=colour, linewidth=width, markersize=size, label=label)
@@ -145,13 +145,13 @@ def draw_boundaries(
 
 
 def _from_zero(axes: Any, found: ZWidth, highest: float) -> None:
-    """Set the range of K from zero up; without any stable wall it ends at the softest wall that was tried."""
+    """Set the axis of stiffness from 0 to above `highest`, or to the softest tested wall if `highest` is 0."""
     top = 1.08 * highest or found.plan.search.lowest
     axes.set_ylim(-0.02 * top, top)
 
 
 def explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
-    """Add entries for the other marks, such as bands and islands, to the legend."""
+    """Add legend entries for the marks that occur in the boundaries: band, missing upper limit, islands and others."""
     if any(b.lowest < b.highest for b in boundaries):
         axes.fill_between([], [], [], color="#333333", **_BAND, label="from the lowest limit to the highest")
     if any(b.capped for b in boundaries):

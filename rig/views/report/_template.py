@@ -36,7 +36,7 @@ def fill(template: str, **values: Any) -> str:
 
 
 def fill_text(template: str, **values: Any) -> str:
-    """Return a template filled with values as plain text, without escaping; parameters as `fill`."""
+    """Return a template (a file in this folder or a path below `rig`) filled with values as plain text."""
     text: str = _environment(html=False).get_template(template).render(**values)
     return text
 
@@ -58,19 +58,19 @@ def _environment(*, html: bool) -> Any:
 
 
 def _in_a_line(value: Any) -> Any:
-    """Return a user's text without line ends, which would break the lines of a plain-text template."""
+    """Return a text with line ends replaced by spaces, because they would break the lines of a plain-text template."""
     return value.replace("\n", " ") if isinstance(value, str) else value
 
 
 def data_uris(pngs: Mapping[str, bytes]) -> dict[str, str]:
-    """Return PNG images as ``data:`` URIs, by name."""
+    """Return PNG images as ``data:`` URIs for an HTML page, by the image's name."""
     return {
         name: "data:image/png;base64," + base64.b64encode(png).decode("ascii") for name, png in pngs.items()
     }
 
 
 def provenance_lines(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return name and value of each entry as text; mappings and lists as JSON."""
+    """Return name and value of each entry of the provenance (origin of a result) as text; mappings as JSON."""
     return [
         (name, value if isinstance(value, str) else json.dumps(value, ensure_ascii=False))
         for name, value in provenance.items()

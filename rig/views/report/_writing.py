@@ -1,4 +1,4 @@
-"""Filters of all templates, which format numbers, counts and lists as text."""
+"""Filters for all templates of reports, which format numbers, counts and lists as text."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def three(value: float | None, digits: int = 3) -> str:
-    """Return a number with `digits` significant digits, trailing zeros included from 1 to 10⁶ (``2.50``), for tables.
+    """Return a number with `digits` significant digits, with trailing zeros from 1 to 10⁶ (``2.50``), for tables.
 
-    Return ∞ for infinity and – for a missing number; `number` omits trailing zeros (``2.5``) and writes – for infinity.
+    Return ∞ for infinity and – for a missing number.
     """
     if value is None or not math.isfinite(value):
         return "∞" if value == math.inf else NOTHING
@@ -56,7 +56,7 @@ def times(ratio: float | None) -> str:
 
 
 def step(ratio: float) -> str:
-    """Return the step between neighbouring values with this ratio, in percent: 1.015 → ``1.5 %``."""
+    """Return in percent how much larger the next of two neighbouring values is: ratio 1.015 → ``1.5 %``."""
     return f"{100 * (ratio - 1):.2g} %"
 
 
@@ -71,7 +71,7 @@ def khz(rate_hz: float) -> str:
 
 
 def cell(value: Any) -> Any:
-    """Return the content of a table's cell: a float as `three` formats it, – for None, other values unchanged."""
+    """Return the content of a table's cell: a float with three digits, – for None, other values unchanged."""
     return three(value) if isinstance(value, float) or value is None else value
 
 
@@ -86,13 +86,13 @@ def suffixed(names: Iterable[str], text: str) -> list[str]:
 
 
 def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str]) -> str:
-    """Return the joined texts of a call block for each item: ``{% call(name, value) each(pairs) %}…{% endcall %}``."""
+    """Return the joined texts of a jinja2 call block for each item: ``{% call(x, y) each(pairs) %}…{% endcall %}``."""
     written = [caller(*item) if isinstance(item, tuple) else caller(item) for item in items]
     return type(written[0])(between).join(text.strip() for text in written) if written else ""
 
 
 def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]) -> str:
-    """Return the text of a call block for named items, with names of equal text joined: ``a, b: text; c: other``."""
+    """Return the joined texts of a jinja2 call block for named items, equal texts once: ``a, b: text; c: other``."""
     names: dict[str, list[str]] = {}
     for name, item in items.items():
         names.setdefault(caller(*item).strip(), []).append(name)
@@ -120,7 +120,7 @@ def percent(share: float | None, decimals: int = 0) -> str:
 
 
 def p(value: float) -> str:
-    """Return a p value with three decimals: ``0.012``, or ``< 0.001``; – if it is not finite."""
+    """Return a p value of a statistical test with three decimals: ``0.012``, or ``< 0.001``; – if it is not finite."""
     if not math.isfinite(value):
         return NOTHING
     return "< 0.001" if value < 0.001 else f"{value:.3f}"
@@ -148,7 +148,7 @@ def duration(seconds: float) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a count and its noun: ``1 trial``, ``3 trials``."""
+    """Return a count with its noun, in the plural unless the count is 1: ``1 trial``, ``3 trials``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
@@ -158,12 +158,12 @@ def shortest(value: float, digits: int = 6) -> str:
 
 
 def numbers(values: Iterable[float]) -> list[str]:
-    """Return each number as `shortest` formats it."""
+    """Return each number as text with up to six significant digits."""
     return [shortest(value) for value in values]
 
 
 def counted_in_words(count: int, noun: str) -> str:
-    """Return a count, as a word up to twelve, and its noun: ``three trials``, ``13 trials``."""
+    """Return a count with its noun; counts up to twelve as a word: ``three trials``, ``13 trials``."""
     return (
         counted(count, noun).replace(str(count), _WORDS[count], 1)
         if count < len(_WORDS)
