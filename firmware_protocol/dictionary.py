@@ -25,7 +25,8 @@ from firmware_protocol.parameters import PARAMETERS
 
 SettingValue = int | float | str
 COMPRESSED_LIMIT = 0xFFFF  # IDENTITY counts its bytes in a u16
-PLAIN_LIMIT = 1 << 18  # what a host is willing to unpack
+# Most bytes that a host decompresses: zlib can expand its input a thousandfold, and the device is not trusted yet.
+PLAIN_LIMIT = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +185,7 @@ def dictionary_hash(packed: bytes) -> int:
 def decode(packed: bytes) -> Dictionary:
     """Return the dictionary in the compressed bytes from a device; raise `RemoteProtocolError` for invalid bytes."""
     try:
+        # Python's parser would accept NaN and Infinity, which JSON does not have.
         content = json.loads(_inflate(packed), parse_constant=_no_constant)
         if not isinstance(content, dict):
             raise TypeError(f"expected a JSON object, got {content!r}")
@@ -294,6 +296,7 @@ def _info(
     parameter: Parameter, narrower: Mapping[str, tuple[Value, Value]], defaults: Mapping[str, Value]
 ) -> ParameterInfo:
     minimum, maximum = narrower.get(parameter.name, (parameter.minimum, parameter.maximum))
+    # The narrower range of a device may not contain the table's default: the nearest value in it replaces the default.
     default = defaults.get(parameter.name, parameter.default)
     return ParameterInfo(
         parameter.id,

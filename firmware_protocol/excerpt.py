@@ -68,6 +68,8 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
 
 def renamed(name: str, prefix: str) -> str:
     """Return the name in an `excerpt` of a C name: ``law_biquad`` becomes ``kalman_biquad`` with prefix ``kalman``."""
+    # A name that begins with the prefix already does not get it twice: law_kalman_run is kalman_run, not
+    # kalman_kalman_run.
     capital = name.isupper()
     bare = name[4:] if name.startswith(("law_", "LAW_")) else name
     before = prefix.upper() if capital else prefix

@@ -35,9 +35,9 @@ def _rows() -> list[_Row]:
         ("bilateral", "u8", "", (0, 1), 0, "1: spring and damper on both sides of the surface", fixed),
         ("slow_multiple", "u16", "", (1, 65_535), 1, "velocity periods between samples of a slow handle", fixed),
         ("settle_ticks", "u32", "tick", _U32, 0, "how long the handle must rest at the start", fixed),
-        ("home_timeout_ticks", "u32", "tick", _U32, 0, "give up homing after this", fixed),
+        ("home_timeout_ticks", "u32", "tick", _U32, 0, "homing fails after this time", fixed),
         ("trial_ticks", "u32", "tick", _U32, 0, "length of the trial", fixed),
-        ("release_ticks", "u32", "tick", (1, _U32[1]), 1, "ramp to zero effort after it", fixed),
+        ("release_ticks", "u32", "tick", (1, _U32[1]), 1, "duration of the ramp to zero effort after the trial", fixed),
         ("law_window_minimum", "i32", "count", _I32, 0, "position from the reference", fixed),
         ("law_window_maximum", "i32", "count", _I32, 0, "position from the reference", fixed),
         ("home_minimum", "i32", "count", _I32, 0, "range that counts as the start", fixed),
@@ -52,7 +52,7 @@ def _rows() -> list[_Row]:
         ("biquad_a2", "i32", "2⁻ᵇ", _I32, 0, "", fixed),
         ("biquad_coefficient_bits", "u8", "", (0, 30), 0, "fractional bits of the coefficients", fixed),
         ("biquad_state_bits", "u8", "", (0, 30), 0, "fractional bits of input and output", fixed),
-        ("biquad_word_bits", "u8", "", (2, 32), 32, "word length of both", fixed),
+        ("biquad_word_bits", "u8", "", (2, 32), 32, "word length of input and output", fixed),
         ("biquad_rounding", "u8", "", (0, 2), 0, "0 down, 1 to zero, 2 to the nearest", fixed),
         ("low_pass_order", "u8", "", (1, 2 * _SECTIONS), 1, "low pass in float32; the last section of an odd one is of "
          "first order", fixed),
@@ -66,7 +66,7 @@ def _rows() -> list[_Row]:
         ("foaw_band", "i32", "2⁻⁸ count", (0, _I32[1]), 0, "noise margin", fixed),
         ("foaw_limit", "u8", "period", (1, 64), 1, "longest window", fixed),
         ("foaw_stop_first", "u8", "", (0, 1), 0, "1: window before the first that fails, 0: longest", fixed),
-        ("foaw_least_squares", "u8", "", (0, 1), 0, "1: least-squares intercept, 0: through the newest", fixed),
+        ("foaw_least_squares", "u8", "", (0, 1), 0, "1: least-squares line, 0: line through the newest sample", fixed),
         ("levant_alpha", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
         ("levant_lambda", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
         ("levant_discretisation", "u8", "", (0, 2), 0, "0 explicit, 1 semi-implicit, 2 implicit", fixed),
@@ -120,11 +120,11 @@ def _wall_rows() -> list[_Row]:
         ("excitation_phases", "u8", "", (0, 1), 0, "0 from the seed, 1 Schroeder's", fixed),
         ("excitation_seed", "u32", "", _U32, 0, "seed of the phases", fixed),
         ("free_ticks", "u32", "tick", _U32, 0, "time in free space before the trial; 0: none", fixed),
-        ("free_minimum", "i32", "count", _I32, 0, "no trial follows outside of these in free space", fixed),
-        ("free_maximum", "i32", "count", _I32, 0, "see free_minimum", fixed),
+        ("free_minimum", "i32", "count", _I32, 0, "in free space: a handle below is a false start, no trial", fixed),
+        ("free_maximum", "i32", "count", _I32, 0, "in free space: a handle above is a false start, no trial", fixed),
         ("hold_ticks", "u32", "tick", _U32, 0, "length of the trial from first contact; 0: trial_ticks", fixed),
         ("kalman_input", "f32", "count/period²/quantum", _FLOAT, 0.0, "acceleration for a quantum of active current; "
-         "0: it knows no effort", fixed),
+         "0: the estimator does not use the effort", fixed),
         ("estimated_position", "u8", "", (0, 1), 0, "1: the wall sees the position that kalman estimates; float32, "
          "velocity_divider 1", fixed),
         ("float_passive_damping", "f32", "quantum·period/count", _POSITIVE, 0.0, "largest damping of the passivity "
@@ -132,6 +132,7 @@ def _wall_rows() -> list[_Row]:
     ]  # fmt: skip
 
 
+# Ids follow from the order of the rows and never change: new parameters go to the end of `_wall_rows`.
 LAW_PARAMETERS: tuple[Parameter, ...] = tuple(
     Parameter(
         _FIRST_ID + n,

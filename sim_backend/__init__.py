@@ -1,1 +1,1 @@
-"""The simulated rig: plant, sensors, a device that speaks the wire protocol, and its links."""
+"""The simulated rig: mechanics, sensors, a device that speaks the wire protocol, simulated drives, and their links."""

@@ -255,7 +255,7 @@ def _check_setting(board: Board, setting: BoardSetting, value: Any) -> SettingVa
         good = (low is None or value >= low) and (high is None or value <= high)
     if not good:
         raise ConfigError(
-            f"{setting.name} = {value!r} of board {board.name}: {setting.meaning}",
+            f"{setting.name} = {value!r} is not allowed for board {board.name} ({setting.meaning})",
             remedy=f"give {_describe_range(setting)}",
         )
     return value  # type: ignore[no-any-return]

@@ -48,6 +48,7 @@ LINK = (
     "--specs=nosys.specs",
     "-Wl,--gc-sections",
     "-Wl,--fatal-warnings",
+    # No code refers to the record that identifies the image: without this option the linker would discard it.
     "-Wl,-u,image_record",
 )
 SHARED = ("core", "law")  # directories whose C files belong to every image

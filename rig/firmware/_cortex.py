@@ -23,6 +23,7 @@ from rig.firmware._toolchain import find_compiler
 FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
 STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for the caller
 RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
+# The stack is filled with this byte before the first call: bytes that still have it were never used.
 PAINT = b"\xa5"
 STRICT = (
     "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",

@@ -52,14 +52,15 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
         segments = [_SEGMENT.unpack_from(content, at + number * size) for number in range(count)]
     except struct.error as error:
         raise ConfigError(
-            f"{name} is a damaged program: {error}", remedy="build it again: rig firmware build"
+            f"{name} is a damaged ELF program: {error}", remedy="build it again: rig firmware build"
         ) from None
     found = []
     for kind, offset, address, load, file_bytes, memory_bytes, *_ in segments:
         data = content[offset : offset + file_bytes]
         if len(data) != file_bytes:
             raise ConfigError(
-                f"{name} is a damaged program: it is truncated", remedy="build it again: rig firmware build"
+                f"{name} is a damaged ELF program: its end is missing",
+                remedy="build it again: rig firmware build",
             )
         if kind == _LOAD and memory_bytes:
             found.append(Segment(offset, Piece(load, data), address, memory_bytes))

@@ -117,7 +117,7 @@ def read_image(path: Path) -> tuple[bytes, Record]:
         content = read_regular(path, TABLE_BYTES)
     except OSError as error:
         raise ConfigError(
-            f"{path} cannot be read: {error.strerror or error}",
+            f"the image {path} cannot be read: {error.strerror or error}",
             remedy="give an image made by rig firmware build",
         ) from None
     plain = flat(read_uf2(content, str(path)).pieces) if is_uf2(content) else content
@@ -171,7 +171,7 @@ def _only(drives: list[BootDrive]) -> BootDrive:
     if drives:
         listed = ", ".join(str(drive.path) for drive in drives)
         raise DeviceNotFoundError(
-            f"several boards show their boot drives: {listed}", remedy="choose one with `drive`"
+            f"several boot drives of boards are mounted: {listed}", remedy="choose one with `drive`"
         )
     unmounted = _find_unmounted()
     if unmounted:
@@ -207,7 +207,7 @@ def _check_family(image: Path, content: bytes, drive: BootDrive) -> None:
     if family != wanted:
         is_for = "no processor" if family is None else FAMILIES.get(family, f"family {family:#010x}")
         raise ConfigError(
-            f"{image} is for {is_for}, but the board at {drive.path} is a {drive.model or drive.board_id}",
+            f"the image {image} is for {is_for}, but the board at {drive.path} is a {drive.model or drive.board_id}",
             remedy="build the firmware for that board, or connect the other one",
         )
 
@@ -216,7 +216,7 @@ def _check_board(image: Path, record: Record, drive: BootDrive) -> None:
     wanted = boards.load(record.facts.board).drive if record.facts.board in boards.names() else drive.board_id
     if wanted != drive.board_id:
         raise ConfigError(
-            f"{image} is for board {record.facts.board}, not for {drive.board_id}",
+            f"the image {image} is for board {record.facts.board}, not for {drive.board_id}",
             remedy="build the firmware for that board",
         )
 

@@ -310,7 +310,7 @@ def check_port(
             trial = PortTrial.begin(board, request)
         except NoAnswerError:
             raise LinkLostError(
-                f"no reply at {board.link.url.text}",
+                f"no reply at {board.link.url.text} from the test program of the port check",
                 remedy="flash the image of rig firmware build --check-port; check port and baud rate",
             ) from None
         for number, (step, names) in enumerate(STEPS.items()):

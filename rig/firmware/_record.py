@@ -66,7 +66,8 @@ class Record:
             return dictionaries.decode(self.packed)
         except RemoteProtocolError as error:
             raise ConfigError(
-                f"the dictionary in the image cannot be read: {error}", remedy="build it again"
+                f"the dictionary in the image cannot be read: {error}",
+                remedy="build the image again: rig firmware build",
             ) from None
 
 
@@ -96,7 +97,10 @@ def find(image: bytes, name: str) -> Record:
         damaged = True
         at = image.find(MAGIC, at + 1)
     if damaged:
-        raise ConfigError(f"{name} is damaged: the checksum of its record is wrong", remedy="build it again")
+        raise ConfigError(
+            f"{name} is damaged: the checksum of its image record is wrong",
+            remedy="build the image again: rig firmware build",
+        )
     raise ConfigError(
         f"{name} is not firmware of this project: it contains no image record",
         remedy="give an image made by rig firmware build (.elf, .uf2 or .bin)",

@@ -88,20 +88,20 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
     if wanted is not None and settings.get("output", wanted) != wanted:
         raise refuse(
             "output",
-            f"{settings['output']} does not match the input of {profile.name}",
+            f"{settings['output']} does not match the input of the amplifier {profile.name}",
             f"set it to {wanted}, or choose another rig.amplifier.profile",
         )
     if full_scale < peak * (1.0 - 1e-9):
         raise refuse(
             "full_scale",
             f"{full_scale:g} A is below the peak current of {peak:.4g} A: larger set-points would saturate unnoticed",
-            f"set it to {peak:.4g} A or more there and in the amplifier, or lower rig.amplifier.effort_limit",
+            f"set it to {peak:.4g} A or more, in the amplifier too, or lower rig.amplifier.effort_limit",
         )
     if full_scale > (profile.most_a or inf):
         raise refuse(
             "full_scale",
             f"{full_scale:g} A exceeds the maximum of {profile.name}",
-            f"set it to at most {profile.most_a:g} A there and in the amplifier",
+            f"set it to at most {profile.most_a:g} A, in the amplifier too",
         )
     if _has_pulse_width(settings):
         _check_frequency(float(settings["pwm_frequency"]), profile, model.amplifier.set_point_delay_s, refuse)
@@ -109,8 +109,8 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
         raise refuse(
             "full_scale",
             f"{full_scale:g} A in steps of {step:.3g} A gives only {peak / step:.0f} steps up to the rig's "
-            f"{peak:.4g} A; required are {LEAST_STEPS}",
-            f"set it closer to {peak:.4g} A there and in the amplifier",
+            f"{peak:.4g} A; at least {LEAST_STEPS} are required",
+            f"set it closer to {peak:.4g} A, in the amplifier too",
         )
     if settings["current_monitor"] == "adc":
         _check_monitor(peak * OVER_CURRENT_MARGIN, settings, refuse)
@@ -124,7 +124,7 @@ def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float
         raise refuse(
             "pwm_frequency",
             f"{frequency:g} Hz is outside the range of {profile.name}",
-            f"set it to {least:g} to {most:g} Hz",
+            f"set pwm_frequency to {least:g} to {most:g} Hz",
         )
     if profile.set_point_delay_s and delay_s * frequency < 1.0 - 1e-9:
         raise refuse(
@@ -141,8 +141,8 @@ def _check_monitor(over_a: float, settings: Mapping[str, SettingValue], refuse: 
     if over_a * scale > room_v:
         raise refuse(
             "monitor_scale",
-            f"{scale:g} V/A about {zero:g} V can measure up to {room_v / scale:.4g} A, less than the over-current "
-            f"limit of {over_a:.4g} A",
+            f"a monitor of {scale:g} V/A about {zero:g} V can measure up to {room_v / scale:.4g} A, less than the "
+            f"over-current limit of {over_a:.4g} A",
             f"scale the monitor to {room_v / over_a:.3g} V/A or less",
         )
 

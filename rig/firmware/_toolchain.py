@@ -43,7 +43,7 @@ class Compiler:
         """
         done = _call([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
         if done.returncode != 0:
-            raise ToolchainError(f"{name} failed: {done.stderr.strip()}", remedy=INSTALL)
+            raise ToolchainError(f"the compiler's tool {name} failed: {done.stderr.strip()}", remedy=INSTALL)
         return done.stdout
 
 
@@ -60,10 +60,10 @@ def find_compiler() -> Compiler:
         raise ToolchainError(missing, remedy=INSTALL)
     version = _call([path, "--version"], None)
     if version.returncode != 0 or not version.stdout:
-        raise ToolchainError(f"{path} cannot be run: {version.stderr.strip()}", remedy=INSTALL)
+        raise ToolchainError(f"the compiler {path} cannot be run: {version.stderr.strip()}", remedy=INSTALL)
     header = _call([path, "-E", "-include", "string.h", "-x", "c", os.devnull], None)
     if header.returncode != 0:
-        raise ToolchainError(f"{path} has no C library: string.h is missing", remedy=INSTALL)
+        raise ToolchainError(f"the compiler {path} has no C library: string.h is missing", remedy=INSTALL)
     return Compiler(path, version.stdout.splitlines()[0])
 
 

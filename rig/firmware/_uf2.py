@@ -2,8 +2,7 @@
 
 A file consists of independent blocks of 512 bytes: two magic numbers, flags, an address in the processor's memory, up
 to 476 bytes of data, the block's number, the family of the processor, and a third magic number. Source: the UF2
-specification (github.com/microsoft/uf2). The RP2040's boot ROM wants 256 bytes a block, at addresses that are
-multiples of 256 (RP2040 data sheet, section 2.8.4.2, "UF2 format details").
+specification (github.com/microsoft/uf2).
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ from dataclasses import dataclass
 from rig.core.errors import ConfigError
 
 BLOCK_BYTES = 512
+# The RP2040's boot ROM accepts only 256 bytes a block, at addresses that are multiples of 256 (RP2040 data sheet,
+# section 2.8.4.2, "UF2 format details").
 PAYLOAD_BYTES = 256
 DATA_ROOM = 476
 MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST = 0x0A324655, 0x9E5D5157, 0x0AB16F30

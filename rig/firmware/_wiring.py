@@ -67,7 +67,8 @@ def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
     path = board.directory / WIRING_FILE
     if not path.is_file():
         raise ConfigError(
-            f"board {board.name} has no {WIRING_FILE}", remedy="write a netlist like that of boards/rp2040"
+            f"board {board.name} has no {WIRING_FILE} (netlist) to draw",
+            remedy="write a netlist like that of boards/rp2040",
         )
     rows = tomllib.loads(path.read_text(encoding="utf-8"))["part"]
     return Wiring(

@@ -1,7 +1,6 @@
 """Compute the highest rate at which a board's processor can run the control law, from the cycles of a whole tick.
 
-A tick may take at most the share `SHARE` of its period; link and host need the rest. The cycles are those of
-`rig.firmware._cortex`: estimates for memory without wait states, not measured on a board.
+The cycles are those of `rig.firmware._cortex`: estimates for memory without wait states, not measured on a board.
 
 Plans and designs call it. It must not load a toolchain.
 """
@@ -18,7 +17,8 @@ from rig.firmware._boards import Board, load, settings_of
 from rig.firmware._cortex import CORES, CortexCore
 
 BOARD = "rp2040"  # where no board is named: the one that this package has firmware for
-SHARE = 0.4  # of a period
+# Largest part of a period that a tick may take; link and host need the rest.
+SHARE = 0.4
 INTEGERS = "fdm-butterworth-fixed"
 
 # Most cycles of a call of the estimator, and of the whole tick of a hit at uniform sampling, with that call. Measured

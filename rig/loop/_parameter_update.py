@@ -65,7 +65,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
     """
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
-            f"{len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host are "
+            f"a law with {len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host has "
             "too many for a running loop",
             remedy="use a law with fewer parameters",
         )

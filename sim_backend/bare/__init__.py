@@ -1,1 +1,1 @@
-"""Mechanics and law in one compiled call, without bytes: a trial, many hits, an excited rig."""
+"""Simulate mechanics and control law together in one compiled call, without a byte link: trials, hits, excited rigs."""

@@ -1,4 +1,4 @@
-"""Excite a rig about a point in one compiled call, without a byte link: the runs of an impedance measurement.
+"""Simulate a rig that is excited about a point, in one compiled call without a byte link: for impedance measurements.
 
 `rig.devices.simulated` builds it. Each tick calls the control law (`rig.control.step.step`) once. There is no homing.
 """
@@ -35,10 +35,11 @@ _NONFINITE = int(RowFlag.NONFINITE)
 
 @group
 class ExcitedTrace(NamedTuple):
-    """Recording of a run, in buffers that `excite` fills.
+    """Recording of a run, in arrays that `excite` fills.
 
-    `bound` counts the ticks with a clipped effort; `counts`, `positions` and `velocities` are those of the handle;
-    `withheld` is the sent minus the wanted effort in each tick (N·m or N).
+    `bound` (length 1) counts the ticks with a clipped effort. `counts`, `positions` (rad or m) and `velocities` (rad/s
+    or
+    m/s) are those of the handle; `withheld` is the sent minus the wanted effort in each tick (N·m or N).
     """
 
     bound: Ints
@@ -64,11 +65,12 @@ def excite(
     excitation: Any,
     ramp_steps: int,
 ) -> int:
-    """Run the law until `kept.withheld` is full or the guard ends the run; return the number of completed ticks.
+    """Run the law until the array `kept.withheld` is full or the guard ends the run; return the number of whole ticks.
 
-    The plant is discretised at the inner step, and `count` is its present count. `ratio` is the number of inner steps
-    in a tick, `every` that between two recorded positions. `excitation` is the effort of the second actuator in each
-    inner step of one period (N·m or N); it rises from zero during the first `ramp_steps` inner steps.
+    The plant is discretised at the inner step, and `count` is its present encoder count. `ratio` is the number of inner
+    steps in a tick, `every` the number of inner steps between two recorded positions. `excitation` is the effort of the
+    second actuator in each inner step of one period (N·m or N); it rises from zero during the first `ramp_steps` inner
+    steps.
     """
     state, withheld = plant.state, kept.withheld
     m = controller.memory[0]
@@ -104,7 +106,7 @@ def excite(
 
 
 class ExcitedPlant:
-    """A simulated rig for many impedance measurements; see `rig.devices.simulated.ExcitedSimulation`."""
+    """A simulated rig for many impedance measurements, as `rig.devices.simulated.ExcitedSimulation` requires it."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
@@ -127,7 +129,10 @@ class ExcitedPlant:
         return self._ratio / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:
-        """Return inner steps between two positions: the largest divisor of a tick that gives `acquisition_hz`."""
+        """Return the inner steps between two recorded positions: a divisor of the inner steps in a tick.
+
+        It is the largest divisor that gives a rate of at least `acquisition_hz` (Hz), else 1.
+        """
         most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
         return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
 
@@ -136,6 +141,8 @@ class ExcitedPlant:
     ) -> ExcitedMotion:
         """Run the law for `ticks` ticks, from rest at `position` (rad or m), and return the recorded motion.
 
+        `excitation` is the second actuator's effort in each inner step of one period (N·m or N); it rises during
+        `ramp_s` (s).
         Raise `LawError` if the estimator or the law gave a value that is not finite.
         """
         plant = self._plant

@@ -1,4 +1,4 @@
-"""Run and measure one hit on a wall in one compiled call, without a byte link. Maps consist of thousands of hits.
+"""Simulate and measure one hit on a wall in one compiled call, without a byte link. Maps consist of thousands of hits.
 
 The result equals that of `rig.control.judging.judge` for a recording of the same trial over the byte link.
 """
@@ -46,11 +46,12 @@ def hit(
     recorded: Any,
     true: Any,
 ) -> int:
-    """Run one trial and measure its trial phase; return the number of ticks of the trial.
+    """Run one trial and measure its trial phase; return the number of ticks of the whole run.
 
     The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
-    rows. The measured numbers are written to `recorded` (from the values that a rig records) and `true` (from the
-    plant's state), both of dtype `rig.control.judging.NUMBERS`.
+    rows. `meter` contains the filters of the measurement. The measured numbers are written to `recorded` (from the
+    values
+    that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.
@@ -98,7 +99,7 @@ def hit(
 
 
 class RigOfHits:
-    """A simulated rig for many hits on a wall; see `rig.devices.simulated`."""
+    """A simulated rig for many hits on a wall, as `rig.devices.simulated` requires it."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
         self._model = model
@@ -109,7 +110,10 @@ class RigOfHits:
         self._signals = np.zeros((SIGNALS, most_ticks))
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one trial from rest at `start` (rad or m) and measure it; raise `LawError` if a value is not finite."""
+        """Run one hit from rest at `start` (rad or m); return the measured numbers and the ticks of the run.
+
+        Raise `LawError` if the estimator or the law gave a value that is not finite.
+        """
         plant, meter, trace = self._plant, self._meter, self._trace
         recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
         state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)

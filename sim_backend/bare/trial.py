@@ -1,6 +1,6 @@
-"""Run a whole trial in one compiled call: plant, sensors and control law, without bytes, frames or clocks.
+"""Simulate a whole trial in one compiled call: plant, sensors and control law, without bytes, frames or clocks.
 
-It shares `step`, `advance` and the quantisers with the simulated device behind a link, so both give the same
+The trial uses the same `step`, `advance` and quantisers as the simulated device behind a link, so both give the same
 trajectory to the last bit. It has no watchdog; a caller that delays samples (`ages`) must keep that in mind.
 """
 
@@ -31,9 +31,11 @@ _LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
 @group
 class Trace(NamedTuple):
-    """Recording of a trial: in each tick plant state, count, phase, active and commanded current (quanta), row flags.
+    """Recording of a trial, one row for each tick.
 
-    If the law did not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
+    A row has the plant's state, encoder count, phase, active and commanded current (quanta) and row flags. If the law
+    did
+    not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
     """
 
     states: FloatRows
@@ -45,12 +47,12 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
-        """Return a trace of zeros with room for `ticks` ticks."""
+        """Return a trace of zeros with room for `ticks` ticks of a plant."""
         states = np.zeros((ticks, len(plant.at_rest(0.0))))
         return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
 
     def first(self, ticks: int) -> Trace:
-        """Return the trace cut to its first ticks."""
+        """Return the trace cut to its first `ticks` ticks."""
         return Trace._make(array[:ticks] for array in self)
 
 
@@ -73,9 +75,11 @@ def run_ticks(
 ) -> int:
     """Run until the law is done or the trace is full; return the number of ticks up to the law's last sample.
 
-    `script` contains the intentions of the hand. `ages` is the age in ticks, in each tick, of the newest sample that
-    has reached the law; 0 means no delay, also for ticks beyond its end. Late samples get the flags of the real loop.
-    `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of the first
+    `script` contains the intended motion of the hand. `ages` is the age in ticks, in each tick, of the newest sample
+    that
+    has reached the law; 0 means no delay, also for ticks beyond the array's end. Late samples get the flags of the real
+    loop. `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of the
+    first
     sample, `tick_units` the length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
@@ -130,7 +134,7 @@ def run_trial(
     script: OperatorScript | None = None,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> Trace:
-    """Run one trial and return its trace.
+    """Simulate one trial and return its trace.
 
     Parameters
     ----------
@@ -149,13 +153,13 @@ def run_trial(
     external_effort
         External effort on the link during the whole run (N·m or N).
     script
-        Intentions of the hand, tick by tick; without a script the hand holds still.
+        Intended motion of the hand, tick by tick; without a script the hand holds still.
     ages
-        Delay of the samples; see `run_ticks`.
+        Age in ticks, in each tick, of the newest sample that has reached the law (`run_ticks`); by default no delay.
     """
     script = script or OperatorScript.silent()
     if len(script.rows) and plant.hand_position is None:
-        raise ValueError("a script of the hand needs a plant with a hand")
+        raise ValueError("the plant has no hand, but a script for a hand was given; leave out `script`")
     trace = Trace.empty(most_ticks, plant)
     state = plant.at_rest(initial_position)
     for position in (plant.sensed_position, plant.handle_position, plant.hand_position):
@@ -175,7 +179,7 @@ def run_arguments(
     script: OperatorScript,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> tuple[ControllerArguments, PlantArguments, OperatorScript, NDArray[np.int64], float, int, int]:
-    """Return the arguments of `run_ticks`, in its order, except the last (the trace)."""
+    """Return the arguments of `run_ticks` in its order, except the last argument, the trace."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),

@@ -1,1 +1,1 @@
-"""The simulated board: the device that speaks the protocol for the mechanics, in Python and as the C firmware."""
+"""The simulated board: a device that speaks the wire protocol, in Python and as the compiled C firmware."""

@@ -1,4 +1,4 @@
-"""Store the dictionary and the active parameters of a simulated device, and answer the requests that concern them."""
+"""Store the dictionary and the active parameters of a simulated device, and answer the requests about them."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ FIRMWARE = "simulated 1"
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:
-    """Return the dictionary of a simulated device: ranges of the parameter table, narrowed to the motion of the rig.
+    """Return the dictionary of a simulated device for a rig, with the default and the highest tick rate (Hz).
 
-    The rates are in Hz. `law_maximum` is the largest value of the parameter `law`: 0 for a device without a law.
+    `law_maximum` is the largest value of the parameter `law`: 0 for a device without a law.
     """
     return board.describe(
         model,
@@ -46,7 +46,7 @@ def describe(
 
 
 class Configuration:
-    """Active parameters of a device. A parameter block is activated completely, between two ticks, or rejected.
+    """The active parameters of a device. A parameter block is activated completely, between two ticks, or rejected.
 
     Parameters
     ----------
@@ -78,26 +78,26 @@ class Configuration:
         self._activate({info.name: info.default for info in self._dictionary.parameters})
 
     def identity(self, request: m.Identify, state: int) -> m.Identity:
-        """Return the requested page of the dictionary as IDENTITY."""
+        """Return the IDENTITY message with the requested page of the dictionary; `state` is the device's state."""
         packed = self._packed
         piece = page(packed, request.offset, data_limit(m.Identity))
         return m.Identity(request.nonce, m.MINOR, state, self.hash, len(packed), request.offset, piece)
 
     def parameters(self, request: m.GetParameters) -> m.Parameters:
-        """Return the requested page of the active parameter block."""
+        """Return the PARAMETERS message with the requested page of the active parameter block."""
         piece = page(self._block, request.offset, data_limit(m.Parameters))
         return m.Parameters(request.nonce, len(self._block), self.crc, request.offset, piece)
 
     def begin(self, request: m.SetBegin) -> Status:
-        """Begin the transfer of a parameter block; return its status."""
+        """Begin the transfer of a parameter block; return the status of the ACK."""
         return self._assembler.begin(request)
 
     def chunk(self, request: m.SetChunk) -> Status:
-        """Accept a piece of the transferred block; return its status."""
+        """Store a chunk of the transferred parameter block; return the status of the ACK."""
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
-        """Activate the transferred block; return the status and the ID of the rejected parameter, 0 without one.
+        """Activate the transferred parameter block; return its status, and the id of the rejected parameter or 0.
 
         An armed device accepts only parameters that may change while it is armed (`LIVE`).
         """
@@ -122,7 +122,7 @@ class Configuration:
         return Status.OK, 0
 
     def _check_ranges(self, values: Mapping[str, Value]) -> None:
-        """Raise `ParameterError` for a value outside the range of this device, which is narrower than the table's."""
+        """Raise `ParameterError` for a value outside this device's range, which is narrower than the protocol's."""
         for info in self._dictionary.parameters:
             value = values.get(info.name, info.minimum)
             if not info.minimum <= value <= info.maximum:

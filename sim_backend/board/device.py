@@ -68,7 +68,7 @@ MODES = frozenset(int(mode) for mode in Mode)
 
 
 class DeviceWord:
-    """Attribute whose value is stored in `board.words`, the memory that the device's ticks read and write."""
+    """An attribute whose value is stored in `board.words`, the memory that the device's ticks read and write."""
 
     def __init__(self, place: int) -> None:
         self._place = place
@@ -81,7 +81,7 @@ class DeviceWord:
 
 
 class SimulatedDevice:
-    """A simulated rig behind the wire protocol.
+    """A simulated device in Python with its rig, behind the wire protocol.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class SimulatedDevice:
     Raises
     ------
     ConfigError
-        The default rate is above the maximum, or the model cannot be stepped at it.
+        The default rate is above the maximum, or the model cannot be simulated at this rate.
     """
 
     sample_index, time, inputs, sync = (
@@ -198,27 +198,27 @@ class SimulatedDevice:
 
     @property
     def time_ns(self) -> int:
-        """Device time of the last sample (ns since boot)."""
+        """Return the device time of the last sample (ns since boot)."""
         return self.time * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
     def elapsed_ns(self) -> int:
-        """Return the simulated time since this object was made, over all resets (ns)."""
+        """Return the simulated time since this object was created, over all resets (ns)."""
         return self._epoch_ns + self.time_ns
 
     @property
     def next_tick_ns(self) -> int:
-        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
         return self._epoch_ns + int(self.board.words[DUE]) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
     def rate(self) -> int:
-        """Return the rate of the device's ticks (Hz)."""
+        """Return the tick rate of the device (Hz)."""
         return int(self.board.words[OWN.rate])
 
     @property
     def current(self) -> int:
-        """Return the active current, after all limits (quanta)."""
+        """Return the active motor current, after all limits (quanta)."""
         return int(self._safety.rules[AT.current])
 
     # ------------------------------------------------------------------ the tick
@@ -262,7 +262,7 @@ class SimulatedDevice:
         self.missed_ticks += 1
 
     def _act_on_findings(self) -> None:
-        """Enter FAULT if the last part of a tick found a fault; disable the amplifier if it requested that."""
+        """Enter FAULT if the last part of a tick found a fault; disable the amplifier if the tick requested that."""
         if self.board.words[OWN.found]:
             self._latch(self.board.words[OWN.found])
         elif self.board.words[CUTS]:
@@ -274,7 +274,7 @@ class SimulatedDevice:
         self.hardware.cut()
 
     def _latch(self, faults: int) -> None:
-        """Enter FAULT; `faults` has a bit ``1 << code`` for each fault."""
+        """Enter the state FAULT; `faults` has a bit ``1 << code`` for each fault."""
         self._faults.latch(faults, self.time)
         self.connection.fault()
         self._note_protocol()
@@ -296,7 +296,8 @@ class SimulatedDevice:
         return answers
 
     def _handle_frame(self, frame: bytes) -> bytes:
-        """Process one frame and return its replies. A board does so before the next frame; statistics depend on it."""
+        """Process one frame from the host and return the device's replies."""
+        # One frame at a time, as on a board: the counters in a reply must not include the frames behind the request.
         connection = self.connection
         connection.receive_data(frame)
         answers = b""
@@ -332,7 +333,7 @@ class SimulatedDevice:
         return self._replies.answer(event, lambda: handler(event.message, event))
 
     def _handlers(self) -> dict[type[Message], Callable[[Any, Received], Message]]:
-        """Return for each type of request the function that executes it and returns the reply."""
+        """Return for each type of request the function that executes the request and returns the reply."""
         return {
             m.Identify: lambda request, _: self._configuration.identity(request, self.connection.state),
             m.GetParameters: lambda request, _: self._configuration.parameters(request),
@@ -351,7 +352,7 @@ class SimulatedDevice:
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
-        """Return an ACK with the first tick in which the change acts and, for some requests, the parameters' CRC."""
+        """Return the ACK of a request: the next sample index and, for COMMIT and ARM, the CRC of the parameters."""
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 
@@ -414,7 +415,7 @@ class SimulatedDevice:
     def _apply(self, values: Mapping[str, Value]) -> None:
         """Use new parameters from the next tick on, or raise `ParameterError` and keep the old ones.
 
-        An armed device keeps all: only parameters of a law on the device may change then, and this one has no law.
+        An armed device keeps all: only parameters of a law on the device may change then, and this device has no law.
         """
         if self._armed:
             return
@@ -437,20 +438,20 @@ class SimulatedDevice:
 
     @property
     def state(self) -> State:
-        """Return the state of the device that STATE reports."""
+        """Return the device's state, as STATE frames report it."""
         return State(self.connection.state)
 
     @property
     def fault(self) -> Fault:
-        """Return the fault that is latched, or NONE."""
+        """Return the fault that the device has latched, or NONE."""
         return self._faults.latched
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
-        """Press the emergency stop, or release it."""
+        """Press the emergency stop of the simulated board, or release it."""
         self.inputs = self.inputs | _EMERGENCY if pressed else self.inputs & ~_EMERGENCY
 
     def hold_to_run(self, held: bool) -> None:
-        """Hold the hold-to-run switch, or let it go."""
+        """Hold the hold-to-run switch of the simulated board, or release it."""
         self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
 
     def sync_input(self, high: bool, at: int | None = None) -> None:

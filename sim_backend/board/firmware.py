@@ -93,7 +93,7 @@ class Core:
         return status
 
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
-        """Return the firmware's functions for `lockstep.run_ticks`; `words` is the memory that both share."""
+        """Return the firmware's functions for `lockstep.run_ticks`; `words` is the memory that both use."""
         prepare(run_ticks)
         library = self.library
         return Lockstep(
@@ -107,7 +107,7 @@ class Core:
         )
 
     def receive(self, data: bytes) -> bytes:
-        """Pass bytes from the host to the firmware and return its replies."""
+        """Pass bytes from the host to the firmware; return the firmware's replies."""
         self.library.host_receive(self.address, data, len(data))
         return self.take()
 
@@ -118,7 +118,7 @@ class Core:
 
 
 class FirmwareDevice:
-    """The firmware, compiled for this computer, with a simulated rig.
+    """A simulated device that consists of the firmware, compiled for this computer, and a simulated rig.
 
     Parameters
     ----------
@@ -185,27 +185,27 @@ class FirmwareDevice:
 
     @property
     def time_ns(self) -> int:
-        """Device time of the last sample (ns since boot)."""
+        """Return the device time of the last sample (ns since boot)."""
         return self.time * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
     def elapsed_ns(self) -> int:
-        """Return the simulated time since this object was made, over all resets (ns)."""
+        """Return the simulated time since this object was created, over all resets (ns)."""
         return self._epoch_ns + self.time_ns
 
     @property
     def next_tick_ns(self) -> int:
-        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
         return self._epoch_ns + int(self._seen.due) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
     def rate(self) -> int:
-        """Return the rate of the device's ticks (Hz)."""
+        """Return the tick rate of the device (Hz)."""
         return int(self._seen.rate)
 
     @property
     def current(self) -> int:
-        """Return the active current, after all limits (quanta)."""
+        """Return the active motor current, after all limits (quanta)."""
         return int(self._seen.current)
 
     @property
@@ -215,22 +215,22 @@ class FirmwareDevice:
 
     @property
     def state(self) -> State:
-        """Return the state of the device that STATE reports."""
+        """Return the device's state, as STATE frames report it."""
         return State(self._seen.state)
 
     @property
     def session(self) -> int:
-        """Return the number of the session, 0 without one."""
+        """Return the number of the device's session, 0 without a session."""
         return int(self._seen.session)
 
     @property
     def fault(self) -> Fault:
-        """Return the fault that is latched, or NONE."""
+        """Return the fault that the device has latched, or NONE."""
         return Fault(self._seen.fault)
 
     @property
     def status(self) -> HostStatus:
-        """Return state and counters of the firmware, with those that the protocol does not report."""
+        """Return state and counters of the firmware, also those that the protocol does not report."""
         return self._seen
 
     # ------------------------------------------------------------------ the tick
@@ -267,7 +267,7 @@ class FirmwareDevice:
         return output, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of compiled ticks (`lockstep.run_ticks`) in the present state of device and rig."""
+        """Return the arguments of compiled ticks (`lockstep.run_ticks`) for the present state of device and rig."""
         world = self.hardware.world(self._truth)
         self._words[INPUTS], self._words[DUE], self._words[TIME] = self.inputs, self._seen.due, self.time
         return self._lockstep, world
@@ -306,7 +306,10 @@ class FirmwareDevice:
     # ------------------------------------------------------------------ the conversation
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
-        """Process bytes from the host and return the device's replies; see `SimulatedDevice.receive`."""
+        """Process bytes from the host and return the device's replies.
+
+        `received_at` is the device time of their arrival (1/16 µs); by default that of the last sample.
+        """
         self._show_world()
         self.core.library.host_set_clock(
             self.core.address, self.time if received_at is None else received_at, 0
@@ -318,15 +321,15 @@ class FirmwareDevice:
     # ------------------------------------------------------------------ the world
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
-        """Press the emergency stop, or release it."""
+        """Press the emergency stop of the simulated board, or release it."""
         self._input(Input.EMERGENCY_STOP, pressed)
 
     def hold_to_run(self, held: bool) -> None:
-        """Hold the hold-to-run switch, or let it go."""
+        """Hold the hold-to-run switch of the simulated board, or release it."""
         self._input(Input.HOLD_TO_RUN, held)
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
-        """Set the level of the sync input; see `SimulatedDevice.sync_input`."""
+        """Set the level of the sync input at device time `at` (1/16 µs); by default at that of the last sample."""
         if high and not self.inputs & Input.SYNC:
             self.core.library.host_set_sync_time(self.core.address, self.time if at is None else at)
         self._input(Input.SYNC, high)
@@ -354,7 +357,7 @@ class FirmwareDevice:
         self._start()
 
     def brown_out(self) -> None:
-        """Reset device and encoder counter, like a voltage dip or the hardware watchdog; the count restarts at zero.
+        """Reset device and encoder counter, as a voltage dip or the hardware watchdog does; the count restarts at zero.
 
         The hardware layer reports the fault `WATCHDOG_RESET` to the firmware.
         """

@@ -1,7 +1,7 @@
 """Compile the firmware's C code as a shared library of this computer, and declare its functions for Python.
 
-A simulated device that runs the control law itself is this firmware, not a copy in Python. The sources come with the
-package.
+A simulated device that runs the control law itself uses this library, not a copy of the law in Python. The sources come
+with the package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FIRMWARE = CLibrary(
 
 
 class Counters(ctypes.Structure):
-    """C structure `struct counters` of counters.h."""
+    """The C structure `struct counters` of counters.h: counters of received and dropped frames."""
 
     _fields_ = [
         (name, ctypes.c_uint32)
@@ -36,7 +36,7 @@ class Counters(ctypes.Structure):
 
 
 class HostStatus(ctypes.Structure):
-    """C structure `struct host_status` of host.h."""
+    """The C structure `struct host_status` of host.h: state of the firmware, and its requests to the hardware."""
 
     _fields_ = [
         ("time", ctypes.c_uint64),
@@ -95,7 +95,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: Path) -> ctypes.CDLL:
-    """Open a compiled library and declare the signatures of its functions."""
+    """Open the compiled library at a path and declare the signatures of its functions."""
     library = ctypes.CDLL(str(path))
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
@@ -105,7 +105,7 @@ def load(path: Path) -> ctypes.CDLL:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the firmware's library; compile it first if necessary.
+    """Return the firmware's compiled library; compile it first if necessary.
 
     Raises
     ------

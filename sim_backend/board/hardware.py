@@ -51,26 +51,29 @@ _put, _at = group_at(PlantArguments)
 
 @kernel(types.void(types.int64, PLANT_TYPE))
 def _keep(handle: int, plant: PlantArguments) -> None:
-    """Store the arguments of a plant in the memory at address `handle`."""
+    """Store the arguments of a plant in the memory at the address `handle`."""
     # To take the group of arguments apart at each call costs Python as much as a whole tick.
     _put(handle, plant)
 
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
 def _advance(handle: int, command_effort: float, external_effort: float) -> int:
-    """Move the plant that `_keep` stored at `handle` by one tick; see `sim_backend.mechanics.plant.advance`."""
+    """Move the plant that `_keep` stored at the address `handle` by one tick; return the encoder count.
+
+    `command_effort` goes to the amplifier, `external_effort` acts on the link (N·m or N).
+    """
     return int(advance(_at(handle), command_effort, external_effort))
 
 
 class Hardware:
-    """A simulated rig with its sensors, at rest at the start; a person holds it if the model has an operator.
+    """A simulated rig with its sensors, at rest at the start; a person holds the handle if the model has an operator.
 
     Parameters
     ----------
     model
         Rig to simulate.
     rate
-        Ticks a second (Hz).
+        Ticks in a second (Hz).
     seed
         Seed of the current sensor's noise.
     initial_position
@@ -90,7 +93,8 @@ class Hardware:
     leak
         Offset of the measured current (quanta), for example from a short circuit or a drifted sensor.
     marks
-        Places of index and limit switch: the fields of that name in `sim_backend.board.lockstep.Wires`.
+        Positions of index and limit switch in true counts: the fields of that name in
+        `sim_backend.board.lockstep.Wires`.
     drive, gain
         Ratio of motor current to commanded current, and of measured current to motor current. 0: a disconnected motor,
         a dead sensor. Negative: reversed. With both at −1 the motor's leads are swapped.
@@ -120,7 +124,7 @@ class Hardware:
         self.measured = 0
 
     def set_rate(self, rate: int) -> None:
-        """Tick at another rate (Hz) from now on, or raise `ConfigError` if the plant cannot be simulated at it."""
+        """Change the tick rate (Hz) from now on; raise `ConfigError` if the plant cannot be simulated at this rate."""
         self._plant = DiscretePlant.build(self._model, 1.0 / rate)
         # The delay is another number of ticks at another rate. No current is on its way: rates change only at rest.
         self._state = np.concatenate(
@@ -159,7 +163,7 @@ class Hardware:
         self._sessions += 1
 
     def _ask_hand(self) -> None:
-        """Request the next block of intentions if the hand is driven interactively and the last block is used up."""
+        """Request the next script block from a hand that is driven interactively, if the last block is used up."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
             hand, handle = self._plant.hand_position, self._plant.handle_position
             assert hand is not None
@@ -167,7 +171,7 @@ class Hardware:
             self._script = self._hand.next(self._state.item(hand))
 
     def advance(self, current: int) -> None:
-        """Simulate one tick with the given motor current (quanta), then sample count and measured current."""
+        """Simulate one tick with the motor current `current` (quanta), then update `count` and `measured`."""
         self._ask_hand()
         state, script = self._state, self._script
         if len(script.rows):
@@ -187,10 +191,11 @@ class Hardware:
             self.measured = max(-_PEAK, min(_PEAK, self.measured + self.leak))
 
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
-        """Run ticks with the currents that a compiled device requests; return their number.
+        """Run ticks with the currents that a compiled device requests; return the number of ticks.
 
-        The arguments are those of `sim_backend.board.lockstep.run_ticks`. The run stops early if noise, space for the
-        true states or intentions of the hand are used up; call it again for more ticks.
+        The arguments are those of `sim_backend.board.lockstep.run_ticks`, and the log for true states (None: no log).
+        The run
+        stops early if noise, space for the true states or script of the hand are used up; call it again for more ticks.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
@@ -200,7 +205,7 @@ class Hardware:
 
     @property
     def most_ticks(self) -> int:
-        """Return the number of ticks until new intentions of the hand or new noise values are needed."""
+        """Return the number of ticks until a new script block of the hand or new noise values are needed."""
         hand = len(self._script.rows) - self._row if self._hand_driven else NO_END
         return min(hand, self._noise.left or NO_END)
 
@@ -232,7 +237,7 @@ class Hardware:
             sense(words, self.count - self.slip, self._wires())
 
     def power_up(self, words: Words) -> None:
-        """Clear the latched index, like a board at power-up, and update the limit switch for the present position."""
+        """Clear the stored index in `words`, as at power-up, and set the limit switch for the present position."""
         # Marks are where the steel is: they follow the true count, not the one that lost counts.
         words[TRUE_COUNT] = self.count - self.slip
         words[INDEX_EDGES] = words[INDEX_COUNT] = 0
@@ -257,26 +262,26 @@ class Hardware:
         return self._state.item(self._plant.edge_age)
 
     def cut(self) -> None:
-        """Disable the amplifier; commands that were delayed are lost too."""
+        """Disable the amplifier: commands that do not act yet because of the plant's delay are lost too."""
         self._state[self._plant.commands] = 0.0
 
     def reset(self) -> None:
-        """Clear the captured edge, as a reset of the counter does; the motion of the rig continues."""
+        """Clear the captured encoder edge, as a reset of the counter does; the motion of the rig continues."""
         self._state[self._plant.edge_age] = math.inf
 
     def new_truth(self) -> TruthLog:
-        """Return an empty log for this plant's states."""
+        """Return an empty log for the true states of this plant."""
         return TruthLog(self._plant)
 
     def log(self, truth: TruthLog, sample_index: int) -> None:
-        """Append the present state to a log."""
+        """Append the plant's present state to a log, as the state at a sample."""
         truth.add(sample_index, self._state)
 
 
 def marks_of(model: RigModel) -> dict[str, int]:
-    """Return the places of index and limit switch in true counts, by the names of the fields of `Wires`.
+    """Return the positions of index and limit switch in true counts, by the names of the fields of `Wires`.
 
-    The switch closes halfway between two indices, before the first index: the recommended place.
+    The switch closes halfway between two indices, before the first index: the recommended position.
     """
     encoder, reference = model.encoder, model.reference
     # A limit switch half way between two indices leaves the most room to either side.
@@ -310,13 +315,13 @@ class Noise:
         self.refill()
 
     def refill(self) -> None:
-        """Draw a new block if the last one is used up."""
+        """Draw a new block of noise values if the last block is used up."""
         if self._rms_a != 0.0 and self.left == 0:
             self.drawn = self._generator.normal(0.0, self._rms_a, _NOISE_BLOCK)
             self.left = _NOISE_BLOCK
 
     def next(self) -> float:
-        """Return the noise of one sample (A)."""
+        """Return the noise of the current sensor for one sample (A)."""
         if self._rms_a == 0.0:
             return 0.0
         self.refill()

@@ -43,7 +43,7 @@ _call = native_call(2)  # half a tick: (device, words), both by address
 
 @group
 class Lockstep(NamedTuple):
-    """A compiled device.
+    """A compiled device: addresses of its functions and of its memory.
 
     `drive`, `sample`, `receive` and `take` are the addresses of its functions (lockstep.h and host.h of the firmware),
     `device` and `address` those of the device and of its words; `words` is the shared memory itself.
@@ -65,12 +65,13 @@ class Wires(NamedTuple):
     Attributes
     ----------
     effort_quantum, ampere_per_effort, quantum_a
-        Effort of one quantum of commanded current (N·m or N), current for one unit of effort (A), and size of one
-        quantum of measured current (A).
+        Effort of one quantum of commanded current (N·m or N), current for one unit of effort (A per N·m or N), and size
+        of one quantum of measured current (A).
     external_effort, slip, leak
-        Same as the attributes of `sim_backend.board.hardware.Hardware`.
+        External effort on the link (N·m or N), encoder count minus true count, and offset of the measured current
+        (quanta).
     index_first, index_counts
-        True count of an index, and counts between two indices; 0: no index.
+        True count of an index of the encoder, and counts between two indices; 0: no index.
     switch_count, switch_way
         The limit switch is pressed from this true count on, in this direction of counting (±1); 0: no limit switch.
     """
@@ -92,9 +93,10 @@ Words = NDArray[np.int64] | memoryview
 
 @rule
 def sense(words: Words, count: int, wires: Wires) -> None:
-    """Update index and limit switch in `words` for a new true count.
+    """Update encoder index and limit switch in `words` for the true count `count`.
 
-    An index is one count wide. It is latched at its first edge, in either direction of motion.
+    An index is one count wide. The device stores the count at the first edge of an index, in either direction of
+    motion.
     """
     before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
     words[TRUE_COUNT] = count
@@ -113,7 +115,7 @@ def sense(words: Words, count: int, wires: Wires) -> None:
 
 @group
 class Supplies(NamedTuple):
-    """Buffers that ticks use up.
+    """Buffers that ticks use up: noise values, and space for the recorded true states.
 
     Attributes
     ----------
@@ -133,7 +135,7 @@ class Supplies(NamedTuple):
 
 @kernel(types.void(PLANT_TYPE), inline=True)
 def cut(plant: PlantArguments) -> None:
-    """Disable the amplifier; commands that were delayed are lost too."""
+    """Disable the amplifier: commands that do not act yet because of the plant's delay are lost too."""
     for i in range(plant.edge_age + 1, len(plant.state)):
         plant.state[i] = 0.0
 

@@ -17,7 +17,7 @@ from sim_backend.board.firmware_library import library
 def make_device(
     model: RigModel, firmware: bool | None, **options: Any
 ) -> tuple[SimulatedDevice | FirmwareDevice, tuple[str, ...]]:
-    """Return the device that simulates a rig, and messages about restrictions, each with its remedy.
+    """Return the device that simulates a rig, and messages about its restrictions, each with a remedy.
 
     Parameters
     ----------

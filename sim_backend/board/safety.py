@@ -1,7 +1,7 @@
 """Keep the simulated device safe whatever its host sends: watchdog, limits, monitors, fault memory.
 
-It implements the "Safety duties of the device" of PROTOCOL.md in integer counts, current quanta and device time, like a
-firmware, and must not depend on frames, clocks or the plant.
+The file implements the "Safety duties of the device" of PROTOCOL.md in integer counts, current quanta and device time,
+as the firmware does, and must not depend on frames, clocks or the plant.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ _ZERO_UNIT = 256
 
 
 def flat(kind: type, size: int) -> Any:
-    """Return `size` zeros as a memory view, whose items Python reads and writes faster than those of an array."""
+    """Return `size` zeros of a numpy type as a memory view, which Python reads and writes faster than an array."""
     return memoryview(np.zeros(size, kind))  # type: ignore[arg-type]
 
 
@@ -115,13 +115,16 @@ def flat(kind: type, size: int) -> Any:
 
 
 def idle(rules: Ints, now: int) -> None:
-    """Set the wanted current to zero and restart the watchdog with its longer time, as after ARM and after STOP."""
+    """Set the wanted current to zero and restart the watchdog with its longer time, as after ARM and after STOP.
+
+    `now` is the device time (1/16 µs), `rules` the memory of the limits.
+    """
     rules[AT.lost] = 0
     feed(rules, now, 0, _IDLE_LIFETIME, 0)
 
 
 def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
-    """Store a command's current (quanta); after `lifetime` it falls to zero within `ramp` (both in 1/16 µs)."""
+    """Store a command's current (quanta); after `lifetime` it falls to zero within `ramp` (all times in 1/16 µs)."""
     rules[AT.wanted] = current
     rules[AT.expires] = now + lifetime
     rules[AT.ramp] = ramp
@@ -129,9 +132,9 @@ def feed(rules: Ints, now: int, current: int, lifetime: int, ramp: int) -> None:
 
 
 def compute_wanted(rules: Ints, until: int) -> int:
-    """Return the wanted current (quanta) for a tick that ends at device time `until`.
+    """Return the wanted current (quanta) for a tick that ends at device time `until` (1/16 µs).
 
-    It is that of the last command while that is valid; then it falls to zero along a ramp.
+    The wanted current is that of the last command while the command is valid; then it falls to zero along a ramp.
     """
     # Effort is held over a tick, so judge at the tick's end: the current is exactly zero when the ramp ends, not a tick
     # later.
@@ -155,7 +158,7 @@ def compute_wanted(rules: Ints, until: int) -> int:
 
 
 def warm(heat: Floats, measured: int) -> None:
-    """Update the thermal model by one tick with the measured current (quanta): first-order lag of its square (I²t)."""
+    """Update the motor's thermal model (I²t) by one tick: a first-order lag of the square of `measured` (quanta)."""
     heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
 
 
@@ -165,7 +168,10 @@ def is_overheated(heat: Floats) -> bool:
 
 
 def configure_heat(heat: Floats, continuous_current: float, time_constant_s: float, rate: float) -> None:
-    """Set the thermal budget (from the continuous current in quanta) and the lag, for `rate` ticks a second."""
+    """Set budget and lag of the thermal model, for `rate` ticks in a second.
+
+    The budget is the square of `continuous_current` (quanta), the lag follows from the winding's time constant (s).
+    """
     # Only the budget changes: a motor does not cool by being configured. The budget is the steady rise under the
     # continuous current, which is its square in these units.
     heat[BUDGET] = float(continuous_current) ** 2
@@ -173,7 +179,7 @@ def configure_heat(heat: Floats, continuous_current: float, time_constant_s: flo
 
 
 def _fade_unconfirmed(rules: Ints, wanted: int) -> int:
-    """Return the current (quanta), faded to zero if the count stays on two neighbours for longer than `confirm_ms`."""
+    """Return the wanted current (quanta), faded to zero if the encoder shows no motion for longer than `confirm_ms`."""
     # A dead encoder and a hand that holds still look alike on two channels; with one channel dead the other one toggles
     # the count between two neighbours, whatever the handle does. The effort returns after a wanted effort of zero.
     if wanted == 0 or rules[AT.confirm] == 0:
@@ -214,7 +220,7 @@ def limit_current(rules: Ints, heat: Floats, wanted: int) -> int:
 
 
 def remove_zero(rules: Ints, measured: int, off: bool) -> int:
-    """Return measured current minus the sensor's zero (quanta); while the amplifier is `off`, adapt that zero."""
+    """Return the measured current minus the sensor's zero (quanta); adapt the zero while the amplifier is `off`."""
     if off:
         step = measured * _ZERO_UNIT - rules[AT.zero]
         step = step // ZERO_TICKS if step > 0 else -(-step // ZERO_TICKS)
@@ -228,9 +234,10 @@ def remove_zero(rules: Ints, measured: int, off: bool) -> int:
 def check(
     rules: Ints, heat: Floats, counts: Ints, currents: Ints, count: int, current: int, measured: int
 ) -> int:
-    """Run the monitors on one tick and return the detected faults as bits ``1 << code``.
+    """Run the safety monitors on one tick; return the detected faults as bits ``1 << code``.
 
-    `count` is the count at the end of the tick, `current` and `measured` are active and measured current (quanta).
+    `count` is the encoder count at the end of the tick, `current` and `measured` are active and measured current
+    (quanta).
     """
     slot, ticks = rules[AT.slot], rules[AT.ticks]
     moved = count - counts[slot]
@@ -265,22 +272,25 @@ def check(
 
 
 def is_in_window(rules: Ints, count: int) -> bool:
-    """Return True if a count lies in the position window."""
+    """Return True if an encoder count lies in the position window."""
     return bool(rules[AT.first] <= count <= rules[AT.last])
 
 
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
     """Return the runaway fault bit if a large effort has lasted too long without encoder motion, else 0.
 
-    It counts the ticks of large effort in the direction of motion (`AT.driven`, for the speed check), and those during
-    which the count stayed on two neighbouring values (`AT.still`): a dead encoder channel shows any motion like that.
+    `current` is the active current (quanta), `moved` the change of the count in the window of the speed check, and
+    `stood`
+    is True if the count stayed on two neighbouring values.
     """
     # LARGEST_SHARE times the threshold in whole quanta: no rounding, as in the firmware.
     if LARGEST_SHARE * abs(current) <= rules[AT.large]:
         rules[AT.driven] = rules[AT.still] = 0
         return 0
     push = 1 if current > 0 else -1
+    # For the speed check: ticks of large effort in the direction of motion.
     rules[AT.driven] = rules[AT.driven] + 1 if push * rules[AT.sign] * moved > 0 else 0
+    # Two neighbouring counts, not one: an encoder with a dead channel shows any motion as that.
     # A push whose sign alternates drives the handle nowhere: counting begins anew.
     rules[AT.still] = rules[AT.still] + 1 if stood and push == rules[AT.pushed] else 0
     rules[AT.pushed] = push
@@ -288,7 +298,7 @@ def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
 
 
 class Safety:
-    """Memory and settings of watchdog, limits and monitors.
+    """Memory and settings of the device's watchdog, limits and monitors.
 
     Parameters
     ----------
@@ -298,11 +308,11 @@ class Safety:
     Attributes
     ----------
     rules
-        Integers of all rules; `AT` names their indices.
+        Integers of watchdog, limits and monitors; `AT` names their indices.
     heat
         Thermal model: heat and budget (quanta²), and decay for each tick (a ratio), at `HEAT`, `BUDGET`, `DECAY`.
     counts
-        Counts in the window of the speed check, a ring buffer.
+        Encoder counts in the window of the speed check, a ring buffer.
     currents
         Memory of the comparison of commanded and measured current (`rig.control.current`).
     """
@@ -316,7 +326,7 @@ class Safety:
         self.rules[AT.ticks] = 1
 
     def configure(self, values: Mapping[str, Value], count: int) -> None:
-        """Set limits and thresholds from the values of a parameter block; the speed check begins at `count`."""
+        """Set limits and thresholds from parameters by name; the speed check begins at the encoder count `count`."""
         rules, rate = self.rules, int(values["position_rate"])
         configure_heat(self.heat, values["continuous_current"], values["thermal_time_constant"], rate)
         rules[AT.limit] = int(values["current_limit"])
@@ -357,7 +367,7 @@ class Safety:
 def remember(
     rules: Ints, ring: Ints, index: int, count: int, current: int, measured: int, flags: int
 ) -> None:
-    """Append a tick (the values of a `FaultEntry`) to the ring buffer, unless a latched fault has frozen it."""
+    """Append a tick (the values of a `FaultEntry`) to the ring buffer, unless a latched fault has frozen the buffer."""
     # Frozen at the first fault: what came before it is worth more than what followed.
     if rules[AT.fault] == 0:
         at = rules[AT.remembered] % RING_TICKS * _ENTRY
@@ -381,7 +391,7 @@ class FaultMemory:
         self.forget()
 
     def forget(self) -> None:
-        """Clear all faults and remembered ticks, as after a reset."""
+        """Clear all faults and remembered ticks, as after a reset of the device."""
         self.clear()
         self._rules[AT.remembered] = 0
         self._first = Fault.NONE
@@ -395,7 +405,10 @@ class FaultMemory:
         return Fault(self._rules[AT.fault])
 
     def latch(self, faults: int, time: int) -> None:
-        """Record faults (bits ``1 << code``); if none was latched, latch the gravest and keep the ticks before it."""
+        """Record faults (bits ``1 << code``) at device time `time` (1/16 µs).
+
+        If no fault was latched, latch the gravest and store the ticks before it for the fault log.
+        """
         if not self.latched:
             self._first = _gravest(faults)
             self._rules[AT.fault] = self._first
@@ -412,7 +425,7 @@ class FaultMemory:
         self._rules[AT.fault] = Fault.NONE
 
     def page(self, request: m.GetFaultLog) -> m.FaultLog:
-        """Return the requested page of the fault log."""
+        """Return the reply to a GET_FAULT_LOG: the requested page of the fault log."""
         entries = [
             m.FaultEntry(*entry) for entry in self._frozen[request.first : request.first + _PAGE_ENTRIES]
         ]
@@ -428,7 +441,7 @@ class FaultMemory:
 
 
 def _gravest(faults: int) -> Fault:
-    """Return the first of the faults in `GRAVITY`, else the one with the lowest code."""
+    """Return the gravest of the faults (bits ``1 << code``) by `GRAVITY`, else the fault with the lowest code."""
     for fault in GRAVITY:
         if faults & 1 << fault:
             return fault
@@ -436,7 +449,10 @@ def _gravest(faults: int) -> Fault:
 
 
 def large_effort(model: RigModel, limit: int) -> int:
-    """Return `LARGEST_SHARE` times the current above which a rig must move (quanta); `limit` is `current_limit`."""
+    """Return `LARGEST_SHARE` times the current above which a rig must move (quanta).
+
+    `limit` is the parameter `current_limit` (quanta).
+    """
     mechanics = moved_mechanics(model)
     large = LARGEST_SHARE * mechanics.friction / mechanics.effort_quantum + FRICTION_SHARE * limit
     return min(int(large), LARGEST_SHARE * limit)
@@ -446,7 +462,7 @@ def stall_time(model: RigModel, current: float) -> float:
     """Return the time (s) within which a steady current (quanta) must move a free rig by one encoder edge; ∞ if never.
 
     The effort minus friction and weight moves the whole inertia by `rig.core.board.STALL_COUNTS`; viscous damping and
-    electrical lag add to the time. Do not use it with `hold_to_run`: a person may hold the handle still.
+    electrical lag add to the time. Do not use the result with `hold_to_run`: a person may hold the handle still.
     """
     m = moved_mechanics(model)
     effort = min(current * m.effort_quantum, m.effort_limit) - m.friction

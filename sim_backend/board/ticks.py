@@ -79,7 +79,7 @@ class DeviceMemory(NamedTuple):
     Attributes
     ----------
     words
-        Words that `lockstep` names, followed by those that `OWN` names.
+        Integers whose indices `lockstep` names, followed by those that `OWN` names.
     rules, heat, counts, currents
         Same arrays as in `sim_backend.board.safety.Safety`.
     ring
@@ -98,7 +98,7 @@ class DeviceMemory(NamedTuple):
 
 
 def drive(board: DeviceMemory) -> int:
-    """Begin a tick; return the motor current during it (quanta)."""
+    """Begin a tick of the device; return the motor current during this tick (quanta)."""
     words, rules = board.words, board.rules
     words[OWN.found] = words[CUTS] = words[OWN.sync] = words[OWN.driven] = 0
     if words[OWN.protocol_state] != _ARMED and words[OWN.protocol_state] != _RUNNING:
@@ -124,7 +124,7 @@ def drive(board: DeviceMemory) -> int:
 
 
 def sample(board: DeviceMemory) -> None:
-    """End a tick: run the monitors on its sample, which the caller has stored in the words."""
+    """End a tick of the device: run the safety monitors on its sample, which the caller has stored in `board.words`."""
     words, rules = board.words, board.rules
     count, current = words[COUNT], words[OWN.driven]
     armed = words[OWN.protocol_state] == _ARMED or words[OWN.protocol_state] == _RUNNING
@@ -144,12 +144,12 @@ def sample(board: DeviceMemory) -> None:
 
 
 def time_of(words: Ints, index: int) -> int:
-    """Return the device time of sample `index` (1/16 µs), computed from its number so that rounding does not add up."""
+    """Return the device time of sample number `index` (1/16 µs), without accumulated rounding."""
     return int(words[OWN.grid_time] + (index - words[OWN.grid_index]) * UNITS_PER_SECOND // words[OWN.rate])
 
 
 def report(board: DeviceMemory) -> bool:
-    """Fill in the fields of a STATE and return True if one is due, else return False."""
+    """Fill in the fields of a STATE in `board.state` and return True if a STATE is due, else return False."""
     words, state = board.words, board.state
     index, time = words[SAMPLE_INDEX], words[TIME]
     if not words[SESSION]:
@@ -178,7 +178,7 @@ def report(board: DeviceMemory) -> bool:
 
 
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
-    """Return the lifetime of a COMMAND (1/16 µs): its own, limited to that of the parameters for its mode."""
+    """Return the lifetime of a COMMAND (1/16 µs): `lifetime_us` (µs), at most the device's parameter for the mode."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
@@ -200,7 +200,10 @@ def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, a
 
 
 def obey(board: DeviceMemory, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
-    """Activate a COMMAND: STOP sets the current to zero at once, SUPERVISE feeds the watchdog without a current."""
+    """Activate a COMMAND: STOP sets the current to zero at once, SUPERVISE feeds the watchdog without a current.
+
+    `current` is the commanded current (quanta), `flags` the sync outputs (`Sync`), `lifetime_us` the lifetime (µs).
+    """
     words = board.words
     words[OWN.command_sequence], words[OWN.command_index] = sequence, words[SAMPLE_INDEX]
     words[OWN.command_sync] = words[CUTS] = 0

@@ -1,4 +1,4 @@
-"""``python -m sim_backend.drives``: serve a simulated drive, print what a host opens."""
+"""``python -m sim_backend.drives``: serve a simulated drive, and print the port or bus that a host opens."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ assert sys.platform == "linux"
 
 
 def main() -> int:
-    """Serve a simulated drive until a signal ends it; return the exit status."""
+    """Serve a simulated drive until a signal ends the program; return its exit status."""
     program.begin()
     parser = argparse.ArgumentParser(prog="python -m sim_backend.drives", description=__doc__)
     parser.add_argument("kind", choices=("moteus", "odrive"))

@@ -1,4 +1,4 @@
-"""Define a frame on a CAN bus and the interfaces of simulated drives and of the adapters that carry frames to them."""
+"""Define a frame on a CAN bus, and the interfaces of simulated drives and of the adapters that carry frames to them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import NamedTuple, Protocol
 
 
 class Frame(NamedTuple):
-    """Frame on a CAN bus.
+    """A frame on a CAN bus: identifier and data bytes.
 
     `extended` marks a 29-bit identifier, `remote` a request for the frame of that identifier. `error` marks a report of
-    the CAN controller about the bus; its identifier is an error class of include/uapi/linux/can/error.h.
+    the
+    CAN controller about the bus; its identifier is an error class of include/uapi/linux/can/error.h.
     """
 
     identifier: int
@@ -20,14 +21,14 @@ class Frame(NamedTuple):
 
 
 class DriveModel(Protocol):
-    """Simulated drive with its rig, in simulated time, which passes only in `run`.
+    """A simulated drive with its rig, in simulated time, which passes only in `run`.
 
     Attributes
     ----------
     rate_hz
-        Ticks a second.
+        Ticks of the drive in a second (Hz).
     ticks
-        Ticks that have passed since power-up.
+        Number of ticks since power-up.
     next_due
         Tick at which the drive sends its next unrequested frame; None if it sends only replies.
     """
@@ -37,46 +38,46 @@ class DriveModel(Protocol):
 
     @property
     def next_due(self) -> int | None:
-        """Return the tick of the next unrequested frame, or None."""
+        """Return the tick of the next frame that the drive sends without a request, None without such frames."""
         ...
 
     def run(self, until: int) -> list[Frame]:
-        """Simulate up to tick `until`; return the unrequested frames that the drive sends meanwhile."""
+        """Simulate the drive up to tick `until`; return the frames that it sends meanwhile without a request."""
         ...
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Process a frame at the present time; return the replies."""
+        """Process a frame from the bus at the present time; return the drive's replies."""
         ...
 
     @property
     def events(self) -> frozenset[str]:
-        """Return the names of the events that `happen` accepts."""
+        """Return the names of the external events that `happen` accepts."""
         ...
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Apply an external event to the drive; return the frames of other hosts that it puts on the bus."""
+        """Apply an external event to the drive by name; return the frames that the event puts on the bus."""
         ...
 
 
 class Splitter(Protocol):
-    """Splitter of a byte stream into units: lines or frames."""
+    """A splitter of a byte stream into units: lines of text, or binary frames."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the complete units received so far; keep the rest for the next call."""
+        """Return the units that are complete after `data`, oldest first; store the rest for the next call."""
         ...
 
 
 class SimulatedAdapter(Protocol):
-    """Converter between units of a byte stream (lines or binary frames) and CAN frames."""
+    """A converter between units of a byte stream (lines or binary frames) and CAN frames."""
 
     def splitter(self) -> Splitter:
-        """Return a new splitter for the host's bytes."""
+        """Return a new splitter for the bytes that the host sends."""
         ...
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the frame in a unit from the host (or None), and the adapter's own replies to the unit."""
+        """Return the CAN frame in a unit from the host (None without one), and the adapter's own replies to it."""
         ...
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the units that carry a frame to the host."""
+        """Return the units of the byte stream that carry a CAN frame to the host."""
         ...

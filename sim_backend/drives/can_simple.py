@@ -1,4 +1,4 @@
-"""Name the messages of ODrive's CAN Simple, firmware 0.6, and where their fields lie. All numbers are little-endian.
+"""Define the messages of ODrive's protocol CAN Simple (firmware 0.6) and the layout of their fields (little-endian).
 
 Source: docs.odriverobotics.com, manual/can-protocol, read in part; the fields are those of the maker's library for
 Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp).
@@ -14,7 +14,7 @@ NODE_BITS = 5
 
 
 class CanSimpleCommand(IntEnum):
-    """Command of a CAN Simple message: the lower five bits of its identifier."""
+    """Command of a CAN Simple message: the lower five bits of its CAN identifier."""
 
     GET_VERSION = 0x00
     HEARTBEAT = 0x01
@@ -46,7 +46,7 @@ class CanSimpleCommand(IntEnum):
 
 
 class AxisState(IntEnum):
-    """Simulated states of an ODrive axis; numbers of ODriveArduino, src/ODriveEnums.h."""
+    """State of an ODrive's axis, those that are simulated; numbers of ODriveArduino, src/ODriveEnums.h."""
 
     UNDEFINED = 0
     IDLE = 1
@@ -54,7 +54,7 @@ class AxisState(IntEnum):
 
 
 class Error(IntEnum):
-    """Error bits of an ODrive, used for active errors and for the disarm reason; ODriveArduino, src/ODriveEnums.h."""
+    """Error bit of an ODrive, for active errors and for the disarm reason; ODriveArduino, src/ODriveEnums.h."""
 
     INITIALIZING = 0x00000001
     MISSING_ESTIMATE = 0x00000008
@@ -68,7 +68,7 @@ class Error(IntEnum):
 
 
 class Result(IntEnum):
-    """Result of the last state request; ODriveArduino, src/ODriveEnums.h."""
+    """Result of the host's last request for an axis state; ODriveArduino, src/ODriveEnums.h."""
 
     SUCCESS = 0
     DISARMED = 3

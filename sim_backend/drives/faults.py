@@ -1,4 +1,4 @@
-"""Parse the faults of a simulated run, such as ``drop to=host frame=12`` or ``fault value=33 tick=300``.
+"""Parse the scripted faults of a simulated drive, such as ``drop to=host frame=12`` or ``fault value=33 tick=300``.
 
 The first word is a `rig.devices.fault_script.FaultKind`, which acts on one unit of the line (a line of text or a CAN
 frame), an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), ``stale`` or ``host-bus-off``.
@@ -28,7 +28,7 @@ _EXAMPLE = 'like "drop to=host frame=12" or "fault value=33 tick=300"'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveEvent:
-    """Event that acts on a drive just before it receives unit `frame` from the host, or at `tick` milliseconds."""
+    """An event that acts on a drive just before it receives unit number `frame` from the host, or at `tick` (ms)."""
 
     name: str
     value: float = 0.0
@@ -38,13 +38,13 @@ class DriveEvent:
 
 @dataclass(frozen=True, slots=True)
 class DriveScript:
-    """Faults of a run: those of the line and those of the drive."""
+    """The scripted faults of a run: faults of the line (`frames`), and events that act on the drive (`events`)."""
 
     frames: tuple[FrameFault, ...] = ()
     events: tuple[DriveEvent, ...] = ()
 
     def on_a_can_bus(self) -> DriveScript:
-        """Return this script for a CAN bus, where a damaged frame fails its CRC: damage becomes a dropped frame."""
+        """Return this script for a CAN bus: it drops a damaged frame, because that frame would fail its CRC."""
         damaged = (FaultKind.CORRUPT, FaultKind.TRUNCATE)
         frames = (
             replace(fault, kind=FaultKind.DROP) if fault.kind in damaged else fault for fault in self.frames
@@ -52,17 +52,17 @@ class DriveScript:
         return replace(self, frames=tuple(frames))
 
     def check(self, known: Iterable[str]) -> None:
-        """Raise `ConfigError` if an event is not in `known`, the events of the drive."""
+        """Raise `ConfigError` if the script has an event that is not in `known`, the names of the drive's events."""
         for event in self.events:
             if event.name not in {STALE, HOST_BUS_OFF, *known}:
                 raise ConfigError(
-                    f"fault {event.name} does not exist for this drive",
+                    f"the fault {event.name!r} does not exist for this drive",
                     remedy=f"choose one of {', '.join(known)}",
                 )
 
     @classmethod
     def of(cls, texts: Iterable[str]) -> DriveScript:
-        """Parse a script, one fault for each text; raise `ConfigError` for an invalid fault."""
+        """Return the script with one fault for each of `texts`; raise `ConfigError` for an invalid text."""
         found = [_read(text) for text in texts]
         return cls(
             frames=tuple(one for one in found if isinstance(one, FrameFault)),
@@ -76,7 +76,7 @@ def _read(text: str) -> FrameFault | DriveEvent:
     to = given.pop("to", "host")
     if ("frame" in given) == ("tick" in given) or to not in _DIRECTIONS:
         raise ConfigError(
-            f"fault {text!r} needs exactly one of frame and tick, and to must be host or device",
+            f"fault {text!r} must have either frame= or tick=, not both, and to= must be host or device",
             remedy=f"write it {_EXAMPLE}",
         )
     try:

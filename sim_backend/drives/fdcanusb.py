@@ -30,7 +30,7 @@ _CRC = _table()
 
 
 def checksum(text: bytes) -> int:
-    """Return the CRC-8 of a line up to the ``*``, with the space before it."""
+    """Return the CRC-8 of a line of text up to the ``*``, including the space before it."""
     crc = 0
     for byte in text:
         crc = _CRC[crc ^ byte]
@@ -38,22 +38,22 @@ def checksum(text: bytes) -> int:
 
 
 def seal(text: bytes) -> bytes:
-    """Append the checksum of the adapter's protocol to a line."""
+    """Return a line of text with its checksum appended, as the adapter's protocol requires."""
     return b"%b *%02X" % (text, checksum(text + b" "))
 
 
 class _RefusedError(Exception):
-    """The line is invalid; the reply is ERR with the text of this exception."""
+    """The line from the host is invalid; the reply is ERR with the text of this exception."""
 
 
 class LineSplitter:
-    """Splitter of a byte stream into lines."""
+    """A splitter of a byte stream into lines of text."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the complete lines received so far, each with a line feed; keep the rest."""
+        """Return the lines that are complete after `data`, each with a line feed; store the rest for the next call."""
         *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""
@@ -61,7 +61,7 @@ class LineSplitter:
 
 
 class Uart:
-    """Serial port on the board of a moteus.
+    """The serial port on the board of a moteus, which carries CAN frames as lines of text.
 
     Parameters
     ----------
@@ -74,11 +74,11 @@ class Uart:
         self._checked = False
 
     def splitter(self) -> LineSplitter:
-        """Return a new splitter for the host's bytes."""
+        """Return a new splitter for the bytes that the host sends."""
         return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the frame in a line from the host (or None), and the adapter's replies to the line."""
+        """Return the CAN frame in a line from the host (None without one), and the port's own replies to it."""
         try:
             frame = self._frame(unit.rstrip())
         except _RefusedError as refused:
@@ -105,12 +105,12 @@ class Uart:
         return Frame(identifier & 0xFFFF, data[:DATA_BYTES])
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the line that carries a frame to the host."""
+        """Return a list with the line of text that carries a CAN frame to the host."""
         identifier = self._prefix << 16 | frame.identifier
         return self._format_answer(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
 
     def _remove_checksum(self, line: bytes) -> bytes:
-        """Return a line without its checksum; raise `_RefusedError` if it is wrong, or missing after a first one."""
+        """Return a line without its checksum; raise `_RefusedError` if that is wrong, or missing after a first one."""
         text, star, digits = line.rpartition(b"*")
         claimed = _hex(digits) if star and len(digits) == 2 else None
         # A checksum is optional until one has come; from then on each command needs one and each answer has one.
@@ -126,14 +126,14 @@ class Uart:
 
 
 class Fdcanusb:
-    """USB adapter fdcanusb, which is connected to the bus (``can on``)."""
+    """The USB adapter fdcanusb, which is connected to the CAN bus (as after ``can on``)."""
 
     def splitter(self) -> LineSplitter:
-        """Return a new splitter for the host's bytes."""
+        """Return a new splitter for the bytes that the host sends."""
         return LineSplitter()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the frame in a line from the host (or None), and the adapter's replies to the line."""
+        """Return the CAN frame in a line from the host (None without one), and the adapter's own replies to it."""
         line = unit.rstrip()
         try:
             frame = None if line in {b"can on", b"can off"} else self._frame(line)
@@ -162,7 +162,7 @@ class Fdcanusb:
         return Frame(identifier & 0xFFFF, pad(data, NOP))
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the line that carries a frame to the host."""
+        """Return a list with the line of text that carries a CAN frame to the host."""
         identifier = b"%X" % frame.identifier
         # The adapter prints whole bytes: an even number of hexadecimal digits.
         identifier = identifier.zfill(len(identifier) + len(identifier) % 2)

@@ -1,7 +1,7 @@
-"""Simulate a moteus drive: it receives and sends frames, and its shaft moves a simulated rig.
+"""Simulate a moteus drive: it receives and sends CAN frames, and its shaft moves a simulated rig.
 
-It follows docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and the firmware of that
-commit (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` computes a control cycle,
+The file follows docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and the firmware of
+that commit (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` computes a control cycle,
 `moteus_registers` lists the registers, `moteus_settings` contains configuration and console.
 """
 
@@ -82,7 +82,7 @@ OTHER_MASTER = 2  # source of the frames of a second host, where one is simulate
 
 @dataclass(frozen=True, slots=True)
 class MoteusOptions:
-    """State of a moteus drive at power-up.
+    """State of a moteus drive at power-up: stored settings, version, serial number, supply.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class MoteusOptions:
 
 
 class SimulatedMoteus:
-    """A simulated moteus with its rig; it implements `sim_backend.drives.bus.DriveModel`.
+    """A simulated moteus with its rig, as a `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ class SimulatedMoteus:
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
                 raise ConfigError(
-                    f"{name} = {text} is not a setting of a simulated moteus",
-                    remedy=f"choose one of {', '.join(self.settings.values)}",
+                    f"{name} = {text} is not valid: unknown setting of a simulated moteus, or not a number",
+                    remedy=f"give a number for one of {', '.join(self.settings.values)}",
                 )
         self.settings.store()
         self._console = DiagnosticChannel(self.settings, self._run_console_command)
@@ -169,7 +169,7 @@ class SimulatedMoteus:
     # ------------------------------------------------------------------ time
 
     def run(self, until: int) -> list[Frame]:
-        """Simulate up to tick `until`; return no frames, because a moteus sends only replies."""
+        """Simulate the drive up to tick `until`; return no frames, because a moteus sends only replies."""
         if until > self.ticks:
             self.motor.run(until - self.ticks)
             self.ticks = until
@@ -177,14 +177,15 @@ class SimulatedMoteus:
 
     @property
     def events(self) -> frozenset[str]:
-        """Return the names of the events that `happen` accepts."""
+        """Return the names of the external events that `happen` accepts."""
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Apply an external event to the drive; return the frames that this puts on the bus.
+        """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
-        Events are those of any drive (`Motor.happenings`; ``fault`` is a fault code), ``mode`` (the console commands a
-        mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on the bus).
+        Events are those of any drive (`Motor.happenings`; the value of ``fault`` is a fault code), ``mode`` (the
+        console
+        commands a mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on the bus).
         """
         return self._happenings()[name](value) or []
 
@@ -214,7 +215,7 @@ class SimulatedMoteus:
         return int(self.settings.values["id.id"])
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Process a frame at the present time and return the reply: at most one frame."""
+        """Process a CAN frame at the present time and return the reply: at most one frame."""
         destination, source = frame.identifier & 0xFF, frame.identifier >> 8 & 0xFF
         if destination not in {self._id, BROADCAST}:
             return []
@@ -270,7 +271,10 @@ class SimulatedMoteus:
         return reply(part.first, part.kind, values)
 
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
-        """Return the value of a register, scaled for a frame; None if it cannot be read with this integer type."""
+        """Return the value of a register, scaled for a frame as the type `kind`; None if it cannot be read so.
+
+        `words` is the memory of the drive's law.
+        """
         if register in self._numbers:
             return self._numbers[register] if kind == INT32 else None
         other = self._others.get(register)
@@ -280,7 +284,7 @@ class SimulatedMoteus:
         return value if kind == FLOAT else unscale(value, kind, steps)
 
     def _list_computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
-        """Return function and scale of each register that is computed from several words, or is constant here."""
+        """Return function and scale of each register, by number, that is computed from several words or is constant."""
 
         def turns(w: list[float]) -> float:
             rotor = w[W.filtered] / w[W.counts_per_turn]
@@ -380,7 +384,7 @@ class SimulatedMoteus:
         return True
 
     def _apply_command(self, command: dict[int, float], mode: float) -> None:
-        """Start a complete command (value of each register) in a mode; ignore modes that only the drive may enter."""
+        """Start a command (a value for each command register) in a mode; ignore modes that only the drive may enter."""
         # Fault, enabling and calibrating are entered by the drive alone.
         if mode in range(FAULT, CALIBRATION_COMPLETE + 1):
             return
@@ -429,7 +433,7 @@ class SimulatedMoteus:
         return self._kind == SPI
 
     def _configure(self) -> None:
-        """Copy the settings to the words of the law. They act at once, see docs/reference/configuration.md."""
+        """Copy the settings to the memory of the law. They act at once (docs/reference/configuration.md)."""
         values, words = self.settings.values, self._words
         for word, name in _FOLLOWED.items():
             words[word] = values[name]
@@ -504,5 +508,5 @@ _FOLLOWED: dict[int, str] = {
 
 
 def _to_signed(word: int) -> int:
-    """Return an unsigned 32-bit number as a signed one."""
+    """Return an unsigned 32-bit number as the signed number with the same bits."""
     return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

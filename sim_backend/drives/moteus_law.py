@@ -121,7 +121,7 @@ _FALL = types.void(_V, _F)
 
 @kernel(_FALL, no_refcount=True)
 def _fall(w: Words, fault: float) -> None:
-    """Enter the fault mode, which only a stop command leaves; the first fault stays."""
+    """Enter the fault mode, which only a stop command leaves; the first fault code stays in the memory `w`."""
     if w[W.mode] != FAULT:
         w[W.mode] = FAULT
         w[W.fault] = fault
@@ -209,9 +209,10 @@ def _check_faults(w: Words) -> None:
 
 @kernel(_F(_F, _F, _F, _F, _F), no_refcount=True)
 def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: float) -> float:
-    """Return the acceleration for the fastest approach without overshoot to a target that moves at velocity `goal`.
+    """Return the acceleration (rev/s²) for the fastest approach without overshoot to a moving target.
 
-    `dx` is the distance to the target; `accel` and `top` limit acceleration and speed (revolutions, s).
+    `dx` is the distance to the target (rev), `velocity` and `goal` are the present and the target's velocity (rev/s);
+    `accel` and `top` limit acceleration and speed.
     """
     # Trajectory of fw/bldc_servo_position.h; `ahead` is the speed one cycle later, which must still be stoppable.
     if abs(velocity) > top:
@@ -227,7 +228,7 @@ def _acceleration(dx: float, velocity: float, goal: float, accel: float, top: fl
 
 @kernel(types.void(_V, _F, _F, _F, _F), no_refcount=True)
 def _follow(w: Words, target: float, velocity: float, top: float, accel: float) -> None:
-    """Advance control position and control velocity by one cycle, along a trajectory within the limits.
+    """Advance control position and control velocity by one cycle along a trajectory within the limits (revolutions, s).
 
     `top` and `accel` limit speed and acceleration; if both are NaN, the target is taken over at once. If `target` is
     NaN, only the velocity is followed.
@@ -275,7 +276,10 @@ def _follow(w: Words, target: float, velocity: float, top: float, accel: float) 
 
 @kernel(_F(_V, _F, _F, _F, _F), no_refcount=True)
 def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, feedforward: float) -> float:
-    """Return the output torque (N·m) of the PID controller for control position and velocity, plus feed-forward."""
+    """Return the output torque (N·m) of the PID controller for control position and velocity, plus feed-forward.
+
+    The scales multiply the proportional gain, the derivative gain and the integrator's limit; `feedforward` is in N·m.
+    """
     w[W.error] = w[W.position] - w[W.control_position]
     threshold = w[W.velocity_threshold]
     off = w[W.velocity] - w[W.control_velocity]
@@ -299,7 +303,10 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
 
 @kernel(_F(_V, _F, _F), no_refcount=True)
 def _limit_torque(w: Words, torque: float, most: float) -> float:
-    """Return the torque (N·m) after all limits (`most`: that of the command); set the fault word to one that acts."""
+    """Return `torque` (N·m) after all limits; store the code of an active limit as the fault.
+
+    `most` is the command's own limit (N·m); NaN: no limit.
+    """
     if abs(torque) > most:  # NaN: no limit
         torque = math.copysign(most, torque)
         _limit(w, MAX_TORQUE)
@@ -347,7 +354,7 @@ def _time_out(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _stay_within(w: Words) -> float:
-    """Return feed-forward torque inside the bounds; outside, that of the controller to the violated bound (N·m)."""
+    """Return the feed-forward torque inside the position bounds, the controller's torque to the bound outside (N·m)."""
     # docs/protocol/registers.md, 0x040 and 0x041, and ISR_DoStayWithinBounds (fw/bldc_servo_control.h): no clamp, no
     # trajectory, feed-forward on both sides, the limit of the command last. The scales are not limited, as in fw/pid.h;
     # the page claims a limit for kd's (0x024).
@@ -392,7 +399,10 @@ def _work(w: Words) -> float:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle with encoder count and measured shaft torque (N·m); return the wanted torque (N·m)."""
+    """Compute one control cycle from encoder count and measured shaft torque (N·m); return the wanted torque (N·m).
+
+    `w` is the memory of the drive's law.
+    """
     if w[W.source_valid] != 0.0:
         _filter(w, count)
     # Torque at the output as the drive estimates it, from the true torque at the shaft.

@@ -123,12 +123,15 @@ _FRESH = {register: default for register, (_, default) in _WRITTEN.items()}
 
 
 def fresh_command() -> dict[int, float]:
-    """Return all command registers with their defaults; writing the mode register starts such a command."""
+    """Return the default of every command register by number; a write to the mode register starts with these values."""
     return dict(_FRESH)
 
 
 def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int:
-    """Return register (for a shadow: its original) and value of a write, or the error number if it is not allowed."""
+    """Return register number and scaled value of a write, or the error number if the write is not allowed.
+
+    `kind` is the number's type in the frame, `raw` the number. A shadow register is replaced by its original.
+    """
     register = SHADOWS.get(register, register)
     if register == MODE:
         return (MODE, raw) if 0 <= raw < MODES else UNKNOWN_REGISTER
@@ -140,9 +143,9 @@ def parse_write(register: int, kind: int, raw: float) -> tuple[int, float] | int
 
 
 def read(register: int, kind: int, words: list[float], command: dict[int, float]) -> float | None:
-    """Return the value of a register, scaled for a frame; None if it cannot be read.
+    """Return the value of a register, scaled for a frame as the type `kind`; None if the register cannot be read.
 
-    `words` are the words of `moteus_law`, `command` is the last command by register.
+    `words` is the memory of `moteus_law`, `command` the last command by register number.
     """
     known = _STATUS.get(register)
     if known is not None:

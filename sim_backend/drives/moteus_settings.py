@@ -1,7 +1,8 @@
 """Store the settings of a moteus by name, and simulate the console that reads and changes them.
 
-It follows docs/reference/configuration.md and docs/protocol/diagnostic.md of mjbots/moteus (`conf …`, `tel …`, `d …`),
-with the replies of mjlib/micro/persistent_config.cc. Settings that the simulation does not use are unknown names.
+The file follows docs/reference/configuration.md and docs/protocol/diagnostic.md of mjbots/moteus (`conf …`, `tel …`,
+`d …`), with the replies of mjlib/micro/persistent_config.cc. Settings that the simulation does not use are unknown
+names.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ TORQUE_TIMES_KV = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 
 
 def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
-    """Return the settings of a calibrated drive with this encoder and torque constant (N·m/A at the shaft).
+    """Return the settings of a calibrated moteus by name, for an encoder and a torque constant (N·m/A at the shaft).
 
     With 2¹⁴ counts per turn the encoder is the one on the board, otherwise a quadrature encoder on aux1. If a setting
     of sign is changed later, the drive behaves as calibrated again: a positive torque turns towards greater positions.
@@ -85,7 +86,7 @@ def defaults(counts_per_turn: int, torque_constant: float) -> dict[str, Value]:
 
 
 class MoteusSettings:
-    """Active settings, and those in persistent storage.
+    """The active settings of a moteus, and the settings in its persistent storage.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ class MoteusSettings:
         return True
 
     def store(self) -> None:
-        """Copy the active settings to persistent storage, as ``conf write`` does."""
+        """Copy the active settings to persistent storage, as the console command ``conf write`` does."""
         self._stored = dict(self.values)
 
     def load(self) -> None:
@@ -124,18 +125,18 @@ class MoteusSettings:
         self._updated()
 
     def reset(self) -> None:
-        """Replace the active settings by the maker's, as ``conf default`` does."""
+        """Replace the active settings by the maker's defaults, as ``conf default`` does."""
         self.values = dict(self._factory)
         self._updated()
 
 
 def format_value(value: Value) -> str:
-    """Return a value as the console prints it."""
+    """Return the value of a setting as the drive's console prints it."""
     return str(value) if isinstance(value, int) else f"{value:f}"
 
 
 class DiagnosticChannel:
-    """Console of the drive (diagnostic channel 1): it receives lines and stores its replies.
+    """The console of a moteus (diagnostic channel 1): it receives lines and stores its replies.
 
     Parameters
     ----------
@@ -152,14 +153,14 @@ class DiagnosticChannel:
         self.out = b""
 
     def hear(self, data: bytes) -> None:
-        """Process bytes from the host; a line ends at a carriage return or line feed."""
+        """Process bytes from the host as console input; a line ends at a carriage return or line feed."""
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line.strip():
                 self.out += self._answer(line.decode("latin1").split()).encode("latin1")
 
     def say(self, most: int) -> bytes:
-        """Return and remove at most `most` bytes of the waiting replies."""
+        """Remove and return at most `most` bytes of the console's waiting replies."""
         output, self.out = self.out[:most], self.out[most:]
         return output
 

@@ -60,7 +60,7 @@ class Shaft(NamedTuple):
 
 @group
 class Moving(NamedTuple):
-    """Arguments of `run`: a plant, the script of its hand, and the drive at its shaft."""
+    """A simulated rig with a drive: the plant, the script of its hand, and the drive at its shaft."""
 
     plant: Annotated[PlantArguments, type_of(PlantArguments)]
     script: Annotated[OperatorScript, type_of(OperatorScript)]
@@ -72,13 +72,13 @@ _put, _at = group_at(Moving)
 
 @kernel(types.void(types.int64, type_of(Moving)))
 def put(handle: int, moving: Moving) -> None:
-    """Store rig and drive in the memory at address `handle`."""
+    """Store a rig with its drive in the memory at the address `handle`."""
     _put(handle, moving)
 
 
 @kernel(types.void(types.int64, types.int64), no_refcount=True)
 def run(handle: int, ticks: int) -> None:
-    """Run `ticks` control cycles of the rig and drive that `put` stored at `handle`."""
+    """Simulate `ticks` control cycles of the rig and drive that `put` stored at the address `handle`."""
     moving = _at(handle)
     plant, script, shaft = moving.plant, moving.script, moving.shaft
     places = shaft.places
@@ -96,7 +96,7 @@ def run(handle: int, ticks: int) -> None:
 
 
 class Motor:
-    """A rig at the shaft of a drive, at rest at the start; a person holds it if the model has an operator.
+    """A rig at the shaft of a drive, at rest at the start; a person holds the handle if the model has an operator.
 
     Parameters
     ----------
@@ -172,13 +172,13 @@ class Motor:
         self._sessions += 1
 
     def run(self, ticks: int) -> None:
-        """Run `ticks` control cycles of the drive."""
+        """Simulate `ticks` control cycles of the drive and its rig."""
         run(self._handle, ticks)
 
     def happenings(
         self, words: Any, watchdog: int, reboot: Callable[[], None]
     ) -> dict[str, Callable[[float], None]]:
-        """Return functions that apply an external event to the drive, by name of the event.
+        """Return functions that apply an external event to the drive, by name of the event; each takes a value.
 
         The events of all drives are ``fault`` (a fault code of the drive), ``voltage`` (V), ``temperature`` (°C),
         ``slip`` (counts), ``expire`` (the watchdog expires now) and ``reboot``.
@@ -210,7 +210,7 @@ class Motor:
 
     @property
     def count(self) -> int:
-        """Return the encoder count at the last tick."""
+        """Return the encoder count at the last tick, including the slip."""
         return self._places.item(COUNT) + self._places.item(SLIP)
 
     @property

@@ -1,4 +1,4 @@
-"""Parse and build the register protocol of a moteus: sub-frames in a frame (docs/protocol/can.md of mjbots/moteus).
+"""Parse and build the register protocol of a moteus: sub-frames in a CAN frame (docs/protocol/can.md of mjbots/moteus).
 
 Sub-frames before the first unreadable one are used, the rest of the frame is ignored. The tunnelled stream (0x40 to
 0x42) and its errors are those of mjlib/multiplex/format.h. The form with packet numbers (0x43, 0x44), which the maker's
@@ -24,7 +24,7 @@ _NO_NUMBER = {INT8: -(1 << 7), INT16: -(1 << 15), INT32: -(1 << 31)}  # docs/pro
 
 
 class WriteRegisters(NamedTuple):
-    """Request to write consecutive registers; `raws` are the values as encoded in the frame."""
+    """Sub-frame: write consecutive registers from `first` on; `raws` are the numbers of type `kind` in the frame."""
 
     first: int
     kind: int
@@ -32,7 +32,7 @@ class WriteRegisters(NamedTuple):
 
 
 class ReadRegisters(NamedTuple):
-    """Request to read `number` consecutive registers."""
+    """Sub-frame: read `number` consecutive registers from `first` on, as numbers of type `kind`."""
 
     first: int
     number: int
@@ -40,16 +40,16 @@ class ReadRegisters(NamedTuple):
 
 
 class StreamData(NamedTuple):
-    """Bytes from the host for a channel of the tunnelled stream."""
+    """Sub-frame: bytes from the host for a channel of the tunnelled stream, such as the console."""
 
     channel: int
     data: bytes
 
 
 class StreamPoll(NamedTuple):
-    """Request for at most `most` bytes of a channel of the tunnelled stream.
+    """Sub-frame: request for at most `most` bytes of a channel of the tunnelled stream.
 
-    `acknowledged` is the number of the last packet that the host received; None in the form without numbers.
+    `acknowledged` is the number of the last packet that the host received; None in the form without packet numbers.
     """
 
     channel: int
@@ -95,7 +95,7 @@ class _Reader:
 
 
 def subframes(data: bytes) -> Iterator[Subframe]:
-    """Yield the sub-frames of a frame, up to the first that is invalid."""
+    """Yield the sub-frames in the data of a CAN frame, up to the first that is invalid."""
     reader = _Reader(data)
     try:
         while reader.left:
@@ -126,7 +126,7 @@ def _registers(reader: _Reader, head: int) -> WriteRegisters | ReadRegisters:
 
 
 def varuint(value: int) -> bytes:
-    """Encode a number with seven bits in each byte, lowest bits first; the top bit is set if more bytes follow."""
+    """Return a number as bytes of seven bits each, lowest bits first; the top bit is set if more bytes follow."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -136,26 +136,32 @@ def varuint(value: int) -> bytes:
 
 
 def reply(first: int, kind: int, values: list[float]) -> bytes:
-    """Encode the reply with the values of consecutive registers from `first` on, as numbers of type `kind`."""
+    """Return the sub-frame with the values of consecutive registers from `first` on, as numbers of type `kind`."""
     count = len(values)
     head = bytes((REPLY | kind << 2 | count,)) if count < 4 else bytes((REPLY | kind << 2,)) + varuint(count)
     return head + varuint(first) + struct.pack(f"<{count}{_FORMS[kind][0]}", *values)
 
 
 def error(head: int, register: int, number: int) -> bytes:
-    """Encode the error reply (`WRITE_ERROR` or `READ_ERROR`) for a register; `number` is the error number."""
+    """Return the error sub-frame for a register: `head` is `WRITE_ERROR` or `READ_ERROR`, `number` the error number."""
     return bytes((head,)) + varuint(register) + varuint(number)
 
 
 def scale(raw: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Return the value of a number in a frame; `steps` are the steps as int8, int16, int32, whose minimum is NaN."""
+    """Return the value of a number of type `kind` in a frame; the smallest integer stands for NaN.
+
+    `steps` are the values of one step as int8, int16 and int32.
+    """
     if kind == FLOAT:
         return raw
     return math.nan if raw == _NO_NUMBER[kind] else raw * steps[kind]
 
 
 def unscale(value: float, kind: int, steps: tuple[float, float, float]) -> float:
-    """Return a value as a number for a frame (inverse of `scale`), limited to the range; not finite: the minimum."""
+    """Return a value as a number of type `kind` for a frame, limited to its range; NaN and ∞ give the smallest integer.
+
+    `steps` are the values of one step as int8, int16 and int32.
+    """
     if kind == FLOAT:
         return value
     if not math.isfinite(value):

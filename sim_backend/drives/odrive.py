@@ -103,7 +103,7 @@ _CYCLIC = {
 
 @dataclass(frozen=True, slots=True)
 class OdriveOptions:
-    """State of an ODrive at power-up.
+    """State of an ODrive at power-up: saved parameters, version, serial number, supply.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class OdriveOptions:
 
 
 class SimulatedOdrive:
-    """A simulated, calibrated ODrive with its rig; it implements `sim_backend.drives.bus.DriveModel`.
+    """A simulated, calibrated ODrive with its rig, as a `sim_backend.drives.bus.DriveModel`.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class SimulatedOdrive:
         return min(due, default=None)
 
     def run(self, until: int) -> list[Frame]:
-        """Simulate up to tick `until`; return the cyclic messages that the drive sends meanwhile."""
+        """Simulate the drive up to tick `until`; return the cyclic messages that it sends meanwhile."""
         sent: list[Frame] = []
         while self.ticks < until:
             due = self.next_due
@@ -209,13 +209,14 @@ class SimulatedOdrive:
 
     @property
     def events(self) -> frozenset[str]:
-        """Return the names of the events that `happen` accepts."""
+        """Return the names of the external events that `happen` accepts."""
         return frozenset(self._happenings())
 
     def happen(self, name: str, value: float) -> list[Frame]:
-        """Apply an external event to the drive; return the frames that this puts on the bus.
+        """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
-        Events are those of any drive (`Motor.happenings`; ``fault`` has error bits), ``mode`` (the control mode
+        Events are those of any drive (`Motor.happenings`; the value of ``fault`` is error bits), ``mode`` (the control
+        mode
         changes), ``master`` (a second host commands a torque in N·m; its frame is on the bus), ``estop`` and
         ``bus-off`` (the drive's CAN controller is off for the given number of seconds; 0: for ever).
         """
@@ -249,7 +250,7 @@ class SimulatedOdrive:
         return self._node << NODE_BITS | command
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """Process a frame at the present time and return the reply: at most one frame."""
+        """Process a CAN frame at the present time and return the reply: at most one frame."""
         if self._is_off or frame.extended or frame.identifier >> NODE_BITS != self._node:
             return []
         try:
@@ -298,7 +299,7 @@ class SimulatedOdrive:
         return FLOATS.pack(*pairs[command])
 
     def _outcome(self) -> Result:
-        """Return the result of the last state request, for the heartbeat."""
+        """Return the result of the last request for an axis state, for the heartbeat message."""
         if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
             return Result.DISARMED
         return self._result
@@ -330,7 +331,7 @@ class SimulatedOdrive:
             self._feed()
 
     def _request(self, state: int) -> None:
-        """Request a state (idle or closed loop); calibrations are not simulated and are rejected."""
+        """Request an axis state (idle or closed loop); reject a calibration, which is not simulated."""
         if state not in {IDLE, CLOSED_LOOP}:
             self._result = Result.INVALID_STATE
             return
@@ -397,13 +398,13 @@ class SimulatedOdrive:
         known = _PARAMETERS.get(path)
         try:
             if known is None:
-                raise ValueError("unknown name")
+                raise ValueError(f"unknown name {path}")
             kinds: dict[str, Callable[[str], Value]] = {"float": float, "bool": lambda word: bool(int(word))}
             self.values[path] = kinds.get(known[0], int)(text)
         except ValueError as error:
             raise ConfigError(
-                f"{path} = {text} is not a setting of a simulated ODrive: {error}",
-                remedy=f"choose one of {', '.join(_PARAMETERS)}",
+                f"{path} = {text} is not a valid setting of a simulated ODrive: {error}",
+                remedy=f"give a value for one of {', '.join(_PARAMETERS)}",
             ) from error
 
     def _write(self, path: str, value: Value) -> None:

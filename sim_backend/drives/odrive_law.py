@@ -94,7 +94,7 @@ _OVER, _UNDER = int(Error.DC_BUS_OVER_VOLTAGE), int(Error.DC_BUS_UNDER_VOLTAGE)
 
 @kernel(types.void(_V, types.int64), no_refcount=True)
 def _fail(w: Words, error: int) -> None:
-    """Set an error bit, and disarm the motor if it is driven."""
+    """Set an error bit in the drive's memory `w`, and disarm the motor if it is driven."""
     w[W.active_errors] = float(int(w[W.active_errors]) | error)
     if w[W.state] == CLOSED_LOOP:
         w[W.state] = IDLE
@@ -230,7 +230,10 @@ def _change_state(w: Words) -> None:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Run one control cycle with encoder count and measured shaft torque (N·m); return the wanted torque (N·m)."""
+    """Compute one control cycle from encoder count and measured shaft torque (N·m); return the wanted torque (N·m).
+
+    `w` is the memory of the drive's law.
+    """
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
     share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor

@@ -1,6 +1,6 @@
 """Offer a simulated drive to hosts: at a pseudo-terminal, on a CAN interface, or at a Unix socket that acts as a bus.
 
-A CAN bus is a file descriptor that passes one frame of linux/can.h in each message (`socket_can`). The place's name
+A CAN bus is a file descriptor that passes one frame of linux/can.h in each message (`socket_can`). The name of the bus
 selects one of two kinds, which are read and written with the same calls:
 
 * ``vcan0``, ``can0``: a network interface, opened as ``socket(AF_CAN, SOCK_RAW, CAN_RAW)`` and bound to it;
@@ -32,17 +32,17 @@ HOSTS = 8
 
 
 class UnpluggableTerminal(RawTerminal):
-    """Pseudo-terminal that can be unplugged."""
+    """A pseudo-terminal that can be unplugged: then the host reads an end of file."""
 
     _pulled = False
 
     def unplug(self) -> None:
-        """Close the terminal: the host reads an end of file."""
+        """Close the terminal, so that the host reads an end of file."""
         self._pulled = True
         os.close(self.descriptor)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return bytes from the host; see `sim_backend.ends.line.Line.read`."""
+        """Return bytes from the host; wait for some until the deadline (CLOCK_MONOTONIC, ns), then return b""."""
         if self._pulled:
             sleep_until(deadline_ns)
             return b""
@@ -59,7 +59,7 @@ class UnpluggableTerminal(RawTerminal):
 
 
 class DriveSockets:
-    """Sockets of the drive on a CAN bus.
+    """The drive's side of a CAN bus: a CAN socket, or the Unix sockets of all hosts.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class DriveSockets:
             Path(self.place).unlink(missing_ok=True)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return the received frames; wait for one until the deadline (CLOCK_MONOTONIC, ns)."""
+        """Return the received frames as units of 72 bytes; wait for one until the deadline (CLOCK_MONOTONIC, ns)."""
         ready = [*self._ends, *([self._listener] if self._listener is not None else [])]
         remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
         readable, _, _ = select.select(ready, [], [], remaining_s)
@@ -117,7 +117,7 @@ class DriveSockets:
         return from_wire(message)
 
     def write(self, frames: bytes) -> None:
-        """Send frames to the hosts on the bus; a host whose buffer is full loses them."""
+        """Send frames (units of 72 bytes) to the hosts on the bus; a host whose buffer is full loses them."""
         for unit in Frames().split(frames):
             self._send(to_wire(unit), self._ends)
 

@@ -1,4 +1,4 @@
-"""Serve a simulated drive, also in a process of its own, which ends with the process that started it."""
+"""Serve a simulated drive in real time, also in a separate process, which ends with the process that started it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Kind = Literal["moteus", "odrive"]
 
 @dataclass(frozen=True, slots=True)
 class ServedDrive:
-    """A drive that is being served; `path` is the port or bus that a host opens."""
+    """A simulated drive that is being served; `path` is the port or bus that a host opens."""
 
     path: str
 
@@ -61,16 +61,16 @@ def serve(
     model
         Rig to simulate.
     faults
-        Faults of the run (`sim_backend.drives.faults`).
+        Scripted faults of the run (`sim_backend.drives.faults`).
     settings
-        Stored settings, by name, that differ from the maker's.
+        Stored settings of the drive, by name, that differ from the maker's.
     firmware
         Firmware version, one byte for each number: 0x010203 is 1.2.3.
     adapter
         Protocol of a moteus without a CAN bus: ``uart``, the port on its board, or ``fdcanusb``, the USB adapter.
     place
-        CAN bus to use (`sim_backend.drives.outlets`): classic CAN for an ODrive, CAN FD for a moteus. Without one, a
-        moteus is at a pseudo-terminal; an ODrive needs one.
+        CAN bus to use (`sim_backend.drives.outlets`): classic CAN for an ODrive, CAN FD for a moteus. Without a bus, a
+        moteus is served at a pseudo-terminal; an ODrive needs a bus.
     realtime
         Scheduling: a value of ``host.realtime``.
     announce
@@ -129,12 +129,12 @@ def _adapter(name: str, drive: SimulatedMoteus) -> SimulatedAdapter:
         return Uart(prefix=int(drive.settings.values["can.prefix"]))
     if name == "fdcanusb":
         return Fdcanusb()
-    raise ConfigError(f"unknown adapter {name}", remedy="choose uart or fdcanusb")
+    raise ConfigError(f"unknown adapter {name!r} for a moteus", remedy="choose uart or fdcanusb")
 
 
 @contextmanager
 def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[ServedDrive]:
-    """Start a process that serves a drive; it ends with the context or with this process.
+    """Return a context that serves a drive from a new process; the process ends with the context or with this process.
 
     `options` are those of `serve`. Raise `DeviceNotFoundError` if the process does not start.
     """

@@ -1,7 +1,7 @@
 """Serve a simulated drive in real time: pass bytes between port and drive, and let simulated time follow the clock.
 
-The drive is advanced to the present when a unit (line or frame) arrives, when it sends an unrequested frame, and at
-least every `IDLE_NS`.
+The drive is advanced to the present when a unit (line or frame) arrives, when the drive sends an unrequested frame, and
+at least every `IDLE_NS` (ns).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MS, _SECOND = 1_000_000, 1_000_000_000
 
 
 class DriveLine(Protocol):
-    """Drive side of a serial line or CAN bus."""
+    """The drive's side of a serial line or CAN bus."""
 
     def read(self, deadline_ns: int) -> bytes:
         """Return the received bytes; wait for some until the deadline (CLOCK_MONOTONIC, ns)."""
@@ -40,14 +40,14 @@ class DriveLine(Protocol):
 
 
 class Serving:
-    """Server of a simulated drive on a port, until `stop` is set.
+    """A server of a simulated drive on a port, until `stop` is set.
 
     Parameters
     ----------
     drive, adapter, port
         Drive to serve, its protocol, and the port or bus.
     script
-        Faults of the run.
+        Scripted faults of the run.
     stop
         Ends the run when it is set.
     clock
@@ -88,7 +88,7 @@ class Serving:
         self.held_up_ns = 0
 
     def run(self, duration_s: float | None = None) -> None:
-        """Serve hosts and let the drive's ticks pass until stopped."""
+        """Serve hosts while the drive's ticks pass, for `duration_s` seconds (None: no end) or until `stop` is set."""
         end_ns = None if duration_s is None else self._started_ns + round(duration_s * 1e9)
         while not self._stop.is_set():
             data = self._port.read(self._deadline_ns())
@@ -112,7 +112,7 @@ class Serving:
         return deadline
 
     def _keep_up(self) -> None:
-        """Advance the drive to the present time."""
+        """Advance the drive's simulated time to the present."""
         now = self._clock()
         # This process was kept from a processor: the simulated world stood still, so that no watchdog of the drive
         # expires because this computer was late.
@@ -123,7 +123,7 @@ class Serving:
 
     @property
     def _tick(self) -> int:
-        """Return the time since the host's first byte (ms)."""
+        """Return the time since the host's first byte (ms), 0 before that byte."""
         return 0 if self._first_ns is None else (self._seen_ns - self._first_ns) // _MS
 
     def _take(self, data: bytes) -> None:

@@ -21,13 +21,13 @@ _LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of the da
 
 
 def pad(data: bytes, padding: int = 0) -> bytes:
-    """Return `data`, extended with the byte `padding` to the next length that CAN FD allows."""
+    """Return `data`, extended with the byte `padding` to the next length that a CAN FD frame allows."""
     size = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes((padding,)) * (size - len(data))
 
 
 def from_wire(message: bytes) -> bytes:
-    """Return a socket message as a unit of 72 bytes; b"" if the message is not a frame."""
+    """Return a message of a CAN socket as a unit of 72 bytes; b"" if the message is not a frame."""
     # Inside the simulation every frame has 72 bytes, and a flag gives its format: a byte stream without message
     # boundaries could not be split otherwise.
     if len(message) == CLASSIC_BYTES:
@@ -38,20 +38,20 @@ def from_wire(message: bytes) -> bytes:
 
 
 def to_wire(unit: bytes) -> bytes:
-    """Return the socket message for a unit of 72 bytes."""
+    """Return the message of a CAN socket (16 or 72 bytes) for a unit of 72 bytes."""
     return unit if unit[5] & FD_FORMAT else unit[:CLASSIC_BYTES]
 
 
 class Frames:
-    """Splitter of bytes into units of 72 bytes."""
+    """A splitter of bytes into units of 72 bytes, one for each CAN frame."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the units in `data`; a bus passes only complete units."""
+        """Return the units of 72 bytes in `data`, which must contain only complete units."""
         return [data[at : at + FD_BYTES] for at in range(0, len(data), FD_BYTES)]
 
 
 class SocketCan:
-    """Converter between units of 72 bytes and CAN frames; it implements `sim_backend.drives.bus.SimulatedAdapter`.
+    """A converter between units of 72 bytes and CAN frames, as a `sim_backend.drives.bus.SimulatedAdapter`.
 
     Parameters
     ----------
@@ -66,11 +66,14 @@ class SocketCan:
         self._padding = padding
 
     def splitter(self) -> Frames:
-        """Return a new splitter for the host's bytes."""
+        """Return a new splitter for the bytes that the host sends."""
         return Frames()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the frame in a unit; None for error frames, and for CAN FD frames at a drive with classic CAN."""
+        """Return the CAN frame in a unit of 72 bytes, and no reply.
+
+        The frame is None for an error frame, and for a CAN FD frame if the drive accepts only classic CAN.
+        """
         if len(unit) != FD_BYTES:
             return None, []
         word, size, flags, data = _FRAME.unpack(unit)
@@ -81,7 +84,7 @@ class SocketCan:
         return Frame(word & _ID, data, extended=bool(word & EXTENDED), remote=remote), []
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the unit that carries a frame (also an error frame) to the host, as a list."""
+        """Return a list with the unit of 72 bytes that carries a CAN frame (also an error frame) to the host."""
         word = frame.identifier
         for flag, holds in ((EXTENDED, frame.extended), (REMOTE, frame.remote), (ERROR, frame.error)):
             word |= flag if holds else 0

@@ -1,1 +1,1 @@
-"""How a host reaches a simulated board: in memory, by pseudo-terminal, by socket, over emulated USB."""
+"""Links from a host to a simulated board: in memory, by pseudo-terminal, by socket, over emulated USB."""

@@ -1,7 +1,7 @@
 """Run a compiled device in real time: the timer and the main loop of a board, in compiled code without Python's lock.
 
-It simulates a board behind a USB serial port. The board continues to run when a host exits, even by kill -9, and its
-watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on.
+The file simulates a board behind a USB serial port. The board continues to run when a host exits, even by kill -9, and
+its watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ _put, _at = group_at(LoopPort)
 
 @kernel(types.void(types.int64, PORT_TYPE))
 def _keep(line: int, port: LoopPort) -> None:
-    """Store a port in the memory at address `line`."""
+    """Store a port in the memory at the address `line`."""
     # To take its five functions apart at each call costs Python most of a tick.
     _put(line, port)
 
 
 @kernel(types.void(PORT_TYPE, _INTS, _BYTES))
 def _flush(port: LoopPort, grid: Any, output: Any) -> None:
-    """Write as many of the waiting bytes as the port accepts. Errors are left to the next read."""
+    """Write as many of the bytes that wait in `output` as the port accepts; the next read reports a broken port."""
     sent = port.write(port.handle, np.int64(output.ctypes.data), grid[PENDING])
     if sent > 0:
         for i in range(sent, grid[PENDING]):
@@ -81,7 +81,7 @@ def _flush(port: LoopPort, grid: Any, output: Any) -> None:
 
 @kernel(types.void(type_of(Lockstep), PORT_TYPE, _INTS, _BYTES))
 def _send_output(software: Lockstep, port: LoopPort, grid: Any, output: Any) -> None:
-    """Send the device's output. If the buffer is full, discard all of the new output, so that no frame is cut."""
+    """Send the device's new output. If the buffer `output` is full, discard all of it, so that no frame is cut."""
     behind = np.int64(output.ctypes.data) + grid[PENDING]
     count = _take(software.take, software.device, behind, OUTPUT_BYTES)
     if grid[HUNG_UP] == 0 and grid[PENDING] + count <= PENDING_BYTES:
@@ -130,8 +130,10 @@ def keep_time(
     """Run ticks and pass bytes until `end_ns` on the port's clock, or until Python code must act; return the reason.
 
     The reason is `AGAIN` (time is up), `ASK` (a buffer is used up, or the device was armed or changed its rate) or
-    `GONE` (the host hung up). `line` is the address of the port (`_keep`). `output` has `PENDING_BYTES` for bytes that
-    wait to be sent and `OUTPUT_BYTES` behind them, `received` has `RECEIVED_BYTES`.
+    `GONE` (the host hung up). `line` is the address of the port (`_keep`), `grid` the state of the runner (`BOOT_NS`
+    …).
+    `output` has `PENDING_BYTES` for bytes that wait to be sent and `OUTPUT_BYTES` behind them, `received` has
+    `RECEIVED_BYTES`.
     """
     words, port = software.words, _at(line)
     while True:
@@ -184,13 +186,13 @@ def keep_time(
 
 
 class TickedDevice(Protocol):
-    """Simulated device whose ticks run in compiled code (`sim_backend.board.lockstep`)."""
+    """A simulated device whose ticks run in compiled code (`sim_backend.board.lockstep`)."""
 
     hardware: Hardware
 
     @property
     def time_ns(self) -> int:
-        """Device time of the last sample (ns since boot)."""
+        """Return the device time of the last sample (ns since boot)."""
         ...
 
     @property
@@ -200,20 +202,20 @@ class TickedDevice(Protocol):
 
     @property
     def rate(self) -> int:
-        """Return the rate of the device's ticks (Hz)."""
+        """Return the tick rate of the device (Hz)."""
         ...
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of compiled ticks (`lockstep.run_ticks`) in the present state of device and rig."""
+        """Return the arguments of compiled ticks (`lockstep.run_ticks`) for the present state of device and rig."""
         ...
 
     def passed(self, world: World) -> None:
-        """Update the device after compiled ticks have changed the arguments that `compiled` returned."""
+        """Update this object after compiled ticks have changed the arguments that `compiled` returned."""
         ...
 
 
 class BoardTime:
-    """Runner of a compiled device behind a port, in real time, until `stop` is set.
+    """A runner of a compiled device behind a port, in real time, until `stop` is set.
 
     Parameters
     ----------
@@ -252,7 +254,7 @@ class BoardTime:
         self._boot_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Run the device in real time for `duration_s` seconds, or until `stop` is set."""
+        """Run the device in real time for `duration_s` seconds (None: without end), or until `stop` is set."""
         port, grid, line = self._port, self._grid, int(self._line.ctypes.data)
         now_ns = port.now(port.clock_handle)
         end_ns = NO_END if duration_s is None else now_ns + round(duration_s * 1e9)
@@ -275,7 +277,7 @@ class BoardTime:
             self.device.passed(world)
 
     def _renew_supplies(self) -> tuple[Lockstep, World]:
-        """Refill the buffers that ticks use up; return the arguments for the next ticks."""
+        """Refill the buffers that ticks use up; return the arguments of the next compiled ticks."""
         device, grid = self.device, self._grid
         software, world = device.compiled()
         boot_ns = device.elapsed_ns - device.time_ns  # of the simulated time; a reset moves it

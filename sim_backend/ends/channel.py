@@ -9,7 +9,7 @@ from rig.devices.fault_script import Direction, FaultKind, FrameFault
 
 
 class ScriptedLine:
-    """A line with two directions whose frames are damaged, delayed or dropped by a script.
+    """A line between host and device whose frames are damaged, delayed or dropped by a script.
 
     Attributes
     ----------
@@ -42,14 +42,14 @@ class ScriptedLine:
                 self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
-        """Send bytes at tick `tick`; an incomplete frame waits for its remaining bytes."""
+        """Send bytes in a direction at tick `tick`; an incomplete frame waits for its remaining bytes."""
         *frames, self._unfinished[direction] = (self._unfinished[direction] + data).split(b"\0")
         for frame in frames:
             if frame:  # a delimiter alone is not a frame
                 self.send_frame(direction, frame + b"\0", tick)
 
     def receive(self, direction: Direction, tick: int) -> bytes:
-        """Return the bytes that have arrived at the other end by tick `tick`."""
+        """Return the bytes that have arrived at the end of a direction by tick `tick`."""
         queue = self._under_way[direction]
         out = b""
         while queue and queue[0][0] <= tick and not self.unplugged:
@@ -57,12 +57,12 @@ class ScriptedLine:
         return out
 
     def next_due(self) -> int | None:
-        """Return the tick at which the next delayed bytes arrive; None without any."""
+        """Return the tick at which the next delayed bytes arrive; None if no bytes are delayed."""
         due = [queue[0][0] for queue in self._under_way.values() if queue]
         return min(due) if due and not self.unplugged else None
 
     def send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
-        """Send one complete frame at tick `tick`, in any format; see `send`."""
+        """Send one complete frame, of any format, in a direction at tick `tick`, with the faults of the script."""
         number = self.frames[direction]
         self.frames[direction] = number + 1
         behind, self._held[direction] = self._held[direction], []
@@ -78,7 +78,7 @@ class ScriptedLine:
         queue.extend((tick, piece) for piece in pieces + behind)
 
     def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
-        """Return the faults of a frame: those scripted for its number, and those whose tick has come since the last."""
+        """Return the faults that act on frame `number`, sent at tick `tick`: scripted for its number or its time."""
         waiting = self._waiting[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
         # A fault at a tick strikes the first frame after it, once.
@@ -86,7 +86,7 @@ class ScriptedLine:
         return [*self._faults.get((direction, number), ()), *now]
 
     def _strike(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
-        """Apply a fault to a frame; return the pieces that are still delivered, and their tick."""
+        """Apply a fault to the `pieces` of a frame; return the pieces that are delivered, and the tick of delivery."""
         if fault.kind is FaultKind.REORDER:
             self._held[fault.direction] = pieces
         elif fault.kind is FaultKind.SILENCE:

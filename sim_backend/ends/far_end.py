@@ -1,4 +1,4 @@
-"""Provide the compiled device side of a link in virtual time: `read`, `write` and `wait` for the control loop.
+"""Provide the device's side of a link in virtual time: compiled `read`, `write` and `wait` for the control loop.
 
 A tick of the loop then runs no Python. Exceptions, for which it calls `serve`: a buffer is used up, the device was
 armed or changed its rate, or Python code has used the device since the last tick.
@@ -98,13 +98,13 @@ _put, _at = group_at(FarEnd)
 
 @kernel(types.void(types.int64, FAR_END_TYPE))
 def put(handle: int, end: FarEnd) -> None:
-    """Store a far end in the memory at address `handle`."""
+    """Store a compiled device with its line in the memory at the address `handle`."""
     _put(handle, end)
 
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _ready(handle: int) -> int:
-    """Update the far end at `handle` if Python code has used the device; return 0, or a negative errno."""
+    """Update the device at the address `handle` if Python code has used it; return 0, or a negative errno."""
     end = _at(handle)
     if end.progress[CLOSED] != 0:
         return _BROKEN
@@ -146,13 +146,13 @@ def _pass(handle: int, deadline_ns: int) -> int:
 
 @kernel(types.int64(FAR_END_TYPE), inline=True)
 def _next_ns(end: FarEnd) -> int:
-    """Return the time of the next sample on the virtual clock (ns)."""
+    """Return the time of the device's next sample on the virtual clock (ns)."""
     return int(end.origin_ns + end.software.words[DUE] * _UNITS_NS // _UNITS)
 
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _catch_up(handle: int) -> int:
-    """Advance the device to the time of the clock, which a sleeping host has moved; return 0, or a negative errno."""
+    """Advance the device to the virtual time, which a sleeping host has moved; return 0, or a negative errno."""
     end = _at(handle)
     now_ns = load_word(end.clock)
     # A host that sleeps on the link's clock finds the device as late as a slow host would.
@@ -186,7 +186,7 @@ def wait(handle: int, deadline_ns: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE, no_refcount=True)
 def read(handle: int, address: int, size: int) -> int:
-    """Move at most `size` waiting bytes to `address`; return their number, or a negative errno."""
+    """Move at most `size` waiting bytes to the memory at `address`; return their number, or a negative errno."""
     failed = _ready(handle)
     if failed != 0:
         return int(failed)
@@ -201,7 +201,7 @@ def read(handle: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE, no_refcount=True)
 def write(handle: int, address: int, size: int) -> int:
-    """Pass `size` bytes at `address` from the host to the device; return `size`, or a negative errno."""
+    """Pass `size` bytes at the memory `address` from the host to the device; return `size`, or a negative errno."""
     failed = _ready(handle)
     if failed == 0:
         failed = _catch_up(handle)
@@ -224,7 +224,7 @@ def write(handle: int, address: int, size: int) -> int:
 
 
 class CompiledPort:
-    """Port of a compiled device in virtual time; it moves the device's state between Python and compiled code.
+    """A port of a compiled device in virtual time; it moves the device's state between Python and compiled code.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ class CompiledPort:
     origin_ns
         Returns the virtual time at which the device booted (ns).
     progress, arrived
-        Arrays of `FarEnd`, shared with the link.
+        Arrays of `FarEnd`, which the link uses too.
     capacity
         Largest number of unread bytes.
 

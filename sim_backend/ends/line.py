@@ -1,7 +1,7 @@
 """Offer the device side of a line to a host in another process: as a pseudo-terminal or as a Unix socket.
 
-A line keeps one file descriptor for its whole life, so that compiled code (`loop_port`) and Python can use it. It stays
-open when a host exits, even by kill -9, and serves the next host.
+A line keeps one file descriptor for its whole life, so that compiled code (`loop_port`) and Python can use it. The
+descriptor stays open when a host exits, even by kill -9, and the line serves the next host.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WAITING_HOSTS = 8  # for their turn at a socket
 
 
 class Line:
-    """Device side of a line, on a non-blocking descriptor. No call blocks beyond its deadline.
+    """The device side of a line, on a non-blocking file descriptor. No method blocks beyond its deadline.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Line:
         os.close(self.descriptor)
 
     def loop_port(self) -> LoopPort:
-        """Return functions for compiled code that read, write and wait on the descriptor."""
+        """Return compiled functions that read, write and wait on the file descriptor."""
         return LoopPort.on(
             MonotonicClock(),
             read=system.descriptor_read,
@@ -63,7 +63,7 @@ class Line:
         )
 
     def next_host(self) -> None:
-        """Prepare for the next host, which must find an empty line; called after reading has failed."""
+        """Prepare for the next host, which must find an empty line; called after a read has failed."""
         raise NotImplementedError
 
     def read(self, deadline_ns: int) -> bytes:
@@ -107,7 +107,7 @@ class Line:
 
 
 class PseudoTerminal(Line):
-    """Master side of a pseudo-terminal in raw mode."""
+    """The device side (master) of a pseudo-terminal in raw mode."""
 
     def __init__(self) -> None:
         master, slave = os.openpty()
@@ -116,7 +116,7 @@ class PseudoTerminal(Line):
         os.close(slave)  # from now on a hang-up shows that no host has it open
 
     def next_host(self) -> None:
-        """Discard the bytes that the last host has not read: the line discipline keeps up to 4 KiB of them."""
+        """Discard the bytes that the last host has not read: the terminal driver stores up to 4 KiB."""
         with contextlib.suppress(OSError, termios.error):
             slave = os.open(self.place, os.O_RDWR | os.O_NOCTTY)
             termios.tcflush(slave, termios.TCIFLUSH)
@@ -124,7 +124,7 @@ class PseudoTerminal(Line):
 
 
 class Socket(Line):
-    """Unix socket at a path, used by one host at a time.
+    """The device side of a Unix socket at a path, used by one host at a time.
 
     The descriptor is either the listening or the connected socket. A read from the listening socket fails when a host
     connects, a read from the connected socket when the host disconnects.

@@ -1,7 +1,7 @@
 """Simulate the rig in this process and in virtual time: hours pass in seconds, and every run gives the same result.
 
-It implements ``sim://``. The link behaves like a serial port and its driver: a bounded input buffer, which loses bytes
-that are not read, and EIO after an unplug.
+The file implements ``sim://``. The link behaves like a serial port and its driver: a bounded input buffer, which loses
+bytes that are not read, and EIO after an unplug.
 """
 
 from __future__ import annotations
@@ -56,16 +56,16 @@ _LONG = 1 << 62  # ticks: without an end
 
 
 class LinkedDevice(Protocol):
-    """Simulated device: `board.device.SimulatedDevice` or `board.firmware.FirmwareDevice`."""
+    """A simulated device: `board.device.SimulatedDevice` or `board.firmware.FirmwareDevice`."""
 
     @property
     def time(self) -> int:
-        """Device time of the last sample (1/16 µs since boot)."""
+        """Return the device time of the last sample (1/16 µs since boot)."""
         ...
 
     @property
     def time_ns(self) -> int:
-        """Device time of the last sample (ns since boot)."""
+        """Return the device time of the last sample (ns since boot)."""
         ...
 
     @property
@@ -75,11 +75,11 @@ class LinkedDevice(Protocol):
 
     @property
     def next_tick_ns(self) -> int:
-        """Return when the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
         ...
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
-        """Simulate ticks until the device sends bytes, at most `most`; return the bytes and the number of ticks."""
+        """Simulate ticks until the device sends bytes, at most `most` and up to `until_ns`; return bytes and ticks."""
         ...
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
@@ -87,7 +87,7 @@ class LinkedDevice(Protocol):
         ...
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
-        """Press the emergency stop, or release it."""
+        """Press the emergency stop of the simulated board, or release it."""
         ...
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
@@ -95,16 +95,16 @@ class LinkedDevice(Protocol):
         ...
 
     def inject_fault(self, fault: Fault) -> None:
-        """Make the device detect a fault."""
+        """Make the device detect a fault, as if its hardware had found it."""
         ...
 
     def truth(self) -> NDArray[np.void]:
-        """Return the plant's state in every tick of a session since boot."""
+        """Return the plant's state in every tick of a session since boot, dtype `rig.core.sample.TRUTH`."""
         ...
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | None = None) -> MemoryLink:
-    """Open a URL such as ``sim://name?seed=3&offset=0.25``: a new simulated device, at rest, just powered up.
+    """Return a link to a new simulated device, at rest and just powered up, for a URL such as ``sim://name?seed=3``.
 
     Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
     0 ≤ offset < 1) instead of the model's; `incremental` = 1 for an encoder that begins at 0 at any position of the
@@ -113,7 +113,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
     that can run the law: the firmware, compiled for this computer.
 
     Without the option `firmware` the device runs no law. It is the compiled firmware, whose ticks run no Python, or,
-    without a C compiler (or with `firmware` = 0), the device in Python (`sim_backend.board.device`): it sends the same
+    without a C compiler (or with `firmware` = 0), the device in Python (`sim_backend.board.device`), which sends the
+    same
     bytes and is slower. With scripted faults (`faults`) all bytes pass through Python.
 
     Raises
@@ -124,7 +125,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
     if model is None:
         raise ConfigError(
             f"{url.text}: the URL names no rig to simulate",
-            remedy="name one, for example sim://koul-compliant",
+            remedy="name a rig, for example sim://koul-compliant",
         )
     options = _parse(url)
     if "offset" in options:
@@ -147,14 +148,16 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
         if name == "hand":
             raise ConfigError(
                 f"{url.text}: a hand cannot be driven in virtual time",
-                remedy="run in real time, or omit hand to use the scripted hand",
+                remedy="run in real time, or leave out the option hand to use the scripted hand",
             )
         kind = OPTIONS[name]
         try:
             options[name] = kind(text)
         except ValueError:
             what = {int: "a whole number", _times: "numbers with commas between them"}.get(kind, "a number")
-            raise ConfigError(f"{url.text}: {name} = {text!r} is not {what}", remedy=f"give {what}") from None
+            raise ConfigError(
+                f"{url.text}: the option {name} = {text!r} is not {what}", remedy=f"give {what}"
+            ) from None
     _check(url, options)
     return options
 
@@ -174,7 +177,7 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
     for name, value in options.items():
         if not allowed[name](value):
             raise ConfigError(
-                f"{url.text}: {name} = {value} is out of range",
+                f"{url.text}: the option {name} = {value} is out of range",
                 remedy="allowed: offset 0 … 1, rates 50 … 50000 Hz, clock_ppm ±1000, "
                 "firmware and incremental 0 or 1, seed 0 or more, times of sync (s) above 0 and rising",
             )
@@ -185,7 +188,10 @@ def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
 
 
 def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
-    """Return time (ns, on the scale of `elapsed_ns`) and level of each edge of the sync input."""
+    """Return time (ns, on the scale of `elapsed_ns`) and level of each edge of the sync input.
+
+    `starts_s` are the starts of the pulses (s after power-up), `origin_ns` is the time of power-up.
+    """
     levels: deque[tuple[int, bool]] = deque()
     for start, following in pairwise((*starts_s, np.inf)):
         end = start + min(SYNC_PULSE_S, 0.5 * (following - start))
@@ -194,7 +200,7 @@ def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]
 
 
 class MemoryLink:
-    """Link (`rig.devices.device.Link`) to a simulated device in this process.
+    """A link (`rig.devices.device.Link`) to a simulated device in this process.
 
     Parameters
     ----------
@@ -251,7 +257,10 @@ class MemoryLink:
         self._compiled = self._compile(device)
 
     def _compile(self, device: LinkedDevice) -> CompiledPort | None:
-        """Return a compiled port, or None (scripted faults, sync pulses, a clock error, or the device in Python)."""
+        """Return a compiled port, or None if Python must run each tick.
+
+        Python is needed for scripted faults, sync pulses, a clock error, and the device in Python.
+        """
         scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
         if scripted or not isinstance(device, FirmwareDevice):
             return None
@@ -267,7 +276,7 @@ class MemoryLink:
 
     @property
     def device(self) -> Any:
-        """Return the device in its state after the last tick."""
+        """Return the simulated device in its state after the last tick."""
         self._take_back()
         return self._device
 
@@ -283,7 +292,7 @@ class MemoryLink:
 
     @property
     def current(self) -> int:
-        """Return the active current of the device, after all limits (quanta)."""
+        """Return the active motor current of the device, after all limits (quanta)."""
         return int(self.device.current)
 
     @property
@@ -303,13 +312,13 @@ class MemoryLink:
     # ------------------------------------------------------------------ Link
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` of virtual time for the first."""
+        """Return the bytes that have arrived from the device; wait at most `timeout_s` (virtual) for the first."""
         self._take_back()
         self._wait(self.clock.now_ns() + round(max(0.0, timeout_s) * 1e9))
         return self._taken(BUFFER_BYTES)
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; it arrives at the device at once."""
+        """Send all of `data` to the device; without scripted faults the bytes arrive at once."""
         self._take_back()
         self._check_open()
         self._catch_up()
@@ -337,7 +346,7 @@ class MemoryLink:
         return self._device.truth()
 
     def close(self) -> None:
-        """Close the link. The device keeps its state, and its watchdog continues while time passes; see `elapse`."""
+        """Close the link. The device keeps its state, and its watchdog continues while time passes (`elapse`)."""
         self._closed = True
         self._progress[CLOSED] = 1
 
@@ -366,13 +375,13 @@ class MemoryLink:
         return max(device.time, since_boot_ns * _UNITS // _UNITS_NS)
 
     def _catch_up(self) -> None:
-        """Advance the device to the time of the clock, which a sleeping host has moved."""
+        """Advance the device to the virtual time, which a sleeping host has moved."""
         now_ns = self.clock.now_ns()
         while self._next_tick_ns() <= now_ns:
             self._run(now_ns)
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Let virtual time pass until bytes have arrived or to the deadline (ns); return True if bytes have arrived."""
+        """Let virtual time pass until bytes have arrived (return True) or to the deadline (ns; return False)."""
         self._check_open()
         self._catch_up()
         # Time moves only while the host waits, and stops when the device sends: it never passes sample k before the
@@ -386,9 +395,9 @@ class MemoryLink:
         return True
 
     def _run(self, deadline_ns: int) -> int:
-        """Run ticks until the device sends bytes, or up to `deadline_ns`, not before its next tick.
+        """Run ticks until the device sends bytes, or up to `deadline_ns`; `deadline_ns` is not before the next tick.
 
-        Return the time of its last tick on the link's clock (ns).
+        Return the time of the last tick on the link's clock (ns).
         """
         device = self._device
         most = self._until_something_happens()
@@ -421,7 +430,7 @@ class MemoryLink:
         return max(1, due - passed)
 
     def _until_a_level_changes(self) -> int:
-        """Apply the edges of the sync input up to the next sample; return the time to which there are no more (ns)."""
+        """Apply the sync input's edges up to the next sample; return the time before the next edge (ns)."""
         device = self._device
         while self._levels and self._levels[0][0] <= device.next_tick_ns:
             at_ns, high = self._levels.popleft()
@@ -457,7 +466,7 @@ class MemoryLink:
         if self._closed or (self.line is not None and self.line.unplugged):
             raise LinkLostError(
                 f"the link to {self.url.text} was {'closed' if self._closed else 'unplugged'}",
-                remedy="open the device again; it has set its effort to zero",
+                remedy="open the device again; the device has set its effort to zero meanwhile",
             )
 
     # ------------------------------------------------------------------ the compiled loop

@@ -1,6 +1,6 @@
 """Run the simulated rig as a separate process in real time, behind a pseudo-terminal or a Unix socket (`line`).
 
-It behaves like a USB serial device. The device is the compiled firmware, timed by `board_time`, or, without a C
+The rig behaves like a USB serial device. The device is the compiled firmware, timed by `board_time`, or, without a C
 compiler, the device in Python, timed by `real_time`.
 """
 
@@ -89,7 +89,7 @@ def serve(
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
     if not 50 <= rate <= maximum:
         raise ConfigError(
-            f"rate = {rate} Hz is outside 50 … {maximum}",
+            f"rate = {rate} Hz is outside 50 … {maximum} Hz",
             remedy="run faster in virtual time (sim://)"
             + ("" if firmware else f", or with the law on the device, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )
@@ -120,7 +120,7 @@ def serve(
 def _drive_hand(
     device: SimulatedDevice | FirmwareDevice, model: RigModel, hand: str | Path | None
 ) -> Iterator[None]:
-    """Connect the hand of the rig to the file `hand` while the context lasts; without a file, do nothing."""
+    """Return a context in which a person moves the rig's hand through the file `hand`; without a file, do nothing."""
     if hand is None:
         yield
         return
@@ -135,7 +135,7 @@ def _drive_hand(
 
 @contextlib.contextmanager
 def _link(link_path: str | Path | None, target: str) -> Iterator[None]:
-    """Create a symbolic link to the port and remove it at the end of the context; without a path, do nothing."""
+    """Return a context in which `link_path` is a symbolic link to the port `target`; without a path, do nothing."""
     if link_path is None:
         yield
         return

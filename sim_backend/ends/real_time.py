@@ -1,7 +1,7 @@
 """Run the device in Python in real time behind any port: the reference for `board_time`, used without a C compiler.
 
-In each period the plant moves under the active current, STATE is sent, and the bytes that came meanwhile are processed:
-the reply to STATE k acts from sample k + 1 on.
+In each period the plant moves under the active current, the device sends a STATE, and then processes the bytes that
+came meanwhile: the reply to STATE k acts from sample k + 1 on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _UNIT_NS = 1e9 / UNITS_PER_SECOND
 
 
 class DevicePort(Protocol):
-    """Device side of a link. No call blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
+    """The device's side of a link. No method blocks beyond its deadline (CLOCK_MONOTONIC, ns)."""
 
     def read(self, deadline_ns: int) -> bytes:
         """Return bytes from the host; wait for some until the deadline, then return b""."""
@@ -38,7 +38,7 @@ class DevicePort(Protocol):
 
 
 class RealTime:
-    """Runner of a device in Python behind a port, tick by tick, until `stop` is set."""
+    """A runner of a device in Python behind a port, tick by tick in real time, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: DevicePort, stop: threading.Event) -> None:
         self.device = device
@@ -47,7 +47,7 @@ class RealTime:
         self._origin_ns = 0
 
     def run(self, duration_s: float | None) -> None:
-        """Run the device in real time for `duration_s` seconds, or until `stop` is set."""
+        """Run the device in real time for `duration_s` seconds (None: without end), or until `stop` is set."""
         start_ns = time.monotonic_ns()
         end_ns = start_ns + round(duration_s * 1e9) if duration_s is not None else None
         self._origin_ns = start_ns - self.device.elapsed_ns
@@ -63,7 +63,7 @@ class RealTime:
                 self._port.write(self.device.receive(received, received_at=came_at))
 
     def _listen(self, deadline_ns: int) -> tuple[bytes, int]:
-        """Wait for the tick; return bytes that came from the host, and device time of the first of them (1/16 µs)."""
+        """Wait for the next tick; return the bytes from the host, and the device time of the first one (1/16 µs)."""
         received = b""
         came_at = self.device.time
         while True:
@@ -99,7 +99,7 @@ class RealTime:
 
 
 def sleep_until(deadline_ns: int) -> None:
-    """Sleep until a time on CLOCK_MONOTONIC (ns); return at once if it has passed."""
+    """Sleep until `deadline_ns` (CLOCK_MONOTONIC, ns); return at once if this time has passed."""
     remaining_ns = deadline_ns - time.monotonic_ns()
     if remaining_ns > 0:
         time.sleep(remaining_ns * 1e-9)

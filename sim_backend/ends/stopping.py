@@ -1,4 +1,4 @@
-"""Stop a simulated rig or drive that runs as a program when a signal arrives."""
+"""Stop a simulated rig or drive that runs as a program when SIGINT or SIGTERM arrives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def stopped_by_signals(stop: threading.Event) -> Iterator[None]:
-    """Set `stop` on SIGINT and SIGTERM while the context lasts; outside of the main thread, do nothing."""
+    """Return a context in which SIGINT and SIGTERM set the event `stop`; outside of the main thread, change nothing."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

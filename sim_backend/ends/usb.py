@@ -39,7 +39,7 @@ _SETUP = struct.Struct("<BBHHH")
 
 @dataclass(frozen=True, slots=True)
 class UsbShape:
-    """USB descriptors of the simulated device."""
+    """The USB descriptors of the simulated device, and its replies to standard control requests."""
 
     vendor: int = USB_VENDOR
     product: int = USB_PRODUCT
@@ -50,14 +50,14 @@ class UsbShape:
     interface_class: int = VENDOR_CLASS
 
     def device(self) -> bytes:
-        """Return the USB device descriptor of this device."""
+        """Return the USB device descriptor (18 bytes)."""
         return struct.pack(
             "<BBHBBBBHHHBBBB",
             *(18, _DEVICE, 0x0200, 0, 0, 0, 64, self.vendor, self.product, 0x0100, 1, 2, 3, 1),
         )
 
     def configuration(self) -> bytes:
-        """Return the configuration descriptor with its interface and endpoints."""
+        """Return the USB configuration descriptor with the interface and its two endpoints."""
         interface = struct.pack("<9B", 9, _INTERFACE, 0, 0, 2, self.interface_class, 0, 0, 4)
         endpoints = b"".join(
             struct.pack("<BBBBHB", 7, _ENDPOINT, address, _BULK, self.packet, 0)
@@ -69,7 +69,7 @@ class UsbShape:
         return head + interface + endpoints
 
     def string(self, index: int) -> bytes | None:
-        """Return a string descriptor (0 languages, 1 maker, 2 name, 3 serial number, 4 interface); None for others."""
+        """Return string descriptor `index` (0 languages, 1 maker, 2 name, 3 serial number, 4 interface), else None."""
         texts = (self.maker, self.name, self.serial, "haptic rig bytes")
         if index == 0:
             content = struct.pack("<H", _ENGLISH)
@@ -80,7 +80,7 @@ class UsbShape:
         return struct.pack("<BB", 2 + len(content), _STRING) + content
 
     def control(self, setup: bytes) -> bytes | None:
-        """Answer a standard control request.
+        """Return the reply to a standard control request.
 
         Parameters
         ----------
@@ -109,7 +109,10 @@ class UsbShape:
 
 
 class UsbPort:
-    """Device side of the two bulk endpoints, a `real_time.DevicePort`; `end` is a connected SOCK_SEQPACKET socket."""
+    """The device's side of the two bulk endpoints, as a `real_time.DevicePort`.
+
+    `end` is a connected SOCK_SEQPACKET socket, `packet` the largest packet (bytes).
+    """
 
     def __init__(self, end: socket.socket, packet: int = FULL_SPEED_PACKET) -> None:
         end.setblocking(False)
@@ -120,7 +123,7 @@ class UsbPort:
         self.unplugged = False
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return the next packet from the host; wait for it until the deadline (CLOCK_MONOTONIC, ns), else b""."""
+        """Return the next packet from the host; wait until the deadline (CLOCK_MONOTONIC, ns), then return b""."""
         if self.unplugged:
             sleep_until(deadline_ns)
             return b""
@@ -194,7 +197,7 @@ def serve(
     """
     if not 50 <= rate <= POSITION_RATE_MAXIMUM:
         raise ConfigError(
-            f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM}",
+            f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM} Hz",
             remedy="use a rate in this range; higher rates run in virtual time only (sim://)",
         )
     device = SimulatedDevice(

@@ -1,1 +1,1 @@
-"""What moves: motor, handle, hand, cogging and encoder, and the truth about them."""
+"""The simulated mechanics: motor, handle, hand, cogging and encoder, and the record of their true state."""

@@ -1,6 +1,6 @@
-"""Step a rig whose motor cogs: the plant of `sim_backend.mechanics.plant`, plus an effort that varies with position.
+"""Simulate a rig whose motor cogs: the plant of `sim_backend.mechanics.plant`, plus an effort that depends on position.
 
-It simulates the slots of an iron-cored motor and a torque constant that varies with the position
+The file simulates the slots of an iron-cored motor and a torque constant that varies with the position
 (`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here.
 """
 
@@ -43,7 +43,7 @@ _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 # One kernel serves all structures, held or not: a plant is first written in the states of the largest, and what a rig
 # does not have moves nothing.
 def expand_states(rig: StateSpace) -> StateSpace:
-    """Return a rig in the states of the largest structure: two masses in a hand. States that it lacks stay zero."""
+    """Return a rig in the states of the largest structure, two masses in a hand; states that it lacks stay zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1
     states = [MOTOR, MOTOR + 1, *(() if rigid else (LINK, LINK + 1)), EFFORT]
     inputs = [COMMAND, EXTERNAL, RUBS_MOTOR, *(() if rigid else (RUBS_LINK,))]
@@ -84,9 +84,11 @@ def _carry(
     g: float,
     goal: float,
 ) -> float:
-    """Return the part of the next value of state `row` that follows from the present states.
+    """Return the part of the next value of state number `row` that follows from the present states.
 
-    The positions `x`, `y`, `h`, `goal` are given as distances from the mass to which the row belongs.
+    The positions `x`, `y`, `h`, `goal` (motor, link, hand, target) are distances from the mass to which the row
+    belongs;
+    `v`, `w` and `g` are the velocities of motor, link and hand.
     """
     hand = phi[row, 5] * h + phi[row, 6] * g + phi[row, 7] * goal
     return float(
@@ -98,14 +100,17 @@ def _carry(
 def _push(
     phi: Matrix, gamma: Matrix, row: int, command: float, external: float, velocity: float, press: float
 ) -> float:
-    """Return what the inputs add to state `row` in one inner step; they are constant during a tick."""
+    """Return what the inputs, which are constant during a tick, add to state number `row` in one inner step.
+
+    Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
+    """
     hand = phi[row, 8] * velocity + phi[row, 9] * press
     return float(gamma[row, COMMAND] * command + gamma[row, EXTERNAL] * external + hand)
 
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
-    """Return what an effort on the motor and one on the link (N·m or N) add to state `row` in one inner step."""
+    """Return what an effort on the motor and one on the link (N·m or N) add to state number `row` in one inner step."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
 

@@ -1,4 +1,4 @@
-"""Step a rig in a person's hand exactly: the plant of `sim_backend.mechanics.plant`, a hand mass and its intention.
+"""Simulate a rig in a person's hand exactly: the plant of `sim_backend.mechanics.plant`, a hand mass and its intention.
 
 States: those of the rig, hand position and velocity, then intended position, intended velocity and press. The last
 three keep their values until a script (`sim_backend.mechanics.operator`) writes others.
@@ -35,9 +35,9 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Copy a row of a script to the intentions in `state` (before index `edge_age`); return the next row's number.
+    """Copy row `row` of a hand's script to the intentions in `state`; return the number of the next row.
 
-    After the last row follows row `again`. An empty script changes nothing.
+    The intentions lie before the index `edge_age`. Row `again` follows the last row. An empty script changes nothing.
     """
     if script.shape[0] == 0:
         return 0
@@ -56,7 +56,10 @@ def _push(
     wanted_velocity: float,
     press: float,
 ) -> float:
-    """Return what the inputs add to state `row` in one inner step; they are constant during a tick."""
+    """Return what the inputs, which are constant during a tick, add to state number `row` in one inner step.
+
+    Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
+    """
     order = phi.shape[0]
     hand = phi[row, order - 2] * wanted_velocity + phi[row, order - 1] * press
     return float(gamma[row, 0] * command + gamma[row, 1] * external + hand)
@@ -64,7 +67,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
-    """Return what velocities (motor v, link w, hand g) and effort of a two-mass rig add to state `row` in a step."""
+    """Return what velocities (motor v, link w, hand g) and motor effort add to state number `row` in one inner step."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
@@ -114,7 +117,10 @@ def advance_rigid(
 def advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a two-mass rig in a hand by one tick; arguments and result as of `advance_rigid`."""
+    """Move a rig with two masses in a hand by one tick; return the encoder count, before its sign.
+
+    `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
+    """
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, goal_velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]

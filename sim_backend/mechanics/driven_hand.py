@@ -1,7 +1,7 @@
 """Simulate a hand that is driven interactively during a run: with a mouse, with keys, by a program.
 
-`sim_backend.board.hardware` requests short blocks of intentions from it and plays them like a script. The hand must
-not follow wishes before the trial begins, and must stay within the travel and the force of a person.
+`sim_backend.board.hardware` requests short blocks of intended motion from the hand and plays them like a script. The
+hand must not follow wishes before the trial begins, and must stay within the travel and the force of a person.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PRESS_N = 10.0  # more than a firm grip's press
 
 
 class DrivenHand:
-    """The simulated hand at a rig's handle, which follows wishes: target positions and presses from outside.
+    """A simulated hand at a rig's handle that follows wishes: target positions and presses from outside.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class DrivenHand:
         self._leads = False
 
     def begin(self, position: float, tick_s: float, session: int = 0) -> None:
-        """Begin a session: the handle is at `position` (rad or m), and `session` selects the tremor."""
+        """Begin a session: handle at `position` (rad or m), ticks of `tick_s` (s); `session` selects the tremor."""
         reach = self._reach
         self._tick_s = tick_s
         self._at, self._rate = reach.start, 0.0
@@ -84,7 +84,7 @@ class DrivenHand:
         self._leads = False
 
     def next(self, hand: float) -> OperatorScript:
-        """Return the intentions for the next block of ticks; `hand` is the present position of the hand (rad or m)."""
+        """Return the script for the next block of ticks; `hand` is the present position of the hand (rad or m)."""
         if not self._leads:
             self._leads = True
             # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
@@ -114,7 +114,7 @@ class DrivenHand:
         return OperatorScript(rows=rows)
 
     def _along(self) -> Rows:
-        """Return intentions that follow the handle while the rig homes, then rest until the trial has begun."""
+        """Return rows of a script that follows the handle while the rig homes, then rests until the trial begins."""
         reach = self._reach
         along_s = abs(reach.start - self._from) / reach.pace
         ticks = max(1, math.ceil((along_s + reach.wait_s - reach.free_s) / self._tick_s))
@@ -126,7 +126,10 @@ class DrivenHand:
         return rows
 
     def _read_wish(self, hand: float) -> tuple[float, float]:
-        """Return limited target position (rad or m) and press (N); no wish for `SILENT_S`: stay and do not press."""
+        """Return the hand's target position (rad or m) and press (N), both limited to what a person can do.
+
+        Without a new wish for `SILENT_S` (s), the hand stays where it was (`hand`, rad or m) and does not press.
+        """
         wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s
         if wish is not None and wish.sequence != self._newest_wish.sequence:
@@ -148,7 +151,7 @@ class DrivenHand:
         return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
     def _share(self) -> float:
-        """Return the force of this hand divided by the force of the scripted hand, at most 1; it scales the tremor."""
+        """Return the hand's force divided by that of the scripted hand, at most 1; it scales the tremor."""
         operator = self._operator
         wall = self._reach.target - self._side * operator.depth / self._radius
         inside = max(0.0, self._side * (self._at - wall)) * self._radius
@@ -158,7 +161,10 @@ class DrivenHand:
 
 
 def follow(distance: float, rate: float, times: Rows) -> tuple[Rows, Rows]:
-    """Return distance (rad or m) to a fixed goal and its rate at `times` (s from now), exact, critically damped."""
+    """Return the distance (rad or m) to a fixed target, and its rate, at `times` (s from now).
+
+    `distance` and `rate` are the present values. The hand approaches like a critically damped second-order system.
+    """
     omega = 2.0 * math.pi * FOLLOW_HZ
     pull = rate + omega * distance
     fade = np.exp(-omega * times)

@@ -1,4 +1,4 @@
-"""Parts that the inner steps of all plants share: indices of the parameters, Coulomb friction, time of an edge."""
+"""Define what the inner steps of all simulated plants share: parameter indices, Coulomb friction, encoder edges."""
 
 from __future__ import annotations
 
@@ -36,16 +36,17 @@ ADVANCE = _INT(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _FLOAT, _FLOAT)
 
 @kernel(_FLOAT(_FLOAT, _FLOAT), inline=True)
 def clip(value: float, limit: float) -> float:
-    """Keep a value within ±limit."""
+    """Return a value limited to the range from −limit to +limit."""
     return math.copysign(min(abs(value), limit), value)
 
 
 @kernel(types.UniTuple(_FLOAT, 2)(_FLOAT, _FLOAT, _FLOAT), inline=True)
 def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
-    """Return the friction effort on a mass (N·m or N) and the velocity after it (rad/s or m/s).
+    """Return the Coulomb friction on a mass (N·m or N), and the velocity of the mass after a step (rad/s or m/s).
 
     The velocity is exactly zero if the mass comes to rest. `free` is the velocity at the end of the step without
-    friction, `gain` the change of that velocity for 1 N·m (or N) of friction, `coulomb` the largest friction effort.
+    friction,
+    `gain` the change of that velocity for 1 N·m (or N) of friction, `coulomb` the largest friction (N·m or N).
     """
     # The quotient does not depend on the loop's variables and leaves it; a division by gain would not.
     friction = free * (-1.0 / gain)
@@ -65,12 +66,13 @@ def rub_both(
     coulomb_motor: float,
     coulomb_link: float,
 ) -> tuple[float, float, float, float]:
-    """Return the friction efforts on motor and link, then the velocities of motor and link after it.
+    """Return the friction on motor and on link (N·m or N), then the velocities of both after a step (rad/s or m/s).
 
-    Arguments are those of `rub_one`, for two coupled masses. The two efforts solve a box-constrained linear
-    complementarity problem. Its gain matrix is symmetric and positive definite (`plant._check_friction`), so there is
-    exactly one solution.
+    The arguments are those of `rub_one` for each of two coupled masses; `gain_cross` is the change of one velocity for
+    1 N·m (or N) on the other mass.
     """
+    # The two efforts solve a box-constrained linear complementarity problem. Its gain matrix is symmetric and positive
+    # definite (`plant._check_friction`), so there is exactly one solution.
     shrink = -1.0 / (gain_motor * gain_link - gain_cross * gain_cross)
     motor = shrink * (gain_link * free_motor - gain_cross * free_link)
     link = shrink * (gain_motor * free_link - gain_cross * free_motor)
@@ -96,8 +98,9 @@ def encode(
     """Return the encoder cell and the age of the last edge (s) at the end of a step.
 
     The step goes from position `before`, in cell `old`, to position `after`. The time of an edge is interpolated
-    linearly. If the step passes several edges, only the last is used. If it ends in the cell where it began, it shows
-    no edge.
+    linearly.
+    If the step passes several edges, only the last is used. If the step ends in the cell where it began, there is no
+    edge.
     """
     new = cell(after, resolution, offset)
     if new == old:

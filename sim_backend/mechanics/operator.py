@@ -1,8 +1,8 @@
-"""Compute the intentions of a simulated person for each tick: a script for the hand of `rig.core.model.Operator`.
+"""Compute the intended motion of a simulated person for each tick: a script for the hand of `rig.core.model.Operator`.
 
 The hand follows the handle during homing, waits, reaches into the wall on a raised cosine, stays there and presses. A
-script is computed once, before the session. The simulated device and the trial without bytes play the same script,
-from the tick after arming.
+script is computed once, before the session. The simulated device and the trial without a byte link play the same
+script, from the tick after arming.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 @group
 class OperatorScript(NamedTuple):
-    """Intentions of the hand: one row for each tick with position, velocity and press, all in units of the link.
+    """The intended motion of a simulated hand: in each row the position, velocity and press for one tick, at the link.
 
-    After the last row the script continues at row `again`. With an empty script the hand holds still.
+    Units are rad, rad/s and N·m (rotary) or m, m/s and N. After the last row the script continues at row `again`. With
+    an
+    empty script the hand holds still.
     """
 
     rows: FloatRows
@@ -43,7 +45,7 @@ class OperatorScript(NamedTuple):
 
     @classmethod
     def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> OperatorScript:
-        """Write the script of one session.
+        """Return the script of the hand for one session.
 
         Parameters
         ----------
@@ -95,9 +97,9 @@ def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
 
 
 def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, Rows]:
-    """Return a hand tremor at the times `t` (s): displacement with root mean square `rms`, and its rate.
+    """Return a hand tremor at the times `t` (s): displacement with the root mean square `rms`, and its rate per second.
 
-    It is a sum of equal sine waves at the frequencies `TREMOR_HZ` with random phases.
+    The tremor is a sum of sine waves of equal size at the frequencies `TREMOR_HZ` with random phases.
     """
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))

@@ -55,10 +55,11 @@ RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 
 @group
 class PlantArguments(NamedTuple):
-    """A plant in motion: its state, and matrices, parameters and state indices of its `DiscretePlant`.
+    """Arguments of `advance`: the changing state of a plant, and the matrices and indices of its `DiscretePlant`.
 
-    `other` is the compiled function that moves the plant by one tick if a hand holds it or its motor cogs. It is passed
-    by address, so a program that simulates neither does not compile it.
+    `other` is the compiled function that moves the plant by one tick if a hand holds it or its motor cogs. The function
+    is
+    passed by address, so a program that simulates neither does not compile it.
     """
 
     state: Floats
@@ -84,7 +85,7 @@ class DiscretePlant:
     phi, gamma
         Discrete matrices over one inner step, states and inputs in the order of `rig.core.model`.
     parameters
-        Friction, encoder and limits, by the index constants of `sim_backend.mechanics.inner`.
+        Friction, encoder and limits, at the indices that `sim_backend.mechanics.inner` names.
     tick_s
         Length of the tick (s).
     delay_ticks
@@ -116,16 +117,19 @@ class DiscretePlant:
             The tick is not above zero, or the inner step is too long for the vibration mode of the capstan.
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
-            raise ConfigError(f"tick_s = {tick_s} s must be above 0", remedy="choose a rate above zero")
+            raise ConfigError(
+                f"the length of a tick, {tick_s} s, must be finite and above 0",
+                remedy="choose a tick rate above 0 Hz",
+            )
         return _discretise(model, tick_s)
 
     @property
     def arrays(self) -> tuple[Matrix, Matrix, Vector]:
-        """Return `phi`, `gamma` and `parameters`."""
+        """Return the arrays `phi`, `gamma` and `parameters` of this plant."""
         return self.phi, self.gamma, self.parameters
 
     def arguments(self, state: Vector) -> PlantArguments:
-        """Return the arguments for `advance`, which changes `state` in place."""
+        """Return the arguments with which `advance` moves this plant; `advance` changes `state` in place."""
         return PlantArguments(
             state=state,
             phi=self.phi,
@@ -149,9 +153,9 @@ class DiscretePlant:
         return slice(self.edge_age + 1, None)
 
     def at_rest(self, position: float) -> Vector:
-        """Return the state at rest at `position` (rad or m): no effort, no delayed command, no edge yet (age ∞).
+        """Return the plant's state at rest at `position` (rad or m): no effort, no delayed command, no encoder edge.
 
-        A hand is at the same position and intends to stay there.
+        A hand is at the same position and intends to stay there. The age of the last edge is ∞.
         """
         state = np.zeros(self.edge_age + 1 + self.delay_ticks)
         state[self.sensed_position] = state[self.handle_position] = position
@@ -166,7 +170,7 @@ class DiscretePlant:
         return len(self.parameters) > PARAMETERS
 
     def count(self, state: Vector) -> int:
-        """Return the encoder count that belongs to a state."""
+        """Return the encoder count for a state of this plant."""
         p = self.parameters
         position = state[self.sensed_position]
         return encoder_count(position, p[RESOLUTION], p[OFFSET], int(p[SIGN]))
@@ -196,7 +200,7 @@ def _discretise(model: RigModel, tick_s: float) -> DiscretePlant:
 
 
 def energy(state: Vector, model: RigModel) -> float:
-    """Return kinetic and elastic energy (J) with hand and cogging, without gravity and electrical energy."""
+    """Return the kinetic and elastic energy (J) of a plant's state, with hand and cogging, without gravity."""
     mechanics, operator = model.mechanics, model.operator
     rigid = mechanics.structure == "rigid"
     link = mechanics.loaded_link_inertia
@@ -220,7 +224,7 @@ def energy(state: Vector, model: RigModel) -> float:
 
 
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
-    """Return phi and gamma of the zero-order-hold discretisation: exp([A B; 0 0] h) = [phi gamma; 0 1]."""
+    """Return phi and gamma of the zero-order-hold discretisation: exp([A B; 0 0] step_s) = [phi gamma; 0 1]."""
     order, inputs = continuous.b.shape
     # Van Loan's block matrix: one exponential gives both, also where A is singular (a free mass has no spring).
     both = np.zeros((order + inputs, order + inputs))
@@ -301,7 +305,7 @@ def _advance_rigid(
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a two-mass plant by one tick; return the encoder count, before its sign."""
+    """Move a plant with two masses by one tick; return the encoder count, before its sign."""
     x, v, y, w = state[0], state[1], state[2], state[3]  # motor and link: position, velocity
     effort, age = state[4], state[5]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]
@@ -349,7 +353,7 @@ _OTHER = {  # by the states of a plant
 
 @kernel(types.int64(PLANT_TYPE, types.float64, types.float64), inline=True)
 def advance(plant: PlantArguments, command_effort: float, external_effort: float) -> int:
-    """Move a plant by one tick.
+    """Move a plant by one tick; return the encoder count at its end.
 
     Parameters
     ----------
@@ -360,11 +364,6 @@ def advance(plant: PlantArguments, command_effort: float, external_effort: float
         to the effort limit and filtered by the electrical lag.
     external_effort
         External effort on the link during the tick (N·m or N, finite).
-
-    Returns
-    -------
-    int
-        Encoder count at the end of the tick.
     """
     # Inlined into compiled callers: counting references to its arrays would cost more than a step.
     state, phi, gamma, parameters = plant.state, plant.phi, plant.gamma, plant.parameters

@@ -1,7 +1,7 @@
-"""Quantise true positions to encoder counts and true currents to quanta, like the rig's sensors.
+"""Convert true positions to encoder counts, and true currents to quanta, as the rig's sensors do.
 
-The simulated device and the sweep without bytes call the same functions. The encoder is a quadrature counter (data
-sheet: cycles per revolution, times decoding). The current quantum is the one that the device declares in IDENTITY.
+The simulated device and the simulation without a byte link call the same functions. The encoder is a quadrature counter
+(data sheet: cycles per revolution, times decoding). The current quantum is the one that the device's dictionary states.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ def cell(position: float, resolution: float, offset: float) -> int:
     Parameters
     ----------
     position
-        True position of the sensed side (rad or m), finite.
+        True position of the side with the encoder (rad or m), finite.
     resolution
         Travel for one count (rad or m), above zero.
     offset
-        Place of position zero in its encoder cell (count): 0.5 rounds to the nearest count, 0 rounds down.
+        Position zero within its encoder cell (count): 0.5 rounds to the nearest count, 0 rounds down.
     """
     return math.floor(position / resolution + offset)
 
@@ -37,8 +37,10 @@ def encoder_count(position: float, resolution: float, offset: float, sign: int) 
 
     Parameters
     ----------
-    position, resolution, offset
-        See `cell`.
+    position, resolution
+        True position of the side with the encoder, and travel for one count (rad or m).
+    offset
+        Position zero within its encoder cell (count); see `cell`.
     sign
         +1 if the count rises with the position, −1 if it falls.
     """

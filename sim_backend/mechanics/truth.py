@@ -1,4 +1,4 @@
-"""Record the true state of the plant in every tick, for comparison with the values that a rig can measure."""
+"""Record the true state of the simulated rig in every tick, to compare it with what the sensors measure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FIRST_ROWS = 4096
 
 
 class TruthLog:
-    """Log of plant states by sample index, without delayed commands; its buffers double when they are full."""
+    """A log of the plant's states by sample index, without delayed commands; its buffers double when they are full."""
 
     def __init__(self, plant: DiscretePlant) -> None:
         self._plant = plant
@@ -22,25 +22,25 @@ class TruthLog:
         self._states = np.zeros((_FIRST_ROWS, plant.commands.start))
 
     def add(self, sample_index: int, state: Vector) -> None:
-        """Append a copy of one state to the log."""
+        """Append a copy of the plant's state `state` at a sample to the log."""
         indices, states, row = self.room()
         indices[row] = sample_index
         states[row] = state[: states.shape[1]]
         self._size = row + 1
 
     def room(self) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-        """Return the buffers (sample indices, states), with at least one free row, and the index of that row."""
+        """Return the log's buffers of sample indices and states, with a free row, and the index of that row."""
         if self._size == len(self._indices):
             self._indices = np.concatenate([self._indices, np.zeros_like(self._indices)])
             self._states = np.concatenate([self._states, np.zeros_like(self._states)])
         return self._indices, self._states, self._size
 
     def written(self, size: int) -> None:
-        """Set the number of rows after other code has written rows into the buffers of `room`."""
+        """Set the number of rows in the log to `size`, after other code has written into the buffers of `room`."""
         self._size = size
 
     def table(self) -> NDArray[np.void]:
-        """Return the logged rows as an array of dtype `rig.core.sample.TRUTH`."""
+        """Return the logged states as an array of dtype `rig.core.sample.TRUTH`, one row for each sample."""
         plant, states = self._plant, self._states[: self._size]
         rows = np.zeros(self._size, TRUTH)
         rows["sample_index"] = self._indices[: self._size]
