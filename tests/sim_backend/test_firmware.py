@@ -265,6 +265,7 @@ def test_a_run_stops_at_its_time() -> None:
     assert device.sample_index == 3_000
 
 
+@pytest.mark.exhaustive("::test_its_truth_is_that_of_the_readable_device")
 def test_after_a_long_run_the_count_is_the_truth() -> None:
     model = noisy_rig()
     device = FirmwareDevice(model, position_rate_default=20_000, seed=1)

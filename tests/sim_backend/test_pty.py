@@ -165,6 +165,7 @@ def test_unread_frames_of_one_host_do_not_reach_the_next(path: str) -> None:
     assert first.sample_index > last + 10  # an unread frame would be the next one; the rig may be late
 
 
+@pytest.mark.exhaustive("::test_it_ends_by_itself_after_its_duration")
 def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmware: bool) -> None:
     link_path = tmp_path / "rig"
     program = PROGRAM.format(link_path=str(link_path), firmware=firmware)

@@ -86,6 +86,7 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(
         assert trace.states[:, index].tobytes() == rows[column].tobytes(), column
 
 
+@pytest.mark.exhaustive("::test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes")
 def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> None:
     experiment = config.override(
         presets.load("koul-compliant"), {**SHORT, "rig.amplifier.current_noise_a": 0.01}
@@ -102,6 +103,7 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> N
     )
 
 
+@pytest.mark.exhaustive("::test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes")
 @pytest.mark.parametrize("changes", first_by_default([{}, HELD, COGS]), ids=["pushed", "held", "cogging"])
 def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
     changes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -72,6 +72,7 @@ def test_a_command_prints_its_numbers_also_without_a_picture(
     assert (code, json.loads(out)["error"]["exit_code"], "no fonts" in err) == (9, 9, True)
 
 
+@pytest.mark.exhaustive("::test_a_file_name_that_is_not_utf_8_is_shown")
 @pytest.mark.parametrize(
     "outside",
     first_by_default(
@@ -225,6 +226,7 @@ for arguments, code in json.loads(sys.argv[1]):
 """
 
 
+@pytest.mark.exhaustive("tests/test_doors.py::test_no_room_imports_a_private_file_of_another")
 def test_without_the_simulation_the_rest_still_works(recording: Any, tmp_path: Path) -> None:
     runs = [(["show", recording, "--no-plot"], 0), (["hit"], 3)]
     done = subprocess.run(
@@ -280,6 +282,7 @@ for words, full in json.loads(sys.argv.pop()):
 """
 
 
+@pytest.mark.exhaustive("::test_a_closed_pipe_is_no_error")
 @pytest.mark.parametrize("unbuffered", first_by_default(["", "1"]))
 def test_a_full_output_has_its_exit_code(unbuffered: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Buffered by Python as well: the exit code was 120 there."""

@@ -184,6 +184,7 @@ def test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing(
     assert not list(tmp_path.rglob("*.parquet"))
 
 
+@pytest.mark.exhaustive("::test_a_hit_of_a_wall_that_must_not_be_armed_is_refused_and_leaves_nothing")
 def test_arm_anyway_arms_and_is_reported_and_recorded(
     run: Any, real: None, port: Any, quiet_link: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -57,6 +57,7 @@ def test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall(
     assert "already contains a rehearsal with a simulated person" in err
 
 
+@pytest.mark.exhaustive("::test_a_rehearsal_is_complete_in_its_own_directory_and_shows_no_wall")
 def test_a_rehearsal_starts_again_on_request_and_never_replaces_a_persons_session(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,6 +194,7 @@ def test_a_session_with_a_person_needs_a_terminal(
     assert not (study / "all" / "P09").exists()
 
 
+@pytest.mark.exhaustive("::test_a_wall_beyond_the_limits_is_refused_before_a_file_is_written")
 def test_a_rate_beyond_that_of_the_device_is_refused_before_a_file_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

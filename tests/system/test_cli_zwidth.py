@@ -49,6 +49,7 @@ def test_a_bound_is_marked(run: Any) -> None:
 # --- Ctrl-C -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("::test_a_device_is_hit_by_recorded_hits_and_the_same_command_resumes")
 @pytest.mark.signals
 def test_ctrl_c_keeps_finished_tasks_and_the_same_command_resumes(run: Any, tmp_path: Path) -> None:
     command = [

@@ -155,6 +155,7 @@ def test_timing_as_json_equals_the_trailer(run: Any, sealed: Any, tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.exhaustive("::test_a_recording_has_both_clocks")
 def test_a_capture_and_its_sealed_recording_have_the_same_timing(tmp_path: Path) -> None:
     capture = hit(tmp_path, 50.0, sealed=False)
     assert capture.suffix == ".rigcap"

@@ -41,6 +41,7 @@ def test_the_example_with_a_new_law_runs(
     assert not names["again"].exact, "fdm is another estimator"
 
 
+@pytest.mark.exhaustive("::test_the_example_with_a_new_law_runs")
 def test_the_estimators_of_the_guide_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = names_of("estimators", 0, tmp_path, monkeypatch)
     slope = 1e-3 / 300 * np.cos(np.arange(2000) / 300) * 20_000

@@ -35,6 +35,7 @@ def rehearse(protocol: Path, study: Path, code: str = "P01", person: Person = PE
     return study / code
 
 
+@pytest.mark.exhaustive("::test_recordings_of_a_session_are_hashed_and_have_blind_names")
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     place = tmp_path_factory.mktemp("calm")

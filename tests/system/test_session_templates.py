@@ -16,6 +16,7 @@ from tests.conformance.tiers import first_by_default
 TRIALS = 3
 
 
+@pytest.mark.exhaustive("tests/rig/session/test_session_check.py::test_every_template_passes_on_its_preset")
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", first_by_default(sorted(template_names(), reverse=True)))
 def test_a_template_is_rehearsed_and_reported(

@@ -196,6 +196,7 @@ def test_work_that_the_workers_do_not_have_is_refused(
         sweep.run([task], scheduler=cluster.address)
 
 
+@pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
 @needs_distributed
 def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
     cluster: Any, tmp_path: Path
@@ -214,7 +215,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing(
 
 
 @needs_distributed
-@pytest.mark.exhaustive("::test_a_worker_killed_in_the_middle_loses_nothing_and_duplicates_nothing")
+@pytest.mark.exhaustive("::test_two_workers_give_the_bits_of_one_process")
 def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_again(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -507,6 +507,7 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
     play(tmp_path, scenario)
 
 
+@pytest.mark.exhaustive("::test_before_the_token_the_server_parses_one_bounded_head_and_no_frame")
 def test_a_malformed_request_is_answered_and_a_flood_is_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

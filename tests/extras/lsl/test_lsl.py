@@ -213,6 +213,7 @@ def test_a_session_continues_without_the_process_that_streams(
     assert len([record for record in caplog.records if "no longer accepts markers" in record.message]) == 1
 
 
+@pytest.mark.exhaustive("::test_a_session_continues_without_the_process_that_streams")
 def test_an_ended_session_leaves_no_process_and_says_what_was_sent(pylsl: Any) -> None:
     with LslMarks(name=f"test-{uuid.uuid4().hex[:8]}") as marks:
         marks.push("begins", trial=1)  # before the process reads: the pipe stores it

@@ -198,6 +198,7 @@ def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
 # --- pieces ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("::test_readings_do_not_depend_on_the_number_of_workers")
 def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
     quick, full = (chawda.ChawdaPlan(scale).parts() for scale in (QUICK, FULL))
     assert set(quick) == set(full)  # nothing is left out when it is quick

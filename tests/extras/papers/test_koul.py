@@ -194,6 +194,7 @@ def test_noise_and_null_readings_are_about_the_rate() -> None:
 # --- pieces ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("::test_ranges_do_not_depend_on_the_number_of_workers")
 def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
     quick, full = (koul.KoulPlan(scale).parts() for scale in (QUICK, FULL))
     names = {name.partition("/")[0] for name in full}

@@ -82,6 +82,7 @@ def one_session(where: Any, mapping: Any = None, who: Any = None, **options: Any
 # ---------------------------------------------------------------------- what is there is found
 
 
+@pytest.mark.exhaustive("::test_each_persons_limit_is_found")
 def test_a_known_difference_lies_within_the_intervals(found: Any) -> None:
     for contrast in (
         next(one for one in found.paired if one.measure == "rule"),

@@ -95,6 +95,7 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
         assert inferred(found) == []
 
 
+@pytest.mark.exhaustive("::test_a_degenerate_study_has_its_tables_and_its_report")
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_small_study_has_its_tables_and_its_page(

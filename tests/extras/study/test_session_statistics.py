@@ -399,6 +399,7 @@ def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping() 
 # ---------------------------------------------------------------------- mixed model
 
 
+@pytest.mark.exhaustive("::test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata")
 def test_the_mixed_model_is_that_of_the_formula() -> None:
     """The same model of the means over repeats, as a formula for statsmodels, which makes its own columns of it."""
     rows = runs_of_people(people=9, dampings=(0.0, 3.0, 7.0), order=4.0, block=-6.0, scatter=20.0)

@@ -308,6 +308,7 @@ def rubbing() -> Any:
     return runs
 
 
+@pytest.mark.exhaustive("::test_two_masses_show_their_mode_and_how_the_inertia_splits")
 def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubbing: Any) -> None:
     found = fit_dynamics(rubbing, resolution=QUANTUM, inertia=2.0 * MASS, sliding=known_sliding())
     assert found.inertia.value == pytest.approx(MASS, rel=0.005)

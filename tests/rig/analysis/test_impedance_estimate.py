@@ -190,6 +190,7 @@ def test_residual_is_the_share_of_velocity_power_off_the_lines() -> None:
         assert periodic([chattering, run]).residual == pytest.approx(size**2 / (2.0 + size**2), rel=1e-4)
 
 
+@pytest.mark.exhaustive("::test_the_stated_variance_is_the_scatter_of_repeated_measurements")
 def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is() -> None:
     """H1 reads |H|·S_vv/(S_vv + S_nn); segments of whole periods, so that nothing else differs."""
     settings = WelchSettings(window="boxcar", segment_s=1.0, overlap=0.0, transform_samples=1000)
@@ -233,6 +234,7 @@ def test_welch_is_scipys_with_the_settings_of_tfestimate() -> None:
     assert found.z == pytest.approx((vf / vv)[inside], rel=1e-6)
 
 
+@pytest.mark.exhaustive("::test_welch_is_scipys_with_the_settings_of_tfestimate")
 def test_welchs_variance_is_the_scatter_over_records_of_noise() -> None:
     """White noise through a resistor with noise of its own: z = 2, n segments of known worth."""
     random = np.random.default_rng(4)

@@ -162,6 +162,7 @@ def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of()
     assert not taken & set(dir(builtins)) & used
 
 
+@pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
 @cache
 def texts() -> list[tuple[str, str]]:
     """File and text of every string outside the commands that is no docstring."""

@@ -83,6 +83,7 @@ def test_a_replay_needs_only_the_wrapper_and_friction_may_be_inside_of_it() -> N
     assert again.function(1e-3, 0.05, 1, state, law.parameters) == expected
 
 
+@pytest.mark.exhaustive("::test_compensation_is_the_map_within_range_and_limit")
 def test_handle_moves_as_if_nothing_cogged(rig_hit: Hits) -> None:
     short = {"trial.duration_s": 0.2, "verdict.tail_s": 0.1, "homing.settle_s": 0.0,
              "homing.tolerance_counts": 1e6, "rig.simulation.initial_position": -0.015}  # fmt: skip

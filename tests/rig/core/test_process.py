@@ -95,6 +95,7 @@ def looks() -> tuple[Any, ...]:
     return main, dict(os.environ), os.getcwd(), sys.argv[:], sys.path[:], [*map(signal.getsignal, numbers)]
 
 
+@pytest.mark.exhaustive("::test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context")
 def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes() -> None:
     before, over = looks(), threading.Event()
 

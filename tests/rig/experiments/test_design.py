@@ -225,6 +225,7 @@ def test_the_theory_of_the_set_is_that_of_each_wall_by_itself() -> None:
 # --- hits -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("::test_the_public_function_finds_the_same")
 def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
     """Every scheme of the set over the walls of the last round, rung by rung: none has more area, to a rung."""
     _, found = kept
@@ -278,6 +279,7 @@ def test_the_section_to_paste_is_the_recommended_scheme(kept: Any, tmp_path: Pat
 # --- wishes -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("::test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it")
 def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
     wishes = Wishes(goal="stiffness", wall=(60.0, 0.3))
     with_wall = design(DesignRequest(experiment=X, schemes=SCHEMES[:2], rounds=QUICK, wishes=wishes))

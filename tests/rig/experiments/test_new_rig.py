@@ -113,6 +113,7 @@ def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     assert rig.load(path).rig.name == "mine"
 
 
+@pytest.mark.exhaustive("::test_a_motor_that_friction_holds_is_refused")
 @pytest.mark.parametrize(
     ("answers", "message"),
     [

@@ -98,6 +98,7 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
         found.insist()
 
 
+@pytest.mark.exhaustive("::test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current")
 @pytest.mark.parametrize(
     ("fault", "outcome"), first_by_default([("motor × 2", Outcome.REFUSED), ("sound", Outcome.OK)])
 )
@@ -243,6 +244,7 @@ def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tm
     assert "pulse" in only.name
 
 
+@pytest.mark.exhaustive("::test_a_real_rig_is_pushed_before_a_person_is_armed_and_once")
 def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed(
     real: None, tmp_path: Path
 ) -> None:

@@ -144,6 +144,7 @@ parts.PartCompiler._compile_core = slow
 """
 
 
+@pytest.mark.exhaustive("::test_threads_prepare_a_kernel_once")
 def test_second_process_waits_while_the_first_compiles(project: Project) -> None:
     with ThreadPoolExecutor(1) as beside:
         slow = beside.submit(project.run, before=SLOW)
@@ -179,6 +180,7 @@ def test_same_sources_in_another_place_load_the_cache(
     assert before["cache"].startswith(project.cache)
 
 
+@pytest.mark.exhaustive("::test_the_key_covers_kernels_and_what_they_import")
 def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, dict[str, Any]]) -> None:
     project, before = first
     project.write(gain=5.0)
@@ -508,6 +510,7 @@ assert sys.modules["numba.np.arraymath"]._HAVE_BLAS  # without one it would comp
 """
 
 
+@pytest.mark.exhaustive("::test_modules_without_kernels_do_not_load_the_compiler")
 def test_only_a_kernel_with_linear_algebra_loads_scipys() -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", WITHOUT_BLAS], check=True, timeout=60)
 

@@ -105,6 +105,7 @@ def test_only_one_of_several_loops_must_be_named(monkeypatch: pytest.MonkeyPatch
     assert running.the_loop(two.pid) is two
 
 
+@pytest.mark.exhaustive("::test_a_loop_of_another_process_is_found_and_stopped")
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become another user")
 def test_process_of_another_user_is_reported_and_not_stopped() -> None:
     """Run as user 65534, which sees this process and one called rig, and may look into neither."""

@@ -420,6 +420,7 @@ def test_enforce_names_all_that_is_missing_and_changes_nothing(ordinary_user: di
     assert found["as before"]
 
 
+@pytest.mark.exhaustive("::test_ordinary_user_runs_with_every_refusal_reported")
 def test_limits_are_enough_without_root() -> None:
     found = child(
         """

@@ -236,6 +236,7 @@ def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen
     )
 
 
+@pytest.mark.exhaustive("::test_rows_reach_the_file_while_the_loop_runs")
 def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
     """The ring in shared memory, as a loop in real time has it; times are those of the rows themselves."""
     path = tmp_path / "trial.rigcap"

@@ -202,6 +202,7 @@ def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol,
     assert "rehearse" in asked.remedy
 
 
+@pytest.mark.exhaustive("::test_every_template_passes_on_its_preset")
 def test_the_first_template_fits_the_simulated_rig_in_real_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,6 +235,7 @@ def test_a_condition_without_theory_has_a_note(schemes: Protocol) -> None:
     assert "theory uses" in found.cells[0].expected.note
 
 
+@pytest.mark.exhaustive("::test_a_plan_counts_runs_trials_and_times")
 def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -255,6 +255,7 @@ def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> 
     assert (did.state, did.current) == (State.CONFIGURED, 0)
 
 
+@pytest.mark.exhaustive("::test_however_a_test_ends_the_host_sends_its_rig_stop")
 @pytest.mark.signals
 def test_ctrl_c_in_a_hit_ends_all_tests(bench: Bench, suite: pytest.Pytester) -> None:
     suite.makepyfile(

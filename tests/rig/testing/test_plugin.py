@@ -260,6 +260,7 @@ def test_a_map_of_the_simulated_rig(rig_zwidth: Maps) -> None:
     assert [boundary.stiffness for boundary in found.curve(0, "felt")] == [90.0]
 
 
+@pytest.mark.exhaustive("::test_experiments_come_by_name_by_path_beside_the_test_and_as_a_parameter")
 def test_a_program_in_another_language_finds_a_rig_on_a_port(rig_serial: SerialRig) -> None:
     """A program of the system alone: it sends nonsense, and nothing moves."""
     subprocess.run(["sh", "-c", f"printf 'hello\\000world\\000' > {rig_serial.path}"], check=True)

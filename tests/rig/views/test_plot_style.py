@@ -48,6 +48,7 @@ figure.facecolor: black
 """
 
 
+@pytest.mark.exhaustive("::test_every_function_that_makes_a_figure_draws_in_the_style_of_this_package")
 def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(tmp_path: Path) -> None:
     """A lab's matplotlibrc, a style that a notebook uses, and the backend of a notebook that is not installed here."""
     plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
