@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,24 +15,13 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from rig.control.judging import TrialSignals, judge, meter
-from rig.control.verdict import KINDS, Kind, Measured, Thresholds, kinds
+from rig.control.verdict import KINDS, Kind, Measured, kinds
+from tests.rig.control.test_verdict import LIMITS as LIMITS_OF_TESTS
 
 RATE = 20_000
 TIME = np.arange(RATE) / RATE
 DELTA = 1.5708e-4
-LIMITS = Thresholds(
-    tail_s=0.4,
-    highpass_hz=30.0,
-    lowpass_hz=500.0,
-    felt_velocity=1.0,  # no floor spares the band pass
-    heard_effort=0.10,
-    moved=1.25e-3,
-    growth=1.2,
-    late_fraction=0.01,
-    longest_gap=2,
-    lost_fraction=0.003,
-    saturated_fraction=0.01,
-)
+LIMITS = replace(LIMITS_OF_TESTS, felt_velocity=1.0)  # no floor spares the band pass
 GOAL_US = 250.0
 
 

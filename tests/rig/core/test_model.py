@@ -12,20 +12,9 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from rig.core.model import Amplifier, Encoder, Mechanics, state_space
+from tests.sim_backend.test_plant import ROTARY
 
-# The fitted values of Koul's rig: free-free mode of the capstan near 586 Hz.
-COMPLIANT = Mechanics(
-    structure="two-mass",
-    motor_inertia=1.9e-4,
-    link_inertia=1.58e-3,
-    motor_damping=2.7e-3,
-    link_damping=1e-3,
-    motor_coulomb=0.005,
-    link_coulomb=0.0017,
-    transmission_stiffness=2310.0,
-    transmission_damping_ratio=0.035,
-    handle_radius=0.1,
-)
+COMPLIANT = ROTARY.mechanics
 RIGID = replace(COMPLIANT, structure="rigid")
 AMPLIFIER = Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4)
 
