@@ -96,19 +96,19 @@ def text(found: DriveFacts, url: str) -> str:
         scale=output.scale_setting,
         bound=output.current_setting,
         per_ampere=f"{output.torque_constant:.6g}",
-        most=f"{_down(most):.4g}",
+        most=f"{_round_down(most):.4g}",
         quantum=f"{quantum:.3g}",
         noise=f"{5 * quantum:.3g}",
         lines=output.counts // decoding,
         decoding=decoding,
         ratio=f"{output.counts_per_turn / output.counts:.6g}",
         effort=f"{effort:.4g}",
-        speed=f"{_down(speed):.4g}",
+        speed=f"{_round_down(speed):.4g}",
     )
     return "".join(map(_align, filled.splitlines(keepends=True)))
 
 
-def _down(value: float) -> float:
+def _round_down(value: float) -> float:
     """Round down to four significant digits, so that the value does not exceed the drive's limit."""
     step = 10.0 ** (math.floor(math.log10(value)) - 3)
     return math.floor(value / step) * step

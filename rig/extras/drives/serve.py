@@ -83,7 +83,7 @@ def serve(
     with contextlib.closing(bus), obtained(BoardScheduling(realtime, cpu=cpu)) as granted:
         found = address.find(bus, model)
         bridge = Bridge(model, found, checksum=bus.checksum, socket=bus.is_socket, facts=facts)
-        with _end_of(host) as (descriptor, place), _wakes() as wake:
+        with _open_host_end(host) as (descriptor, place), _wake_on_signal() as wake:
             granted.enter_thread()
             try:
                 announce(place, Found(found, (*bus.messages, *granted.messages), os.getpid()))
@@ -93,7 +93,7 @@ def serve(
 
 
 @contextlib.contextmanager
-def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
+def _open_host_end(host: socket.socket | None) -> Iterator[tuple[int, str]]:
     """Yield the descriptor of the bridge's end of the link, and the path that a host opens ("" for a socket)."""
     if host is not None:
         host.setblocking(False)
@@ -111,7 +111,7 @@ def _end_of(host: socket.socket | None) -> Iterator[tuple[int, str]]:
 
 
 @contextlib.contextmanager
-def _wakes() -> Iterator[int]:
+def _wake_on_signal() -> Iterator[int]:
     """Yield a file descriptor that becomes readable on SIGINT or SIGTERM."""
     readable, writable = os.pipe()
     os.set_blocking(writable, False)

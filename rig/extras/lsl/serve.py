@@ -192,13 +192,13 @@ class _Server:
         self.open_samples("linear" if rig.get("motion") == "linear" else "rotary", follower.position_rate)
         self._report({"loop": owner, "position_rate": follower.position_rate, "rate": follower.rate})
         try:
-            self._to_the_end(owner, follower, source)
+            self._follow_to_end(owner, follower, source)
         finally:
             self.served.loops += 1
             self.served.lost += follower.lost
             self._report({"ended": owner, "rows": follower.rows, "lost": follower.lost})
 
-    def _to_the_end(self, owner: int, follower: Follower, source: Markers | None) -> None:
+    def _follow_to_end(self, owner: int, follower: Follower, source: Markers | None) -> None:
         last_line_s = time.monotonic()
         while not follower.ended:
             self._pass_on(source)

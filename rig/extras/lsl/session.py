@@ -156,16 +156,16 @@ class LslMarks:
         at = time.monotonic_ns() if at_ns is None else at_ns
         line = marker_line(at, {"mark": mark, **content})
         if len(line) > LINE_BYTES:
-            self._lose(f"a marker longer than {LINE_BYTES} bytes was not sent to LSL")
+            self._count_lost(f"a marker longer than {LINE_BYTES} bytes was not sent to LSL")
             return
         try:
             if self._closed:
                 raise BrokenPipeError
             os.write(self._descriptor, line)
         except OSError:
-            self._lose("the LSL process no longer accepts markers; the session continues without them")
+            self._count_lost("the LSL process no longer accepts markers; the session continues without them")
 
-    def _lose(self, why: str) -> None:
+    def _count_lost(self, why: str) -> None:
         self.lost += 1
         if why not in self._warned:
             self._warned.add(why)

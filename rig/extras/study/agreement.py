@@ -155,7 +155,7 @@ def _agreement(
     low, high = (None, None) if isinstance(ends, str) else ends
     # κ alone misleads where one class is rare: the agreement on each of two classes stands beside it (Cicchetti and
     # Feinstein, Journal of Clinical Epidemiology 43, 1990).
-    positive, negative = (_specific(counts, place) if len(classes) == 2 else None for place in (0, 1))
+    positive, negative = (_class_agreement(counts, place) if len(classes) == 2 else None for place in (0, 1))
     return Agreement(
         name=name,
         condition=condition,
@@ -189,7 +189,7 @@ def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str
     return ""
 
 
-def _specific(counts: Floats, place: int) -> float | None:
+def _class_agreement(counts: Floats, place: int) -> float | None:
     both = float(counts[place].sum() + counts[:, place].sum())
     return 2.0 * float(counts[place, place]) / both if both else None
 
@@ -235,7 +235,7 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
     if total == 0.0:
         return math.nan
     share = table / total
-    alike = _alike(len(table), weights)
+    alike = _weigh_pairs(len(table), weights)
     rows, columns = share.sum(axis=1), share.sum(axis=0)
     observed, chance = float((alike * share).sum()), float(rows @ alike @ columns)
     if 1.0 - chance < 1e-12:
@@ -243,7 +243,7 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
     return (observed - chance) / (1.0 - chance)
 
 
-def _alike(classes: int, weights: Weights) -> Floats:
+def _weigh_pairs(classes: int, weights: Weights) -> Floats:
     """Return how far each pair of classes counts as agreement, 0 to 1, shape (classes, classes)."""
     place = np.arange(classes)
     distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)

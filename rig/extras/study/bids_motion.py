@@ -193,10 +193,10 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
         rest = np.flatnonzero(~inside[first:])
         end = first + int(rest[0]) if len(rest) else len(inside)
         found.append(("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
-    return sorted([*found, *_pins(recording)], key=lambda span: span[1])
+    return sorted([*found, *_find_pin_edges(recording)], key=lambda span: span[1])
 
 
-def _pins(recording: Recording) -> list[tuple[str, float, float]]:
+def _find_pin_edges(recording: Recording) -> list[tuple[str, float, float]]:
     """Return name, onset (s since the first row) and duration 0 of each edge at the device's sync pins."""
     origin = int(recording.rows["device_time"][0])
     return [

@@ -102,7 +102,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
         roundings = np.array([run.limits[measure].rounding for run in counted])
         for name, place in places:
             at = np.array([place(run) for run in counted])
-            slope = _slope("limit", name, measure, at, limits, cells, roundings)
+            slope = _estimate_slope("limit", name, measure, at, limits, cells, roundings)
             if beyond and not counted:
                 slope = replace(slope, problem="most limits lie beyond the searched levels")
             family.append(slope)
@@ -120,7 +120,7 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
     for what, of, values in (("response time", timed, logs), ("invalid", kept, useless)):
         at = np.array([float(trial.trial) for trial in of])
         each = [(trial.participant, trial.condition, trial.damping) for trial in of]
-        found += _correct_holm([_slope(what, "trial", "", at, np.array(values), each)])
+        found += _correct_holm([_estimate_slope(what, "trial", "", at, np.array(values), each)])
     return tuple(found)
 
 
@@ -155,7 +155,7 @@ def _block(code: str, block: int, of: Sequence[TrialRow]) -> BlockRow:
     )
 
 
-def _slope(
+def _estimate_slope(
     of: str,
     along: str,
     measure: Measure | str,
@@ -166,7 +166,7 @@ def _slope(
 ) -> Slope:
     each = within_slopes(at, values, cells)
     rounding = 0.0 if roundings is None or not each else _rounding_of_slopes(at, roundings, cells, each)
-    found = _over(each, _is_shared(cells), rounding)
+    found = _average_slopes(each, _is_shared(cells), rounding)
     slope, low, high, p = (math.nan,) * 4 if isinstance(found, str) else found
     return Slope(
         of=of,
@@ -216,7 +216,7 @@ def _rounding_of_slopes(
     )
 
 
-def _over(
+def _average_slopes(
     each: Mapping[str, float], shared: bool, rounding: float
 ) -> tuple[float, float, float, float] | str:
     """Return mean, 95 % interval and p of the participants' slopes (Student), or the reason why they are missing.

@@ -345,7 +345,7 @@ def _compare_pairs(
             differences, rounding = _differences(known, against, condition, damping)
             if not len(differences):
                 continue
-            behind = _behind(beyond, against, condition, damping)
+            behind = _find_used_cells(beyond, against, condition, damping)
             withheld = any(one.mostly for one in behind.values())
             tested = (
                 Student(problem=MOSTLY_CENSORED)
@@ -373,7 +373,7 @@ def _compare_pairs(
     return found
 
 
-def _behind(
+def _find_used_cells(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
     """Return the counts of censored limits of each (condition, damping) that contributes to a difference."""
@@ -497,12 +497,12 @@ def _differences(
         pairs = [(known.get((code, condition, b)), known.get((code, against, b))) for b in dampings]
         both = [(one, other) for one, other in pairs if one is not None and other is not None]
         if both and len(both) == len(pairs):
-            values.append(sum(_less(one[0], other[0]) for one, other in both) / len(both))
+            values.append(sum(_subtract(one[0], other[0]) for one, other in both) / len(both))
             variances.append(sum(one[1] ** 2 + other[1] ** 2 for one, other in both) / len(both) ** 2)
     return np.array(values), math.sqrt(sum(variances) / len(variances)) if variances else 0.0
 
 
-def _less(one: float, other: float) -> float:
+def _subtract(one: float, other: float) -> float:
     """Return the difference of two means; 0 if it is only a floating-point error."""
     return 0.0 if math.isclose(one, other, rel_tol=FLOATING) else one - other
 

@@ -1,4 +1,4 @@
-"""Tables of the participants and of their answers, and the number of trials by their use."""
+"""Compute the tables of participants and of their answers, and count trials by their use."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rig.session.search import CatchTrials
 def participants_of(
     study: Study, trials: Sequence[TrialRow], runs: Sequence[RunRow]
 ) -> tuple[ParticipantRow, ...]:
-    """Return one row of the table of participants for each session."""
+    """Return a row for each session: participant, duration, number of trials, answers."""
     return tuple(_row(session, trials, runs) for session in study.sessions)
 
 
 def answers_of(study: Study) -> tuple[AnswerRow, ...]:
-    """Return the final answer to each item of each block; earlier answers of a restarted block are left out."""
+    """Return the final answer to each questionnaire item, without earlier answers of a restarted block."""
     when = {item.name: item.when for item in study.protocol.question}
     return tuple(
         AnswerRow(
@@ -35,9 +35,10 @@ def answers_of(study: Study) -> tuple[AnswerRow, ...]:
 
 
 def count_trial_uses(trials: Sequence[TrialRow], runs: Sequence[RunRow]) -> Counter[str]:
-    """Return the number of trials by use: "counted" trials contribute to a limit, each other use is a reason why not.
+    """Count trials by use: "counted" trials contribute to a limit; each other use names the reason why not.
 
-    An unsure verdict is not "counted", unless it is the last of a row of them that the protocol treats as not stable.
+    An unsure verdict is not "counted", unless it is the last of several in a row that the protocol treats as not
+    stable.
     """
     states = {(run.participant, run.run): run.state for run in runs}
     return Counter(_use_of(trial, states.get((trial.participant, trial.run), "complete")) for trial in trials)

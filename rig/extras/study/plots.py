@@ -1,7 +1,7 @@
-"""Pictures of a study: the Z-width over participants, tracks, psychometric functions, agreement, order and fatigue.
+"""Draw the pictures of a study: the Z-width over participants, tracks, psychometric functions, agreement, fatigue.
 
 Each condition has one colour and one marker in all pictures. Verdicts differ in colour and in shape. Triangles mark
-limits beyond the levels: ▲ above the stiffest, ▼ below the softest.
+limits beyond the levels (searched stiffnesses): ▲ above the stiffest, ▼ below the softest.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ Draw = Callable[[StudyAnalysis], Any]
 
 
 def pictures(found: StudyAnalysis) -> dict[str, Draw]:
-    """Return the functions that draw the pictures for which there are results, by name of the picture."""
+    """Return a drawing function for each picture that the results allow, by name of the picture."""
     chosen: dict[str, Draw] = {}
     if found.over_participants:
         chosen["zwidth"] = partial(zwidth_figure, measure=found.options.measure)
@@ -88,25 +88,18 @@ def draw_session(
     watch: Callable[[int, int], None] | None = None,
     on_failure: Callable[[Exception, str], None] | None = None,
 ) -> dict[str, Path]:
-    """Draw all pictures into an existing directory.
+    """Draw all pictures of a study into an existing directory; return the paths by file name.
 
     Parameters
     ----------
-    found
-        Results that are drawn.
     directory
         Directory of the pictures; existing files of the same names are replaced.
     endings
         File formats, some of `rig.views.plots.style.FORMATS`.
     watch
-        Called with the number of pictures done, and the total.
+        Called with the number of finished pictures, and the total.
     on_failure
         Called with the error and the picture's name if a picture fails; None: raise the error.
-
-    Returns
-    -------
-    dict
-        Path of each picture by its file name.
 
     Raises
     ------
@@ -131,7 +124,7 @@ def draw_session(
 
 
 def tracks_name(code: str) -> str:
-    """Return the name of the picture of a participant's tracks."""
+    """Return the name of the picture with a participant's tracks (stiffness over trials), without ending."""
     return f"{TRACKS}{file_name(code)}"
 
 
@@ -140,7 +133,7 @@ def tracks_name(code: str) -> str:
 
 @style.own_style()
 def zwidth_figure(found: StudyAnalysis, measure: Measure) -> Any:
-    """Draw K_max over B by condition: a thin line for each participant, a thick one with intervals for the mean.
+    """Draw K_max over B by condition: a thin line for each participant, a thick line with intervals for the mean.
 
     With a single damping the conditions are side by side, and a line joins the values of each participant.
     """
@@ -196,7 +189,7 @@ def _over_damping(
         if not means:
             continue
         at = [one.damping + shift for one in means]
-        _means(axes, at, means, each, colour, marker, name)
+        _draw_means(axes, at, means, each, colour, marker, name)
         axes.plot(at, [one.mean for one in means], color=colour, linewidth=1.8, zorder=3)
     axes.legend(fontsize=8, loc="best")
     axes.set_xlim(dampings[0] - 6 * apart, dampings[-1] + 6 * apart)
@@ -217,12 +210,14 @@ def _side_by_side(
     for number, name in enumerate(names):
         means = [one for one in over if one.condition == name]
         if means:
-            _means(axes, [number + 0.12], means, each, style_of(number), MARKERS[number % len(MARKERS)], name)
+            _draw_means(
+                axes, [number + 0.12], means, each, style_of(number), MARKERS[number % len(MARKERS)], name
+            )
     axes.set_xticks(range(len(names)), [_plain(name) for name in names])
     axes.set_xlim(-0.6, len(names) - 0.4)
 
 
-def _means(
+def _draw_means(
     axes: Any,
     at: Sequence[float],
     means: Sequence[OverParticipants],
@@ -231,7 +226,7 @@ def _means(
     marker: str,
     name: str,
 ) -> None:
-    """Draw means with 95 % intervals: over participants, or over repeats of a single participant."""
+    """Draw means of one condition with 95 % intervals: over participants, or over repeats of a single participant."""
     ends = [_ends(one, each) for one in means]
     lengths = np.array(
         [
@@ -266,7 +261,7 @@ def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, 
 def _draw_censored(
     axes: Any, x: float, y: float, above: int, below: int, colour: str, *, size: float, alpha: float
 ) -> None:
-    """Draw a triangle for limits above, and one for limits below the searched levels."""
+    """Draw a triangle at (x, y) if limits are above, and one if limits are below the searched levels."""
     for count, marker in ((above, "^"), (below, "v")):
         if count:
             axes.scatter([x], [y], marker=marker, s=size, color=colour, alpha=alpha, zorder=5)
@@ -277,9 +272,9 @@ def _draw_censored(
 
 @style.own_style()
 def psychometric_figure(found: StudyAnalysis) -> Any:
-    """Draw the share of stable verdicts over stiffness: a row of panels for each condition, a column for each damping.
+    """Draw the share of stable verdicts over stiffness: a row of panels for each condition, a column per damping.
 
-    A function is drawn if its K50 lies within the levels; `CURVES` lists the lines and markers.
+    A fitted function is drawn if its K50 lies within the levels; `CURVES` lists the lines and markers.
     """
     judge = "person" if any(one.judge == "person" for one in found.psychometrics) else "automatic"
     names = _conditions(found)
@@ -294,7 +289,7 @@ def psychometric_figure(found: StudyAnalysis) -> Any:
         for column, damping in enumerate(dampings):
             axes = panels[row][column]
             of = [one for one in found.psychometrics if (one.condition, one.damping) == (name, damping)]
-            drawn |= _functions(axes, of, judge, style_of(row), most)
+            drawn |= _draw_functions(axes, of, judge, style_of(row), most)
             axes.set_ylim(-0.05, 1.05)
             style.lighten(axes)
             if not of:
@@ -314,16 +309,19 @@ def psychometric_figure(found: StudyAnalysis) -> Any:
     return figure
 
 
-def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str, most: int) -> set[str]:
-    """Draw one panel; the largest circle stands for `most` verdicts. Return the keys of `CURVES` that were drawn."""
+def _draw_functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str, most: int) -> set[str]:
+    """Draw one panel of functions and verdicts; return the keys of `CURVES` that were drawn.
+
+    The circle of a level grows with its number of verdicts; `most` verdicts give the largest circle.
+    """
     mine = [one for one in of if one.judge == judge]
-    together = _together(mine)
+    together = _find_common(mine)
     if together is None:
         return set()
     low, high = together.levels[0], together.levels[-1]
     margin = 0.05 * (high - low) or 0.05 * high
     at = np.linspace(max(low - margin, 0.0), high + margin, 200)
-    other = _together([one for one in of if one.judge != judge])
+    other = _find_common([one for one in of if one.judge != judge])
     curves: dict[str, Sequence[PsychometricFit | None]] = {
         EACH: [one for one in mine if one is not together],
         ONE if together.participant else ALL: [together],
@@ -348,20 +346,20 @@ def _functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str
         (0.98, 0.93, "right", "top") if 2.0 * threshold.mean < low + high else (0.02, 0.07, "left", "bottom")
     )
     x, y, ha, va = where  # the corner from which the function is far
-    axes.text(x, y, _k50(together), transform=axes.transAxes, ha=ha, va=va, fontsize=7.5)
+    axes.text(x, y, _describe_k50(together), transform=axes.transAxes, ha=ha, va=va, fontsize=7.5)
     return drawn
 
 
-def _k50(one: PsychometricFit) -> str:
-    """Return K50 as text: with ≥ or ≤ if it is a bound, or the number of censored K50 if both occur."""
+def _describe_k50(one: PsychometricFit) -> str:
+    """Return K50 as text: with ≥ or ≤ if it is a bound, or the number of censored K50 if bounds differ."""
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="
     return f"K50 {mark} {one.threshold.mean:.4g}"
 
 
-def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
-    """Return the function of all participants together, or that of the only participant."""
+def _find_common(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
+    """Return the function of all participants together, or the function of the only participant; None without one."""
     for one in of:
         if one.participant == "":
             return one
@@ -373,7 +371,7 @@ def _together(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
 
 @style.own_style()
 def tracks_figure(found: StudyAnalysis, code: str) -> Any:
-    """Draw the stiffness of each trial of a participant's runs, and the verdicts."""
+    """Draw the stiffness of each trial with its verdict, in a panel for each run of a participant."""
     runs = [run for run in found.runs if run.participant == code]
     trials = [trial for trial in found.trials if trial.participant == code and not trial.practice]
     columns = min(_RUNS_IN_A_ROW, max(len(runs), 1))
@@ -384,12 +382,12 @@ def tracks_figure(found: StudyAnalysis, code: str) -> Any:
         if place >= len(runs):
             axes.set_axis_off()
             continue
-        _track(axes, runs[place], [trial for trial in trials if trial.run == runs[place].run], found)
+        _draw_track(axes, runs[place], [trial for trial in trials if trial.run == runs[place].run], found)
         if place % columns == 0:
             axes.set_ylabel(f"K ({found.study.unit('stiffness')})", fontsize=8)
         if place + columns >= len(runs):
             axes.set_xlabel("trial", fontsize=8)
-    _key(panels[0][0], [trial for run in runs for trial in trials if trial.run == run.run])
+    _add_legend(panels[0][0], [trial for run in runs for trial in trials if trial.run == run.run])
     if any(found.options.measure in run.limits for run in runs):
         panels[0][0].plot([], [], **_LIMIT, label=MEASURES[found.options.measure])
         panels[0][0].fill_between([], [], **_INTERVAL, label="its interval of 95 %")
@@ -398,7 +396,7 @@ def tracks_figure(found: StudyAnalysis, code: str) -> Any:
     return figure
 
 
-def _track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: StudyAnalysis) -> None:
+def _draw_track(axes: Any, run: RunRow, trials: Sequence[TrialRow], found: StudyAnalysis) -> None:
     limit = run.limits.get(found.options.measure)
     if limit is not None:
         low, high = (end if math.isfinite(end) else limit.value for end in (limit.low, limit.high))
@@ -444,8 +442,8 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
     return {"color": colour} if filled else {"facecolors": "none", "edgecolors": colour}
 
 
-def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
-    """Add a legend of the markers that occur in `trials`."""
+def _add_legend(axes: Any, trials: Sequence[TrialRow]) -> None:
+    """Add legend entries for the markers that occur in `trials`."""
     for verdict, (colour, marker) in VERDICTS.items():
         if any(_verdict_of(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)
@@ -463,26 +461,26 @@ def _key(axes: Any, trials: Sequence[TrialRow]) -> None:
 
 @style.own_style()
 def agreement_figure(found: StudyAnalysis) -> Any:
-    """Draw the tables of confusions of the person's and the automatic verdicts, over all conditions."""
-    tables = _unlike([one for one in found.agreements if one.condition == "" and one.trials])
+    """Draw the confusion matrices of the person's and the automatic verdicts, over all conditions."""
+    tables = _keep_one_per_name([one for one in found.agreements if one.condition == "" and one.trials])
     figure = style.new_figure(1.0 + 3.3 * len(tables), 3.7)
     panels = figure.subplots(1, len(tables), squeeze=False)[0]
     for axes, table in zip(panels, tables, strict=True):
-        _confusions(axes, table)
+        _draw_confusions(axes, table)
     panels[0].set_ylabel("verdict of the person", fontsize=9)
     figure.suptitle("Agreement of the person's verdicts and the automatic ones", fontsize=11)
     return figure
 
 
-def _unlike(tables: Sequence[Agreement]) -> list[Agreement]:
-    """Return one table of each name; tables with other weights have the same counts."""
+def _keep_one_per_name(tables: Sequence[Agreement]) -> list[Agreement]:
+    """Return one confusion matrix of each name; matrices that differ only in their weights have the same counts."""
     by_name: dict[str, Agreement] = {}
     for table in tables:
         by_name.setdefault(table.name, table)
     return list(by_name.values())
 
 
-def _confusions(axes: Any, table: Agreement) -> None:
+def _draw_confusions(axes: Any, table: Agreement) -> None:
     counts = np.array(table.counts, dtype=np.float64)
     rows = counts.sum(axis=1, keepdims=True)
     shares = np.divide(counts, rows, out=np.zeros_like(counts), where=rows > 0.0)
@@ -511,8 +509,8 @@ def _confusions(axes: Any, table: Agreement) -> None:
 def effects_figure(found: StudyAnalysis) -> Any:
     """Draw limits minus the mean of participant and condition against place in the block, block and trial.
 
-    Below: the time to a verdict along the session, and the share of trials of each block that were invalid,
-    redone or cut off.
+    Lower panels: time to a verdict along the session, and share of trials of each block that were invalid, redone or
+    cut off.
     """
     measure = found.options.measure
     runs = [run for run in found.runs_as_counted if run.state == "complete" and measure in run.limits]
@@ -538,7 +536,7 @@ def effects_figure(found: StudyAnalysis) -> Any:
                 alpha=0.6,
                 label=_plain(name),
             )
-        _slope(axes, found, "limit", along, measure, at)
+        _draw_slope(axes, found, "limit", along, measure, at)
         axes.axhline(0.0, color="#777777", linewidth=0.7)
         axes.set_xlabel(label, fontsize=9)
         style.at_least(axes, "y", _LEAST_SPAN * float(limits.max(initial=0.0)))
@@ -546,14 +544,16 @@ def effects_figure(found: StudyAnalysis) -> Any:
     panels[0][0].set_ylabel(f"limit less the mean ({found.study.unit('stiffness')})", fontsize=9)
     if runs:
         panels[0][0].legend(fontsize=7, loc="best")
-    _response(panels[1][0], found)
-    _useless(panels[1][1], found)
+    _draw_response_times(panels[1][0], found)
+    _draw_lost_trials(panels[1][1], found)
     _limits_over_session(panels[1][2], found, runs, measure)
     figure.suptitle("Order and fatigue", fontsize=11)
     return figure
 
 
-def _slope(axes: Any, found: StudyAnalysis, of: str, along: str, measure: str, at: Sequence[float]) -> None:
+def _draw_slope(
+    axes: Any, found: StudyAnalysis, of: str, along: str, measure: str, at: Sequence[float]
+) -> None:
     for slope in found.slopes:
         if (slope.of, slope.along, slope.measure) != (of, along, measure):
             continue
@@ -567,8 +567,8 @@ def _slope(axes: Any, found: StudyAnalysis, of: str, along: str, measure: str, a
         axes.plot(ends, slope.slope * (ends - middle), color="#222222", linewidth=1.2)
 
 
-def _response(axes: Any, found: StudyAnalysis) -> None:
-    """Draw medians of `_TOGETHER` verdict times, a line for each participant; single trials would hide each other."""
+def _draw_response_times(axes: Any, found: StudyAnalysis) -> None:
+    """Draw the time to a verdict along the session: medians of `_TOGETHER` trials, a line for each participant."""
     for number, session in enumerate(found.study.sessions):
         timed = [
             (trial.trial, trial.response_time_s)
@@ -597,7 +597,7 @@ def _response(axes: Any, found: StudyAnalysis) -> None:
     style.lighten(axes)
 
 
-def _useless(axes: Any, found: StudyAnalysis) -> None:
+def _draw_lost_trials(axes: Any, found: StudyAnalysis) -> None:
     numbers = sorted({block.block for block in found.blocks})
     bottom = np.zeros(len(numbers))
     for name, colour in (("invalid", "#999999"), ("redone", style.TRUE), ("aborted", style.BAD)):
@@ -651,7 +651,7 @@ def _count_runs(axes: Any, runs: Sequence[RunRow]) -> None:
 
 
 def style_of(number: int) -> str:
-    """Return the colour of a condition by its place in the protocol."""
+    """Return the colour of the condition with this index in the protocol."""
     return style.SERIES[number % len(style.SERIES)]
 
 
@@ -660,7 +660,7 @@ def _conditions(found: StudyAnalysis) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Return a user's text for matplotlib, so that it is not read as a formula or hidden from a legend."""
+    """Return a user's text for matplotlib, so that no part is read as a formula or hidden from a legend."""
     text = text.replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text
 

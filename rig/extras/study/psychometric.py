@@ -27,7 +27,7 @@ Judge = Literal["person", "automatic"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """Estimate of a parameter: posterior mean (for K50 the median), and 95 % interval (NaN: no interval)."""
+    """Estimate of a parameter: mean of the posterior (median for K50) and 95 % interval (NaN: no interval)."""
 
     mean: float
     low: float
@@ -36,7 +36,7 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PsychometricFit:
-    """Psychometric function of one participant, or of all together (`participant` is empty).
+    """Psychometric function of one participant, or of all participants together (`participant` is empty).
 
     Attributes
     ----------
@@ -47,6 +47,7 @@ class PsychometricFit:
     threshold, spread
         K50 and scale s, in units of stiffness. If K50 lies beyond the levels, it is the nearest level, see
         `rig.session.search._psychometric.Located`; over participants it is the mean of their K50.
+    above, below
         Number of participants whose K50 lies above or below the levels.
     lapse_rate
         λ, the share of inverted verdicts (0 to 1).
@@ -74,7 +75,7 @@ class PsychometricFit:
 
     @property
     def bounded(self) -> bool:
-        """Return True if the K50 of every participant lies within the levels."""
+        """True if the K50 of every participant lies within the levels."""
         return not self.above and not self.below
 
     def share(self, stiffness: Floats) -> Floats:
@@ -88,12 +89,10 @@ Verdicts = list[tuple[float, bool]]
 def psychometrics(
     study: Study, complete: Container[tuple[str, int]], *, include_marked: bool = False
 ) -> tuple[PsychometricFit, ...]:
-    """Return all functions, by judge, condition and damping: of each participant, then of all without marked ones.
+    """Fit all functions, by judge, condition and damping: of each participant, then of all participants together.
 
-    Parameters
-    ----------
-    complete
-        Participant and number of each run that counts, see `complete_runs`.
+    `complete` has participant and number of each run that counts, see `complete_runs`. Participants whose K50 is marked
+    (not supported by the verdicts) are left out of the common function, unless `include_marked`.
     """
     found: list[PsychometricFit] = []
     judges: tuple[Judge, ...] = ("person", "automatic")
@@ -126,12 +125,12 @@ def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
 def gather_verdicts(
     study: Study, judge: str, complete: Container[tuple[str, int]]
 ) -> dict[tuple[str, float], dict[str, Verdicts]]:
-    """Return verdicts (stiffness, stable) by condition and damping, and by participant.
+    """Return verdicts as (stiffness, stable), by (condition, damping) and participant.
 
     Parameters
     ----------
     judge
-        See `rig.extras.study.trials.answers`.
+        Source of the verdicts, see `rig.extras.study.trials.answers`.
     complete
         Participant and number of each run that counts.
     """
@@ -155,7 +154,7 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """Return the function fitted to the verdicts (stiffness, stable) of one participant, for a search on `levels`."""
+    """Fit the function of one participant to verdicts (stiffness, stable) of a search on `levels` (stiffnesses)."""
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
@@ -185,7 +184,10 @@ def fit(
 def together(
     each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
 ) -> PsychometricFit:
-    """Return the common function of several participants under one condition; `verdicts` are those of all of them."""
+    """Fit the common function of several participants under one condition to all of their verdicts.
+
+    K50 is the mean of the single fits `each`, with Student's interval.
+    """
     # Student's interval over people's own K50: it shows a K50 that drifts between repeats, for which the posterior's is
     # too narrow.
     own = np.array([one.threshold.mean for one in each])
@@ -208,7 +210,7 @@ def together(
 
 
 def _marginal(values: Floats, weights: Floats, *, geometric: bool = False) -> Posterior:
-    """Return mean (geometric if asked) and 95 % interval of a parameter with the discrete `values`."""
+    """Return mean (or geometric mean) and 95 % interval of a parameter with discrete `values`, weighted."""
     share = weights / weights.sum()
     below = np.cumsum(share)
     low, high = (min(int(np.searchsorted(below, edge)), len(values) - 1) for edge in (0.025, 0.975))

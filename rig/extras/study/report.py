@@ -1,4 +1,4 @@
-"""Write a study as one HTML page: results, plan, deviations from the plan, and the methods, for print.
+"""Write a study as one HTML page for print: results, plan, deviations from the plan, and the methods.
 
 The file contains everything: pictures inline, all numbers as JSON in the element ``numbers``. The text is in
 ``session.html.j2``.
@@ -31,15 +31,7 @@ _FIRST = 6  # differences in the summary
 
 
 def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
-    """Return the page.
-
-    Parameters
-    ----------
-    found
-        Results that the page reports.
-    pictures
-        PNGs by name (`rig.extras.study.plots.pictures`); the page states which are missing.
-    """
+    """Return the HTML page; `pictures` has PNG data by name, and the page states which pictures are missing."""
     model, _ = tables.first_contrasts(found)
     searched = {run.participant for run in found.runs}
     codes = [session.code for session in found.study.sessions if session.code in searched]
@@ -66,7 +58,7 @@ def render(found: StudyAnalysis, pictures: Mapping[str, bytes]) -> str:
 def write_session_report(
     found: StudyAnalysis, pictures: Mapping[str, bytes], directory: Path
 ) -> tuple[Path, Path]:
-    """Write the page and its numbers into an existing directory; return both paths.
+    """Write the HTML page and a JSON file with its numbers into an existing directory; return both paths.
 
     Existing files are replaced. Raises `rig.core.errors.RecordingError` if a file cannot be written.
     """
@@ -80,7 +72,7 @@ def write_session_report(
 
 
 def numbers(found: StudyAnalysis) -> dict[str, Any]:
-    """Return everything that the page reports as plain values; numbers that are not finite become None."""
+    """Return everything that the page reports, for JSON; numbers that are not finite become None."""
     report: dict[str, Any] = plain(
         {
             **found.as_mapping(),
@@ -95,7 +87,7 @@ def numbers(found: StudyAnalysis) -> dict[str, Any]:
 
 
 def provenance(found: StudyAnalysis) -> dict[str, Any]:
-    """Return the origin of the numbers: logs with their hashes, devices, versions, seeds, protocol, experiments."""
+    """Return what the numbers come from: logs with their hashes, devices, versions, seeds, protocol, experiments."""
     sessions = found.study.sessions
     return {
         "logs": {

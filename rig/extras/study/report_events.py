@@ -28,7 +28,7 @@ _REASON = re.compile(r"\b(felt|heard|moved) [-+.\de]+ above [-+.\de]+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """A deviation: participant, time since the session's start (s), what happened, and details."""
+    """A deviation from the plan: participant, time since the session's start (s), what happened, and details."""
 
     participant: str
     at_s: float
@@ -39,7 +39,7 @@ class Deviation:
 def deviations(study: Study) -> tuple[Deviation, ...]:
     """Return decisions and interruptions: redone, amended, restarted, skipped, retried, stopped, resumed, ended early.
 
-    First come values of the protocol that differ from those of most participants. The opening of a rig is listed if the
+    Values of the protocol that differ from most participants' come first. The opening of a rig is listed if the
     computer or the link lost samples in the measurement before it. Recordings that are missing or changed are last in
     each session.
     """
@@ -97,7 +97,7 @@ def _deviation(session: StudySession, event: Event, what: str, detail: str) -> D
 
 
 def _sentence(session: StudySession, event: Event) -> str:
-    """Return the description of an event, from the template."""
+    """Return the description of an event as one line, from the template."""
     content, before = event.content, session.events[: event.number]
     trial = content.get("trial")
     verdicts = [one.content["verdict"] for one in session.of_kind("judged") if one.content["trial"] == trial]
@@ -114,7 +114,7 @@ def _sentence(session: StudySession, event: Event) -> str:
             one.kind == "trial" and one.content["block"] == content.get("block") for one in before
         ),
         why_paused=next((one.content["reason"] for one in reversed(before) if one.kind == "paused"), ""),
-        away_s=_away_s(session, event),
+        away_s=_pause_s(session, event),
         losses=log_losses(event),
         lost_samples=list_lost_samples(content),
         reasons=_with_units(session, "; ".join(content.get("reasons", ()))),
@@ -122,8 +122,8 @@ def _sentence(session: StudySession, event: Event) -> str:
     return " ".join(text.split())
 
 
-def _away_s(session: StudySession, event: Event) -> float | None:
-    """Return the pause (s) before a session was resumed or continued; None for other events."""
+def _pause_s(session: StudySession, event: Event) -> float | None:
+    """Return the length (s) of the pause before a session was resumed or continued; None for other events."""
     since = [
         one
         for one in session.events[: event.number]
@@ -133,7 +133,7 @@ def _away_s(session: StudySession, event: Event) -> float | None:
 
 
 def _with_units(session: StudySession, reasons: str) -> str:
-    """Return the reasons of a verdict with units added to their numbers."""
+    """Add units to the numbers in the reasons of a verdict."""
     return _REASON.sub(lambda found: f"{found[0]} {_unit(session, _MEASURED[found[1]])}", reasons)
 
 

@@ -49,7 +49,7 @@ _CAPS = {"stiffness": "stiffness", "effort": "effort", "speed": "velocity", "ene
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """A paragraph under a short heading."""
+    """A paragraph of the methods under a short heading."""
 
     heading: str
     text: str
@@ -57,7 +57,7 @@ class Paragraph:
 
 @dataclass(frozen=True, slots=True)
 class _Setting:
-    """A changed setting of the experiment: its key, its meaning, and its value with unit."""
+    """A changed setting of the experiment: its key, its meaning, and its value with unit, as text."""
 
     key: str
     meaning: str
@@ -66,7 +66,7 @@ class _Setting:
 
 @dataclass(frozen=True, slots=True)
 class _Condition:
-    """A condition; `controller` and `estimator` are None if its estimator is not installed here."""
+    """A condition of the study; `controller` and `estimator` are None if its estimator is not installed here."""
 
     name: str
     fit: str
@@ -91,15 +91,15 @@ class _StatedSearch:
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """Prior of the psychometric function on these levels, before any verdict."""
+    """Prior of the psychometric function on some levels (stiffnesses), before any verdict."""
 
     levels: tuple[float, ...]
     grid: PsychometricGrid
 
 
 def methods(found: StudyAnalysis) -> tuple[Paragraph, ...]:
-    """Return all paragraphs, in the order of a paper."""
-    text = fill_text(TEMPLATE, **_facts(found))
+    """Return all paragraphs of the methods, in the order of a paper."""
+    text = fill_text(TEMPLATE, **_collect_facts(found))
     parts = re.findall(r"^## (.+)\n((?:(?!## ).*\n?)*)", text, flags=re.MULTILINE)
     return tuple(Paragraph(heading.strip(), " ".join(body.split())) for heading, body in parts)
 
@@ -125,7 +125,7 @@ def first_experiment(found: StudyAnalysis) -> Experiment:
 
 
 def analysed_with() -> dict[str, str]:
-    """Return the versions of the programs and libraries of this analysis."""
+    """Return the versions of the programs and libraries that compute this analysis, by name."""
     found = {}
     for name in ("haptic-rig", "numpy", "scipy", "statsmodels", "matplotlib"):
         try:
@@ -135,7 +135,7 @@ def analysed_with() -> dict[str, str]:
     return {**found, **checkout(), "Python": platform.python_version()}
 
 
-def _facts(found: StudyAnalysis) -> dict[str, Any]:
+def _collect_facts(found: StudyAnalysis) -> dict[str, Any]:
     """Return all values that the template of the methods reads."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
@@ -253,7 +253,7 @@ def _priors(found: StudyAnalysis) -> list[_Prior]:
 
 
 def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
-    """Return the values of the entries `names` of each event "opened" in the logs, each combination once."""
+    """Return the distinct combinations of the values `names` in the log's events "opened" (a rig was opened)."""
     every = [
         tuple(event.content.get(name, "unknown") for name in names)
         for session in found.study.sessions
@@ -263,7 +263,7 @@ def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _versions(found: StudyAnalysis) -> Iterator[str]:
-    """Yield the software versions of the sessions as text, each set once."""
+    """Yield the software versions of the sessions as text, each combination once."""
     sets = dict.fromkeys(tuple((s.began.get("versions") or {}).items()) for s in found.study.sessions)
     for versions in filter(None, sets):
         named = [f"{name} {text}" for name, text in versions if name not in ("sources", "protocol")]

@@ -1,4 +1,4 @@
-"""Format the tables of a study for the page of `rig session analyse`; the terminal prints some of them."""
+"""Format the tables of a study for the HTML page of `rig session analyse`; the terminal prints some of them."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def tabulate_participants(found: StudyAnalysis, measure: Measure) -> Table:
 
 
 def contrasts(found: StudyAnalysis, some: Iterable[Contrast | Paired], caption: str) -> Table:
-    """Return a table of the differences between conditions, with their intervals."""
+    """Return a table of the differences between conditions in `some`, with their intervals."""
     rows = [
         (
             f"{one.condition} {MINUS} {one.against}",
@@ -109,7 +109,7 @@ def likelihood_ratios(model: Mixed) -> Table:
 
 
 def terms(found: StudyAnalysis, model: Mixed) -> Table:
-    """Return a table of the mixed model's means, slopes and standard deviations (stiffness)."""
+    """Return a table of the mixed model's means, slopes and standard deviations (in units of stiffness)."""
     named = [
         *[(f"{condition}, B = {damping:g}", term) for (condition, damping), term in model.means],
         *[(f"slope per {place(slope.name)}", slope) for slope in model.slopes],
@@ -121,7 +121,7 @@ def terms(found: StudyAnalysis, model: Mixed) -> Table:
 
 
 def psychometric(found: StudyAnalysis, some: Iterable[PsychometricFit], caption: str) -> Table:
-    """Return a table of the parameters of psychometric functions."""
+    """Return a table of the parameters of the psychometric functions in `some`."""
     unit = found.study.unit("stiffness")
     rows = [
         (
@@ -156,7 +156,7 @@ def _is_mostly_censored(one: PsychometricFit) -> bool:
 
 
 def agreement(some: Iterable[Agreement]) -> Table:
-    """Return a table with Cohen's kappa of each table of confusions."""
+    """Return a table with Cohen's kappa of each confusion matrix in `some`."""
     rows = [
         (
             one.condition or "all",
@@ -183,7 +183,7 @@ def agreement(some: Iterable[Agreement]) -> Table:
 
 
 def slopes(found: StudyAnalysis, some: Iterable[Slope]) -> Table:
-    """Return a table of the slopes of limits, response times and invalid trials along a session."""
+    """Return a table of the slopes in `some`: of limits, response times and invalid trials along a session."""
     units = {"limit": found.study.unit("stiffness"), "response time": "ln s"}
     rows = [
         (
@@ -269,7 +269,7 @@ def orders(found: StudyAnalysis) -> Table:
 
 
 def participants(found: StudyAnalysis) -> Table:
-    """Return a table of the sessions, one row for each."""
+    """Return a table of the sessions, one row for each participant."""
     head = (
         "participant",
         "began (UTC)",
@@ -369,9 +369,10 @@ def drop_empty_columns(table: Table) -> Table:
 
 
 def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
-    """Return the mixed model, and the differences to show first, each with its method: the model's, else paired.
+    """Return the mixed model, and the differences to show first as (difference, method).
 
-    Paired differences that are only bounds are added to the model's.
+    The differences are the model's, or the paired ones without a model. Paired differences that are only bounds are
+    added to the model's.
     """
     measure = found.options.measure
     paired = [one for one in found.paired if one.measure == measure and one.participants > 1]
@@ -383,7 +384,7 @@ def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Cont
 
 
 def is_tested(one: Contrast | Paired) -> bool:
-    """Return True if a difference may have an interval."""
+    """Return True unless a paired difference has no interval because most limits are censored."""
     return not (isinstance(one, Paired) and one.withheld)
 
 
@@ -397,21 +398,21 @@ def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Pai
 
 
 def write_bounded(value: float, above: int, below: int, marked: object = "") -> str:
-    """Return a value with ≥, ≤ or ? if limits `above` or `below` the levels make it a bound.
+    """Return a value as text, with ≥, ≤ or ? before it if limits `above` or `below` the levels make it a bound.
 
-    An asterisk follows if `marked`: the verdicts do not support some of the limits.
+    An asterisk follows if `marked` is true: the verdicts do not support some of the limits.
     """
     bound = "? " if above and below else "≥ " if above else "≤ " if below else ""
     return f"{bound}{number(value)}{MARK if marked else ''}"
 
 
 def lapse_rate(mean: float) -> str:
-    """Return a lapse rate in percent; a dash if it is missing, or equals the mean of its prior."""
+    """Return a lapse rate in percent as text; a dash if it is missing, or equals the mean of its prior."""
     return NOTHING if abs(mean - PRIOR_LAPSE_RATE) < _SAME else percent(mean, 1)
 
 
 def place(along: str) -> str:
-    """Return the text for the quantity along which a slope is computed."""
+    """Return the words for the position along which a slope is computed, such as "place in the block"."""
     return "place in the block" if along == "order" else along
 
 
@@ -425,7 +426,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
 
 
 def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
-    """Return the functions of all participants together (or of the only one), and those of single participants."""
+    """Return the functions of all participants together (or of the only participant), and those of single ones."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]
@@ -433,7 +434,7 @@ def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[Psychometri
 
 
 def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Return, for each reason, the slopes that have no value."""
+    """Return, for each reason, the names of the slopes that have no value."""
     problems: dict[str, list[str]] = {}
     for one in found.slopes:
         if one.problem:
@@ -443,7 +444,7 @@ def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
 
 
 def no_interval(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Return, for each reason, the tables of confusions whose kappa has no interval."""
+    """Return, for each reason, the names of the confusion matrices whose kappa has no interval."""
     problems: dict[str, list[str]] = {}
     for one in found.agreements:
         name = one.name + (f" of {one.condition}" if one.condition else "")
@@ -462,7 +463,7 @@ def no_mean_interval(found: StudyAnalysis, measure: Measure) -> dict[str, list[s
 
 
 def group_untested(found: StudyAnalysis, some: Iterable[Paired]) -> dict[str, list[str]]:
-    """Return, for each reason, the differences without an interval, as text."""
+    """Return, for each reason, the differences in `some` without an interval, as text."""
     unit, problems = found.study.unit("stiffness"), dict[str, list[str]]()
     for one in some:
         if one.problem:

@@ -1,7 +1,7 @@
 """The rows of an analysis: one for each trial, one for each run (a search through the stiffnesses).
 
 Unit (or quantity, `rig.core.sample.unit_of`) and meaning of each column are annotations of its field. The tables on
-disk, their dictionary and the sidecars of exports are generated from them.
+disk, their dictionary and the metadata of exports are generated from them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 @dataclass(kw_only=True)
 class TrialRow(RecordedTrial):
-    """A trial of the log, with its participant, its place in the study, and whether it counts."""
+    """A trial of the log with its participant, its place in the study, and the numbers of its automatic verdict."""
 
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "participant's row of the order, from 0")]
@@ -61,13 +61,13 @@ class TrialRow(RecordedTrial):
 
     @property
     def counts(self) -> bool:
-        """Return True if the trial is used for a limit, or would be if its search were complete."""
+        """True if the trial is neither void nor practice, so that it can contribute to a limit."""
         return not self.void and not self.practice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantRow:
-    """One participant; `answers` contains, by item, the answers that were asked once, at the start or the end."""
+    """One participant's session; `answers` has, by item, the answers that were asked once, at the start or the end."""
 
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "of the order, from 0")]
@@ -84,7 +84,7 @@ class ParticipantRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerRow:
-    """An answer to the questionnaire."""
+    """One answer to an item of the questionnaire."""
 
     participant: Annotated[str, Quantity("", "code")]
     item: Annotated[str, Quantity("", "name in the protocol")]
@@ -95,13 +95,13 @@ class AnswerRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitInterval:
-    """A limit: value (stiffness), 95 % interval, and "above" or "below" if it lies beyond the searched levels.
+    """A stiffness limit with its 95 % interval.
 
-    Beyond the levels the interval is open: `high` is infinite, or `low` is zero.
-
-    `share` is the share of stable verdicts at the value; None for the ascending rule, which has no target share. `step`
-    is the distance of the levels around the value; 0 if the value is not from levels. `mark` gives the reason if the
-    verdicts do not support the value (`rig.session.search._rule.mark_contradictions`); it is left out by default.
+    `censored` is "above" or "below" if the limit lies beyond the searched levels (stiffnesses); the interval is then
+    open: `high` is infinite, or `low` is zero. `share` is the share of stable verdicts at the value; None for the
+    ascending rule, which has no target share. `step` is the distance of the levels around the value; 0 if the value is
+    not from levels. `mark` gives the reason if the verdicts do not support the value
+    (`rig.session.search._rule.mark_contradictions`); such a limit is left out by default.
     """
 
     value: float
@@ -114,13 +114,13 @@ class LimitInterval:
 
     @property
     def rounding(self) -> float:
-        """Return the standard deviation (stiffness) of the error by rounding to the levels."""
+        """Standard deviation (stiffness) of the error that rounding to the levels makes."""
         return rounding_deviation(self.step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRow:
-    """One search: one condition, one damping, one repeat.
+    """One search (run): one condition, one damping, one repeat.
 
     `limits` contains the limit by each measure; K50 is the median of its posterior. A measure is missing if nothing
     determines it: there are no verdicts or, for the rule, verdicts that the search had used were amended afterwards, so
@@ -160,17 +160,17 @@ class RunRow:
 
     @property
     def catches(self) -> int:
-        """Return the number of catch trials that count."""
+        """Number of catch trials that count."""
         return self.caught.count
 
     @property
     def lapses(self) -> int:
-        """Return the number of catch trials with a wrong verdict."""
+        """Number of catch trials with a wrong verdict."""
         return self.caught.lapses
 
 
 def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> tuple[RunRow, ...]:
-    """Return the runs that K_max, models and slopes use.
+    """Return the runs as K_max, models and slopes use them.
 
     Marked limits are removed, and a run that stopped at its trial limit is not complete, unless `include_marked`.
     """
@@ -184,11 +184,11 @@ def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """One limit that K_max and the mixed model use.
+    """One limit of a participant that K_max and the mixed model use.
 
-    For the rule it is the limit of a run. For K50 it is that of all verdicts of a participant under a condition at a
-    damping, because a single run may determine K50 badly: if its only verdict "not stable" is a lapse, its K50 lies
-    where the search looked for it, and so does a mean over runs.
+    For the rule it is the limit of a run. For K50 it is the limit from all verdicts of a participant under a condition
+    at a damping, because a single run may determine K50 badly: if its only verdict "not stable" is a lapse, its K50
+    lies where the search looked for it, and so does a mean over runs.
 
     Attributes
     ----------

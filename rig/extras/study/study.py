@@ -41,7 +41,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, kw_only=True)
 class StudySession:
-    """One participant's session.
+    """One participant's session, read from its directory.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class StudySession:
     events
         Events of the session's log.
     state
-        State of the session after all events, which decides what counts.
+        State of the session after all events, which decides which trials count.
     began
         Content of the log's first event.
     recordings
@@ -68,17 +68,17 @@ class StudySession:
 
     @property
     def code(self) -> str:
-        """Return the code of the session's participant."""
+        """Code of the session's participant."""
         return self.state.code
 
     @property
     def complete(self) -> bool:
-        """Return True if the session was completed as planned."""
+        """True if the session was completed as planned."""
         return self.state.ended == "complete"
 
     @property
     def began_at(self) -> float:
-        """Return the time at which the session began (s since 1970)."""
+        """Time at which the session began (s since 1970)."""
         return self.events[0].at
 
     def of_kind(self, kind: str) -> list[Event]:
@@ -86,7 +86,7 @@ class StudySession:
         return [event for event in self.events if event.kind == kind]
 
     def devices(self) -> dict[int, Mapping[str, Any]]:
-        """Return the log's entry about the device of each trial, by trial number, if the log has one."""
+        """Return, by trial number, the content of the log's last event "opened" (a rig was opened) before the trial."""
         found: dict[int, Mapping[str, Any]] = {}
         opened: Mapping[str, Any] | None = None
         for event in self.events:
@@ -99,7 +99,7 @@ class StudySession:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Sessions under one protocol, sorted by row of the plan, with messages for the reader."""
+    """Sessions under one protocol, sorted by row of the plan (order of conditions), with messages for the reader."""
 
     sessions: tuple[StudySession, ...]
     messages: tuple[str, ...] = field(default=())
@@ -107,21 +107,21 @@ class Study:
 
     @property
     def protocol(self) -> Protocol:
-        """Return the protocol of the first session; the other sessions' protocols deviate only by `differences`."""
+        """Protocol of the first session; the other sessions' protocols deviate only by `differences`."""
         return self.sessions[0].state.protocol
 
     @property
     def motion(self) -> Any:
-        """Return the rig's motion: rotary or linear."""
+        """The rig's motion: "rotary" or "linear"."""
         return self.sessions[0].state.experiment["rig"]["motion"]
 
     @property
     def rehearsed(self) -> bool:
-        """Return True if the participants were simulated."""
+        """True if the participants were simulated."""
         return self.sessions[0].state.rehearsal is not None
 
     def unit(self, quantity: str) -> str:
-        """Return the SI unit of a quantity for this rig's motion."""
+        """Return the SI unit of a quantity, such as "stiffness", for the rig's motion."""
         return unit_of(quantity, self.motion)
 
 
@@ -132,25 +132,25 @@ def read_study(
     across: Sequence[str] = (),
     watch: Watch | None = None,
 ) -> Study:
-    """Read the sessions of a study, sorted by row of the plan.
+    """Read the sessions of a study, sorted by row of the plan (order of conditions).
 
     Parameters
     ----------
     paths
         Directories of sessions, of studies (whose sessions lie directly in them), or logs.
     hashes
-        Whether the recordings are compared with the hashes in the log.
+        Compare the recordings with the hashes in the logs.
     across
-        Keys of the protocol, or sections of keys, in which the sessions may differ although they can decide a result.
+        Keys of the protocol, or sections of keys, in which sessions may differ although the keys can affect a result.
     watch
         Called with the number of sessions read, and the total.
 
     Raises
     ------
     RecordingError
-        No session there, or a damaged log.
+        A path contains no session, or a log is damaged.
     ConfigError
-        Sessions that are not of one study.
+        The sessions are not of one study.
     """
     found = find_sessions(map(Path, [paths] if isinstance(paths, str | Path) else paths))
     sessions = []
@@ -172,7 +172,7 @@ def read_study(
 
 
 def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list[str]]:
-    """Return the sessions with trials, and a message about those without; all sessions if none has trials."""
+    """Return the sessions with trials, and a message about sessions without; all sessions if none has trials."""
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []
@@ -181,7 +181,7 @@ def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list
 
 
 def find_sessions(paths: Iterable[Path]) -> list[Path]:
-    """Return the directories of the sessions in or at `paths`, each once."""
+    """Return the directories of the sessions in or at `paths`, each once; raise `RecordingError` if a path has none."""
     found: dict[Path, Path] = {}
     for path in paths:
         with plain_errors("read", path):
@@ -289,7 +289,7 @@ def _decides_cells(one: Difference) -> bool:
 
 
 def _describe_differences(differ: Sequence[Difference]) -> list[str]:
-    """Return sentences about the differences between protocols."""
+    """Return sentences for the reader about the differences between protocols."""
     stated = [
         f"analysed together despite a difference in {one.sentence}" for one in differ if not one.is_neutral
     ]
@@ -309,7 +309,7 @@ def _messages(sessions: Sequence[StudySession]) -> list[str]:
                 f"{one.code} and {other.code} both have row {one.state.row} of the plan, so the order of conditions is "
                 "not balanced"
             )
-    for what, values in _facts(sessions).items():
+    for what, values in _collect_facts(sessions).items():
         if len(set(values.values())) > 1:
             each = "; ".join(
                 f"{value}: {list_names([code for code, theirs in values.items() if theirs == value])}"
@@ -357,14 +357,16 @@ def _changed_between(session: StudySession) -> Iterator[str]:
         devices = dict.fromkeys(device_words(one) for one, _ in used)
         yield f"the session took place on more than one device: {' and '.join(devices)}"
     for (one, _), (other, trials) in pairwise(used):
-        changed = [name for name in ("firmware", "dictionary") if _another(one.get(name), other.get(name))]
+        changed = [
+            name for name in ("firmware", "dictionary") if _has_changed(one.get(name), other.get(name))
+        ]
         before, after = one.get("versions") or {}, other.get("versions") or {}
-        changed += [name for name in before if _another(before[name], after.get(name))]
+        changed += [name for name in before if _has_changed(before[name], after.get(name))]
         if changed:
             yield f"from trial {trials[0]} on, {' and '.join(changed)} changed"
 
 
-def _another(one: Any, other: Any) -> bool:
+def _has_changed(one: Any, other: Any) -> bool:
     """Return True if two values are known and differ."""
     return one is not None and other is not None and one != other
 
@@ -373,8 +375,8 @@ def _trials(numbers: Sequence[str]) -> str:
     return f"trial{'s' if len(numbers) > 1 else ''} {list_names(numbers)}"
 
 
-def _facts(sessions: Sequence[StudySession]) -> dict[str, dict[str, str]]:
-    """Return facts that should be equal in all sessions of a study: name of the fact, participant, value."""
+def _collect_facts(sessions: Sequence[StudySession]) -> dict[str, dict[str, str]]:
+    """Return facts that should be equal in all sessions: text of the fact, then its value by participant."""
 
     def version(session: StudySession, name: str) -> str:
         return str((session.began.get("versions") or {}).get(name, "unknown"))

@@ -1,4 +1,4 @@
-"""Write tables to disk: as CSV, as Parquet with types and units, and a dictionary of all columns.
+"""Write the tables of an analysis to disk: as CSV, as Parquet with types and units, and a dictionary of all columns.
 
 A column's name ends in its unit (``stiffness_n_m_per_rad``). The dictionary (``tables.json``) contains the unit in its
 usual spelling, the type and the meaning; the columns of the Parquet files carry unit and meaning, too. Unknown values
@@ -42,7 +42,7 @@ PRIOR_LAPSE_RATE = sum(LAPSE_RATES) / len(LAPSE_RATES)
 
 @dataclass(frozen=True, slots=True)
 class DataColumn:
-    """One column: name without unit, type, quantity or unit, meaning, and the function that returns a row's value."""
+    """A column of a table: name without unit, type, quantity or unit, meaning, and function `of` a row to its value."""
 
     name: str
     kind: type
@@ -62,17 +62,9 @@ class DataTable:
 
 
 def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str, Path]:
-    """Write all tables into a directory, which is made if it is missing; existing tables are replaced.
+    """Write all tables into a directory, which is created if it is missing; return the path of each file by name.
 
-    Returns
-    -------
-    dict
-        Path of each file by its name.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be written.
+    Existing tables are replaced. Raises `RecordingError` if a file cannot be written.
     """
     place = Path(directory)
     make_directory(place)
@@ -100,7 +92,7 @@ def write_study_tables(found: StudyAnalysis, directory: str | Path) -> dict[str,
 
 
 def column_name(column: DataColumn, found: StudyAnalysis) -> str:
-    """Return a column's name with its unit; unchanged if it has no unit or already ends in it."""
+    """Return a column's name with its unit; the plain name if it has no unit or already ends in the unit."""
     unit = _unit(column, found)
     slug = unit.lower().replace("·", "_").replace("/", "_per_").replace("²", "2")
     return column.name if unit in ("", "1") or column.name.endswith(f"_{slug}") else f"{column.name}_{slug}"
@@ -111,7 +103,7 @@ def _unit(column: DataColumn, found: StudyAnalysis) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a cell's value; None if it is not finite."""
+    """Return the value of a cell for a file; None if it is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -171,7 +163,7 @@ def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
         DataTable("kmax", "a participant under a condition at a damping", _KMAX, found.of_participants),
         DataTable("kmax_over_participants", "a condition at a damping", _OVER, found.over_participants),
         DataTable("differences", "a difference of two conditions", _DIFFERENCES, _differences(found)),
-        DataTable("agreement", "a cell of a table of confusions", _AGREEMENT, _confusions(found)),
+        DataTable("agreement", "a cell of a table of confusions", _AGREEMENT, _list_confusions(found)),
         DataTable("psychometric", _FUNCTION, _PSYCHOMETRIC, found.psychometrics),
         DataTable("effects", "a slope along the session", _EFFECTS, found.slopes),
         DataTable("blocks", "a block of a participant", _BLOCKS, found.blocks),
@@ -179,12 +171,15 @@ def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
 
 
 def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
-    """Return a column whose value is the row's field `field`, or the field of the column's name."""
+    """Describe a column whose value is the row's field `field`, or the field of the column's name."""
     return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
 
 
 def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
-    """Return columns of all annotated fields of a row, or of the fields `names`, with type, unit and meaning."""
+    """Describe columns for all annotated fields of a row class, or for the fields `names`.
+
+    Type, unit and meaning come from the annotations.
+    """
     known, hints = quantities(described), get_type_hints(described)
     return tuple(
         DataColumn(
@@ -199,7 +194,7 @@ def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
 
 
 def _kind(hint: Any) -> type:
-    """Return the type of a field's values: bool, int, float or str; None is ignored."""
+    """Return the type of a field's values from its type hint: bool, int, float or str; None is ignored."""
     kinds = (
         [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
     )
@@ -602,8 +597,8 @@ def _difference(one: Any, measure: Measure, method: str, participants: int) -> M
 _OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative", "people", "left_out")
 
 
-def _confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Return a row for each cell of each table of confusions."""
+def _list_confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
+    """Return a row for each cell of each confusion matrix, with the kappa of its matrix."""
     return [
         {
             "name": table.name,

@@ -1,4 +1,4 @@
-"""Select the columns of a trial's row that are exported beside its recording, and their names in files."""
+"""Select the values of a trial that are exported beside its recording, and their names in files."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FACTS: Mapping[str, Quantity] = {
 
 
 def facts_of(row: TrialRow) -> dict[str, Any]:
-    """Return the value of each of `FACTS` for one trial."""
+    """Return the value of each of `FACTS` (name in files) for one trial."""
     return {name: getattr(row, field) for name, field in _FIELDS.items()}
 
 
 def unusable(row: TrialRow) -> str | None:
-    """Return why a trial's recording must not be exported, as a sentence; None if it may be."""
+    """Return why a trial's recording must not be exported, as a sentence; None if it may be exported."""
     if row.recorded in {"missing", "changed"}:
         return f"{row.participant}, trial {row.trial}: its recording is {row.recorded}"
     return None

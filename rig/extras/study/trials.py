@@ -1,4 +1,4 @@
-"""Compute the two basic tables of an analysis: all trials of a study, and its runs with their limits."""
+"""Compute the two basic tables of an analysis: all trials of a study, and its runs (searches) with their limits."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ Watch = Callable[[int, int], None]
 
 
 def trials_of(study: Study) -> tuple[TrialRow, ...]:
-    """Return all recorded hits, by participant, also those that do not count (`TrialRow.void`)."""
+    """Return a row for each recorded hit, by participant, also for hits that do not count (`TrialRow.void`)."""
     schemes = schemes_of(study)
     rows: list[TrialRow] = []
     for session in study.sessions:
@@ -65,7 +65,7 @@ def trials_of(study: Study) -> tuple[TrialRow, ...]:
 
 
 def runs_of(study: Study, *, watch: Watch | None = None) -> tuple[RunRow, ...]:
-    """Return all runs with at least one trial, in the order of the sessions."""
+    """Return a row for each run (search) with at least one trial, in the order of the sessions."""
     schemes = schemes_of(study)
     rows: list[RunRow] = []
     for number, session in enumerate(study.sessions):
@@ -101,7 +101,10 @@ def schemes_of(study: Study) -> dict[str, str]:
 
 
 def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
-    """Return rates, estimator and settings as text, from the scheme or the experiment; loads no estimator."""
+    """Return rates, estimator and settings as text.
+
+    They come from the scheme `text`, or from the controller's settings `own`; no estimator is loaded.
+    """
     if text is None:
         rates = own["position_rate"], own["velocity_rate"]
         settings, estimator = dict(own["parameters"]), own["estimator"]
@@ -127,12 +130,12 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
 
 
 def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
-    """Return the stiffnesses that a condition's search may use."""
+    """Return the stiffnesses that a condition's search may use, in ascending order."""
     return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
 
 
 def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ...]]:
-    """Return the `levels` of each participant's own protocol, by code and condition."""
+    """Return the stiffnesses that each participant's own protocol may use, by (participant's code, condition)."""
     return {
         (session.code, condition.name): levels(session.state.protocol, condition.name)
         for session in study.sessions
@@ -143,17 +146,17 @@ def levels_by_participant(study: Study) -> dict[tuple[str, str], tuple[float, ..
 def half_way(
     grid: Sequence[float], verdicts: Sequence[tuple[float, bool]], share: float | None = None
 ) -> LimitInterval:
-    """Return the stiffness with this share of stable verdicts (None: 0.5), the median of its posterior.
+    """Estimate the stiffness with this share of stable verdicts (None: 0.5), as the median of its posterior.
 
-    Verdicts of several runs are treated as if the limit were the same in all of them; if it drifts, the interval is
-    too narrow. Beyond the levels it is the nearest level, see `rig.session.search._psychometric.Located`.
+    Verdicts of several runs are treated as if the limit were the same in all of them; if it drifts, the interval is too
+    narrow. Beyond the levels the result is the nearest level, see `rig.session.search._psychometric.Located`.
 
     Parameters
     ----------
     grid
-        Levels of the search.
+        Levels (stiffnesses) of the search.
     verdicts
-        Stiffness, and whether it was stable; at least one.
+        Stiffness, and True if it was judged stable; at least one.
     """
     share = share or 0.5
     found = locate(tuple(grid), verdicts, share)
@@ -169,13 +172,13 @@ def half_way(
 
 
 def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
-    """Return the answers of a run's trials by one judge.
+    """Return the verdicts of a run's trials by one judge.
 
     Parameters
     ----------
     judge
-        "followed": the answers that the search rule received. "person": the same answers, or an empty list if no person
-        judged a trial. "automatic": whether each wall is stable under the study's criterion.
+        "followed": the verdicts that the search rule received. "person": the same verdicts, or an empty list if no
+        person judged a trial. "automatic": whether each wall is stable under the study's criterion.
     """
     if judge == "followed":
         return state.judged_probes(run)
@@ -293,7 +296,7 @@ def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measur
 
 
 def _describe_series(rule: Ascending, probes: Sequence[JudgedProbe]) -> str:
-    """Return a note if some, but not all, series of an ascending search failed at the softest wall, else ""."""
+    """Return a note if some, but not all, series of an ascending search failed at the softest wall; else ""."""
     series = rule.series(probes)
     failed = sum(one.censored == "below" for one in series)
     if failed in (0, len(series)):
@@ -317,7 +320,7 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
 def _follows(
     state: SessionState, run: SearchRun, name: str, probes: Sequence[JudgedProbe], grid: Sequence[float]
 ) -> bool:
-    """Return True if the search rule would have chosen the walls of `probes` after the answers before them."""
+    """Return True if the search rule would have chosen each wall of `probes` after the verdicts before it."""
     if name not in WALKING:
         return all(answer.probe.level in grid for answer in probes)
     rule = state.rule(run)

@@ -281,7 +281,7 @@ def koul_figure_8(
     edge_age = trace.states[:, plant.edge_age]
     first = int(np.flatnonzero(counts > 0)[0])
     time_s = (np.arange(len(counts)) - first) / rate
-    early, late = _parts(time_s[first:], true[first:])
+    early, late = _split_impact(time_s[first:], true[first:])
     profiles: list[EstimatorProfile] = []
     for arithmetic in (FLOAT, FIXED):
         for velocity_rate in (VELOCITY_RATE, rate):
@@ -318,7 +318,7 @@ def koul_figure_8(
     )
 
 
-def _parts(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+def _split_impact(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return begin and end (s) of the fast and of the slow part of an impact; a part ends at its limit of the speed."""
 
     def last(share: float) -> float:
