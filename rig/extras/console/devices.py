@@ -1,4 +1,4 @@
-"""The page's view of devices: the connected devices, the quality of a link, and the meaning of each fault."""
+"""Handle a page's requests about devices: connected devices, the quality of a link, the meaning of each fault."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Devices(Service):
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return the handlers of requests about devices; see `Service.handlers`."""
+        """Return request class and handler of each request about devices, by the request's name."""
         return {"devices": (AskDevices, self._devices), "examine": (Examine, self._examine)}
 
     async def _devices(self, client: Client, request: AskDevices) -> Any:

@@ -131,10 +131,7 @@ def _message(line: bytes) -> dict[str, Any] | None:
 class Jobs:
     """Starter of jobs; only one job runs at a time.
 
-    Parameters
-    ----------
-    tell
-        Called with the job and each of its messages; the last message reports its end.
+    `tell` is called with the job and each of its messages; the last message reports its end.
     """
 
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:

@@ -26,10 +26,7 @@ class LeaseState:
 class Lease:
     """The right to operate the rig, which one page has at a time.
 
-    Parameters
-    ----------
-    now
-        Function that returns the time (s, monotonic).
+    `now` returns the time (s, monotonic).
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
@@ -40,7 +37,7 @@ class Lease:
         self._found_silent_late = False  # a late call of `expire` found the page silent
 
     def take(self, client: str) -> bool:
-        """Make `client` the operator if no page operates. Return True if `client` operates now."""
+        """Let `client` operate the rig if no page operates; return True if `client` operates now."""
         if self._by is None:
             self._by, self._last_beat_s, self._found_silent_late = client, self._now(), False
         return self._by == client
@@ -51,19 +48,19 @@ class Lease:
             self._last_beat_s, self._found_silent_late = self._now(), False
 
     def release(self, client: str) -> None:
-        """End the lease of `client`, if it operates."""
+        """End the right of `client` to operate the rig, if it has this right."""
         if client == self._by:
             self._by = None
 
     def held(self) -> LeaseState:
-        """Return which page operates, and whether its heartbeat is overdue."""
+        """Return which page operates the rig, and whether its heartbeat is overdue."""
         return LeaseState(self._by, self._by is not None and self._now() - self._last_beat_s > BEAT_S)
 
     def expire(self) -> str | None:
-        """End the lease of a page that was silent for more than `LOST_S` (s); return the page's name once, else None.
+        """End the right of a page that was silent for more than `LOST_S` (s) to operate the rig.
 
-        Call this every `LOOK_S`. After a late call the lease ends one call later, so that waiting heartbeats can be
-        read.
+        Return the page's name once, else None. Call this every `LOOK_S`. After a late call the right ends one call
+        later, so that waiting heartbeats can be read.
         """
         now = self._now()
         late, self._last_call_s = now - self._last_call_s > 2.0 * LOOK_S, now

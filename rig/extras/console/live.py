@@ -33,10 +33,7 @@ DEFECT_S = 10.0  # between two words on the same defect
 class Live(Service):
     """Service for the live view, and owner of the followed control loop.
 
-    Parameters
-    ----------
-    own
-        Follow only runs that this console started.
+    If `own`, follow only runs that this console started.
     """
 
     def __init__(self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, own: bool) -> None:
@@ -49,7 +46,7 @@ class Live(Service):
         self._defects: dict[str, float] = {}  # when each was last reported (s)
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
-        """Return the handlers of the live view's requests; see `Service.handlers`."""
+        """Return request class and handler of each request of the live view, by the request's name."""
         return {
             "stop": (asked.Stop, self._stop),
             "show": (asked.Show, self._show),

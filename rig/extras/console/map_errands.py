@@ -145,7 +145,7 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """Return the index in `KINDS` (stable, limit cycle, unstable, invalid) of a hit by one criterion."""
+    """Return the verdict on a hit by one criterion, as an index in `KINDS` (stable, limit cycle, unstable, invalid)."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -188,11 +188,7 @@ def find_recording(directory: str, key: str, stiffness: float, output: str) -> d
     """Return name and map of the recording of one hit; a hit of a simulated map is repeated and recorded in `output`.
 
     `key` names the series of the hit.
-
-    Raises
-    ------
-    ConfigError
-        The map has no such hit, or contains impedances instead of hits.
+    Raises `ConfigError` if the map has no such hit, or contains impedances instead of hits.
     """
     path = Path(directory)
     plan, device = _plan(path)

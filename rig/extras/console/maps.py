@@ -1,4 +1,4 @@
-"""The page's view of stiffness maps: show maps that any program wrote, and update them from their journals.
+"""Handle a page's requests about stiffness maps: show maps that any program wrote, and update them.
 
 A map that a page starts is a job like others (`rig.extras.console.map_jobs`), whose results are also read from the
 directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each hit.
@@ -100,7 +100,7 @@ class Watched:
 
     @property
     def total(self) -> int:
-        """Number of columns of the complete map, over all schemes, encoder offsets and repeats."""
+        """Number of columns (one damping, scheme, encoder offset and repeat each) of the complete map."""
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
@@ -145,7 +145,7 @@ class MapService(Service):
         self._watched: dict[str, Watched] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return the handlers of requests about maps; see `Service.handlers`."""
+        """Return request class and handler of each request about stiffness maps, by the request's name."""
         return {
             "maps": (AskMaps, self._list),
             "map-run": (RunMap, self._run),

@@ -33,12 +33,8 @@ def open_console(
 ) -> None:
     """Serve the page on this computer until Ctrl-C.
 
-    The arguments are those of `rig.extras.console.server.ConsoleSettings`.
-
-    Raises
-    ------
-    ConfigError
-        A host is not of the form NAME:PORT, or the port is in use.
+    The arguments are those of `rig.extras.console.server.ConsoleSettings`. Raises `ConfigError` if a host is not of the
+    form NAME:PORT, or the port is in use.
     """
     for host in hosts:
         name, colon, number = host.rpartition(":")

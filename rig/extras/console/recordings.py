@@ -1,4 +1,4 @@
-"""The page's view of recordings: list and search, show one in a scope, replay, export; no recording is deleted.
+"""Handle a page's requests about recordings: list and search, show, replay, export; no recording is deleted.
 
 Downloads require the token: ``/recordings/NAME/cut``, ``picture`` and ``export``. For a recording of a device's map the
 request also contains the name of the map; such a recording cannot be moved to the trash.
@@ -49,7 +49,7 @@ class AskRecording(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CutRecording(Request):
-    """Request that a time span of a recording (s since its first row) is saved as a new recording."""
+    """Request that a time span of a recording (s since the first row) is saved as a new recording."""
 
     name: Name
     map: Name = ""
@@ -78,7 +78,7 @@ class Recordings(Service):
         self._shared = shared
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return the handlers of requests about recordings; see `Service.handlers`."""
+        """Return request class and handler of each request about recordings, by the request's name."""
         return {
             "recordings": (AskRecordings, self._list),
             "recording": (AskRecording, self._describe),

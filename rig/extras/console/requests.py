@@ -63,7 +63,7 @@ class Run(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Set(Request):
-    """Request changes of the wall of the followed loop, like the command `rig set`."""
+    """Request changes of the wall of the followed control loop, like the command `rig set`."""
 
     changes: Changes
 
@@ -78,7 +78,7 @@ class Hand(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Show(Request):
-    """Set columns, window and trigger of the page's scope; while `paused` it receives no new rows."""
+    """Set columns, window and trigger of the page's scope; while `paused` the scope receives no new rows."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     window_s: float = 2.0
@@ -88,7 +88,7 @@ class Show(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Zoom(Request):
-    """Request a time span of the loop's history (s since its first row) in detail, while the scope is paused."""
+    """Request a time span of the followed loop's history (s since its first row) in detail, for a paused scope."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     first_s: float
@@ -97,7 +97,7 @@ class Zoom(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cut(Request):
-    """Request that a time span of the followed loop (s since its first row) is saved as a new recording."""
+    """Request that a time span of the followed control loop (s since its first row) is saved as a new recording."""
 
     first_s: float
     last_s: float
@@ -134,10 +134,7 @@ _adapters: dict[type[Request], Any] = {}
 def request_of(text: str | bytes, kinds: Mapping[str, type[Request]]) -> Request:
     """Return the checked request in a JSON message; `kinds` has the class for each value of the field `do`.
 
-    Raises
-    ------
-    ConfigError
-        The message is not a request, or one of its fields is not valid.
+    Raises `ConfigError` if the message is not a request, or one of its fields is not valid.
     """
     do = json_of(text).get("do")
     if not isinstance(do, str) or do not in kinds:

@@ -44,7 +44,7 @@ class Runs(Service):
         self._regions = asyncio.Lock()
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
-        """Return the handlers of requests about runs; see `Service.handlers`."""
+        """Return request class and handler of each request about runs, by the request's name."""
         return {
             "operate": (asked.Operate, self._operate),
             "run": (asked.Run, self._run),

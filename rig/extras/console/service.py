@@ -118,7 +118,7 @@ class Service(ABC):
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return request class and handler for each value of a request's field ``do``.
+        """Return request class and handler by the request's name (its field ``do``).
 
         A handler raises `RigError` to refuse a request.
         """

@@ -66,7 +66,7 @@ class PressKey(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TypeLine(Request):
-    """A typed line, a note or the answer to an item, that was sent `shown_s` (s) after question `asked` was shown."""
+    """A typed line (a note, or the answer to an item) that was sent `shown_s` (s) after question `asked` was shown."""
 
     text: Annotated[str, MaxLen(2000)]
     asked: int = 0

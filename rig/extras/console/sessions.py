@@ -1,4 +1,4 @@
-"""The page's view of sessions: begin and resume sessions, and operate a session as at a terminal.
+"""Handle a page's requests about sessions: begin and resume sessions, and operate a session as at a terminal.
 
 The server sends texts (`rig.session.terminal._words`) and receives keys and lines, so that a page follows the same
 rules as a terminal. A key is sent with the number of the question that was open when it was pressed; a key for an
@@ -61,7 +61,7 @@ class Sessions(Service):
         self._sent: dict[str, Any] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return the handlers of requests about sessions; see `Service.handlers`."""
+        """Return request class and handler of each request about sessions, by the request's name."""
         return {
             "sessions": (ListSessions, self._list),
             "session": (BeginSession, self._begin),

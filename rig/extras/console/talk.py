@@ -19,10 +19,7 @@ SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times 
 class Talk:
     """A job's connection to its console, through standard input and output.
 
-    Parameters
-    ----------
-    is_detached
-        True if the job continues without its console.
+    If `is_detached`, the job continues without its console.
     """
 
     def __init__(self, is_detached: bool) -> None:
@@ -54,7 +51,7 @@ class Talk:
         self.tell("progress", **content)
 
     def ask(self, **content: Any) -> Any:
-        """Send a question to the operator, wait, and return the answer; raise `StoppedError` without a console."""
+        """Send a question to the operator, wait, and return the answer; raise `StoppedError` if the console ended."""
         self.tell("asks", **content)
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
@@ -64,7 +61,7 @@ class Talk:
         return answer
 
     def hear(self, patience_s: float) -> Any:
-        """Return the console's next message, None after `patience_s` (s); raise `StoppedError` without a console."""
+        """Return the console's next message, or None after `patience_s`; raise `StoppedError` if the console ended."""
         try:
             message = self._answers.get(timeout=patience_s) if patience_s else self._answers.get_nowait()
         except Empty:

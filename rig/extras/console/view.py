@@ -22,7 +22,7 @@ DEFAULT = ("position", "velocity", "effort_wanted", "effort_sent", "effort_appli
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewRequest:
-    """Settings of a scope that a page requests; without a `trigger` the scope shows rows as they arrive."""
+    """Settings of a page's scope; without a `trigger` the scope shows rows as they arrive."""
 
     columns: tuple[str, ...] = DEFAULT
     window_s: float = 2.0
@@ -54,10 +54,7 @@ class ViewRequest:
 class View:
     """Reader of a control loop's history for one page's scope.
 
-    Parameters
-    ----------
-    rate
-        Rows a second (Hz).
+    `rate` is in rows a second (Hz).
     """
 
     def __init__(self, history: History, rate: float, shown: ViewRequest) -> None:

@@ -129,10 +129,7 @@ class MoteusConversation:
     def asked(self, request: bytes, is_answer: Callable[[bytes], bool]) -> bytes:
         """Send a request up to `TRIES` times, and return the data of the first reply that `is_answer` accepts.
 
-        Raises
-        ------
-        DeviceNotFoundError
-            No reply, or replies from other ids only.
+        Raises `DeviceNotFoundError` without a reply, or for replies from other ids only.
         """
         others: set[int] = set()
         for _ in range(TRIES):
@@ -377,10 +374,8 @@ def fit(
 ) -> FittedDrive:
     """Compare a moteus with the rig of an experiment, and return what a bridge must know about it.
 
-    Raises
-    ------
-    DeviceRefusedError
-        Calibration, gear or wiring differ from the experiment; the error has a sentence for each difference.
+    Raises `DeviceRefusedError` if calibration, gear or wiring differ from the experiment; the error has a sentence for
+    each difference.
     """
     refuse(_differences(found, model))
     transmission = found.output.transmission(model)

@@ -357,10 +357,8 @@ def _error_at_rest(talk: OdriveConversation) -> int:
 def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
     """Compare an ODrive with the rig of an experiment, and return what a bridge must know about it.
 
-    Raises
-    ------
-    DeviceRefusedError
-        Scale, wiring or limits differ from the experiment; the error has a sentence for each difference.
+    Raises `DeviceRefusedError` if scale, wiring or limits differ from the experiment; the error has a sentence for each
+    difference.
     """
     refuse(_differences(found, model))
     values, output = found.values, found.output

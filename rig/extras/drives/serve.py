@@ -57,6 +57,8 @@ def serve(
 ) -> None:
     """Run a bridge until it is stopped.
 
+    Raises `RigError` if the drive is missing, its replies are wrong, or it does not match the rig; nothing has moved.
+
     Parameters
     ----------
     url
@@ -72,11 +74,6 @@ def serve(
         Memory for the statistics of the bus.
     realtime, cpu
         Scheduling (see ``host.realtime``) and processor.
-
-    Raises
-    ------
-    RigError
-        The drive is missing, its replies are wrong, or it does not match the rig; nothing has moved.
     """
     address = address_of(url)
     bus = open_bus(url)

@@ -35,10 +35,7 @@ class ClockOffset:
 def load() -> Any:
     """Import pylsl; let liblsl log errors only, unless the user has configured it.
 
-    Raises
-    ------
-    ConfigError
-        pylsl is not installed, or finds no liblsl.
+    Raises `ConfigError` if pylsl is not installed, or finds no liblsl.
     """
     try:
         pylsl = import_module("pylsl")

@@ -90,6 +90,9 @@ def serve(
 ) -> Streamed:
     """Stream the loops that run in real time, until Ctrl-C or until the process or the markers' input ends.
 
+    Return the counts, also after a KeyboardInterrupt. Raises `ConfigError` if pylsl or liblsl is missing, a rate is not
+    above 0, or the process does not exist.
+
     Parameters
     ----------
     pid
@@ -110,16 +113,6 @@ def serve(
         them. Otherwise it opens with the first loop, and a receiver misses the samples until it finds the stream.
     report
         Called with a mapping when a stream opens, and when a loop begins or ends.
-
-    Returns
-    -------
-    Streamed
-        Also after a KeyboardInterrupt.
-
-    Raises
-    ------
-    ConfigError
-        pylsl or liblsl is missing, a rate is not above 0, or the process does not exist.
     """
     if rate is not None and not rate > 0.0:
         raise ConfigError(

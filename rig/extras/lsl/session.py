@@ -129,10 +129,7 @@ class LslMarks:
     def wait(self, timeout_s: float = READY_S) -> None:
         """Wait until the streams are open, so that a recorder can find them before the first trial.
 
-        Raises
-        ------
-        RigError
-            The process ended, or the streams did not open in time.
+        Raises `RigError` if the process ended, or the streams did not open in time.
         """
         deadline = time.monotonic() + timeout_s
         while sum("stream" in news for news in self._news()) < self._streams:

@@ -61,7 +61,7 @@ class SampleStream:
         self._outlet = pylsl.StreamOutlet(info, max_buffered=BUFFERED_S)
 
     def begin(self) -> None:
-        """Forget the last time stamp, because another loop begins."""
+        """Accept earlier times again, because another loop begins."""
         self._last_s = 0.0
 
     def push(self, rows: NDArray[np.void], times_ns: NDArray[np.int64]) -> None:

@@ -58,7 +58,8 @@ def read_claims(
 ) -> tuple[Mapping[str, str], tuple[Claim, ...]]:
     """Fill a template of claims; return title and source of the paper, and its claims in the order of `rulings`.
 
-    `words` are further values that the template uses. Raise `KeyError` if a claim has no text or no ruling.
+    A ruling is a verdict with its numbers; `words` are further values for the template. Raise `KeyError` if a claim has
+    no text or no ruling.
     """
     texts = _sections(fill_text(template, rulings=rulings, **words))
     paper = texts.pop("paper")

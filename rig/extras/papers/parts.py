@@ -31,7 +31,7 @@ class Parts:
     kept: int
 
     def one(self, name: str) -> Any:
-        """Return the result of a part that has a single task."""
+        """Return the result of the group of tasks `name`, which must have a single task."""
         (result,) = self.results[name]
         return result
 
@@ -43,7 +43,7 @@ def run_parts(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Parts:
-    """Run the tasks of all parts as one sweep; parameters and errors as in `rig.experiments.sweep.run`."""
+    """Run all groups of tasks (parts) as one sweep; parameters and errors as in `rig.experiments.sweep.run`."""
     started = time.monotonic()
     tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0

@@ -31,7 +31,7 @@ class ReproductionPlan(Protocol):
     """Protocol of the plan of a reproduction: all sweep tasks, and the conversion of their results."""
 
     def parts(self) -> dict[str, Part]:
-        """Return all sweep tasks, grouped by the name of their part."""
+        """Return all sweep tasks, by the name of their group."""
 
     def results(self, done: Parts) -> Any:
         """Convert the raw results of all tasks to one typed object."""
@@ -130,17 +130,14 @@ def reproduce(
 ) -> Reproduction:
     """Compute and judge all claims of a paper.
 
+    Raises `SweepStoppedError` if the operator pressed Ctrl-C; finished tasks stay in the journal.
+
     Parameters
     ----------
     paper, scale
         Paper to reproduce, and its settings `paper.full` or `paper.quick`.
     journal, workers, watch
         See `rig.experiments.sweep.run`; with a journal, a stopped reproduction resumes.
-
-    Raises
-    ------
-    SweepStoppedError
-        The operator pressed Ctrl-C; finished tasks stay in the journal.
     """
     plan = paper.plan(scale)
     done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)

@@ -28,7 +28,7 @@ MOST = 0.9  # of many plants or readings: so many have to agree
 
 
 class ClaimStatus(StrEnum):
-    """Verdict on a claim, without the condition of "reproduced only with"."""
+    """Possible verdicts on a claim; "reproduced only with" is completed by a condition."""
 
     REPRODUCED = "reproduced"
     ONLY_WITH = "reproduced only with"
@@ -88,7 +88,7 @@ class Ruling:
         return f"{self.status} {self.condition}".rstrip()
 
     def having(self, **numbers: Any) -> Ruling:
-        """Return this ruling with more numbers for the report's sentence."""
+        """Return this ruling (verdict and its numbers) with more numbers for the report's sentence."""
         return replace(self, numbers={**self.numbers, **numbers})
 
     def partly(self) -> Ruling:
@@ -108,7 +108,7 @@ class Ruling:
         return replace(self, status=ClaimStatus.FOLLOWS) if self.status is ClaimStatus.REPRODUCED else self
 
     def only(self, **numbers: Any) -> Ruling:
-        """Return this ruling as "reproduced only with" a condition, which the template writes from `numbers`."""
+        """Return this ruling with the status "reproduced only with"; the template writes the condition."""
         return replace(self.having(**numbers), status=ClaimStatus.ONLY_WITH)
 
 
@@ -126,15 +126,15 @@ def judge(
 
 
 def each(cases: Iterable[str]) -> dict[str, list[str]]:
-    """Return the conditions of a claim whose cases are all user settings: each case is a condition by itself."""
+    """Return {case: [case]}: the conditions of a claim whose cases are all settings that a user can choose."""
     return {case: [case] for case in cases}
 
 
 def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbers: Any) -> Ruling:
-    """Judge cases that are named by tuples, such as (rig, cut-off).
+    """Judge a claim whose cases have names of several words, such as (rig, cut-off).
 
-    A user can choose the elements at the indices `settable`, so each of their values is a condition. `numbers` are for
-    the report's sentence only.
+    The words at the indices `settable` are settings that a user can choose: the claim can be reproduced only with one
+    of them. `numbers` are for the report's sentence only.
     """
     conditions: dict[str, list[str]] = {}
     for place in settable:
@@ -145,13 +145,13 @@ def judge_settable(cases: Mapping[Words, bool], settable: Sequence[int], **numbe
 
 
 def judge_share(count: int, total: int, **numbers: Any) -> Ruling:
-    """Judge a claim that holds in `count` of `total` results: it is reproduced if the share is at least `MOST`."""
+    """Judge a claim that holds in `count` of `total` results: it is reproduced if it holds in at least 90 %."""
     share = count / total if total else 0.0
     return judge({"": total > 0 and share >= MOST}, count=count, total=total, share=share, **numbers)
 
 
 def over(one: float, other: float) -> float:
-    """Return one / other of two numbers of at least zero; 1 for 0/0, infinite for another division by 0."""
+    """Divide two numbers of at least zero; return 1 for 0/0, and infinity for another division by 0."""
     return one / other if other > 0.0 else (math.inf if one > 0.0 else 1.0)
 
 

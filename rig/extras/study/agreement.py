@@ -116,7 +116,7 @@ _KINDS: tuple[
 
 
 def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
-    """Return all confusion matrices: of all trials that count, and of each condition; empty if no person judged."""
+    """Return the confusion matrices of all trials that count, and of each condition; empty if no person judged."""
     judged = [
         trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
     ]
@@ -176,7 +176,7 @@ def _agreement(
 
 
 def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
-    """Return why kappa of a confusion matrix has no interval; empty if it can have an interval."""
+    """Return the reason why kappa of a confusion matrix has no interval; empty if it can have one."""
     if not counts.any():
         return "no trial has both verdicts"
     for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):
@@ -218,17 +218,14 @@ def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
 def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> float:
     """Return Cohen's kappa of a confusion matrix.
 
+    The result is NaN without trials, or if all verdicts of both judges are of one class.
+
     Parameters
     ----------
     counts
         Number of trials, shape (classes, classes).
     weights
         "none": all confusions count equally; "linear", "quadratic": by the distance of the classes, or its square.
-
-    Returns
-    -------
-    float
-        NaN without trials, or if all verdicts of both judges are of one class.
     """
     table = np.asarray(counts, dtype=np.float64)
     total = table.sum()

@@ -181,7 +181,7 @@ class StudyAnalysis:
         return runs_as_counted(self.runs, include_marked=self.options.include_marked)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of trials by use: "recorded" (all), "counted" (for a limit), or why not counted."""
+        """Return the number of trials by use: "recorded" (all), "counted" (used for a limit), or the reason why not."""
         return {
             "recorded": len(self.trials),
             **dict(sorted(count_trial_uses(self.trials, self.runs_as_counted).items())),

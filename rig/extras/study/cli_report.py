@@ -19,12 +19,8 @@ def write_report(
 ) -> tuple[dict[str, Path], Path]:
     """Draw all pictures and write the report; return the paths of the pictures by name, and the path of the report.
 
-    Each picture is written as PNG, which the report contains, and in the format `ending`.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be written.
+    Each picture is written as PNG, which the report contains, and in the format `ending`. Raises `RecordingError` if a
+    file cannot be written.
     """
     place = directory / PICTURES
     with plain_errors("make", place):

@@ -84,7 +84,7 @@ class BlockRow:
 
 
 def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
-    """Return all slopes: of limits by each measure, of the time to a verdict, and of the share of invalid trials."""
+    """Compute the slopes along the session: of limits by each measure, of verdict times, and of invalid trials."""
     found: list[Slope] = []
     places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
         ("order", lambda run: float(run.order)),
@@ -208,7 +208,7 @@ def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, fl
 def _rounding_of_slopes(
     at: Floats, roundings: Floats, cells: Sequence[tuple[str, str, float]], each: Mapping[str, float]
 ) -> float:
-    """Return the standard deviation of the slopes that rounding the values to the levels of the search causes."""
+    """Return the standard deviation of the slopes that follows from rounding limits to the searched stiffnesses."""
     moved, codes = less_means(at, cells), np.array([cell[0] for cell in cells])
     own = [codes == code for code in each]
     return rounding_of(
@@ -245,7 +245,7 @@ def _average_slopes(
 
 
 def _is_shared(cells: Sequence[tuple[str, str, float]]) -> bool:
-    """Return True if no participant has two values of one condition and damping: means then need all participants."""
+    """Return True if no participant has two values of one condition and damping; means then need all participants."""
     return len(set(cells)) == len(cells)
 
 

@@ -37,7 +37,7 @@ Cell = tuple[str, float]  # condition, damping
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """Number of limits, and how many of them are above the stiffest level, below the softest level, and marked."""
+    """Number of limits, and how many of them are above or below all searched stiffnesses, or marked as doubtful."""
 
     limits: int = 0
     above: int = 0
@@ -54,7 +54,7 @@ class Beyond:
 
     @property
     def count(self) -> int:
-        """Number of censored limits, above or below the levels."""
+        """Number of censored limits, above or below the searched stiffnesses."""
         return self.above + self.below
 
     @property
@@ -172,7 +172,7 @@ Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, partic
 
 
 def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
-    """Count limits, censored limits and marked limits by (condition, damping)."""
+    """Count all, censored and marked limits by (condition, damping)."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
         one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
@@ -181,7 +181,10 @@ def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, 
 
 
 def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
-    """Return on which side the difference `condition` minus `against` is open because of censored limits; "" if not."""
+    """Return the kind of bound that censored limits make of the difference `condition` minus `against`.
+
+    The kinds are "least" (lower bound), "most" (upper bound), "unknown" (both), and "" without censored limits.
+    """
     sides = {
         name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
         for name in (condition, against)
@@ -192,7 +195,7 @@ def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bou
 
 
 def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
-    """Return the limits of complete runs by a measure.
+    """Return the stiffness limits of complete runs by a measure.
 
     `pooled` has the limits from all verdicts of a participant under a condition at a damping, which K50 uses.
     """
@@ -376,7 +379,7 @@ def _compare_pairs(
 def _find_used_cells(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
-    """Return the counts of censored limits of each (condition, damping) that contributes to a difference."""
+    """Return counts of censored limits for each (condition, damping) that contributes to a difference."""
     both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
     return {
         (name, b): one
@@ -429,7 +432,7 @@ def too_few_words(count: int, of: str) -> str:
 
 
 def rounding_of(roundings: Sequence[float]) -> float:
-    """Return the root mean square of the standard deviations that rounding causes in single values."""
+    """Return the root mean square of `roundings`, the standard deviations of single values by rounding."""
     return math.sqrt(sum(one**2 for one in roundings) / len(roundings))
 
 

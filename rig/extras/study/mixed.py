@@ -190,7 +190,7 @@ def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
 
 
 def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
-    """Return why no model can be fitted to the limits; empty if a model can be fitted."""
+    """Return the reason why no mixed model can be fitted to the limits; empty if one can."""
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
@@ -308,7 +308,7 @@ class _Design:
     def alike(self, part: str) -> Floats:
         """Return 1 for each pair of a participant's values that share a level of the random part, else 0.
 
-        The shape is (participants, n, n) with n as in `by_person`.
+        The shape is (participants, n, n), where n is the largest number of values of a participant.
         """
         groups = self.frame.groupby(["participant", *part.split(" × ")[1:]]).ngroup().to_numpy()
         number = self.by_person(groups + 1.0)
@@ -334,14 +334,14 @@ class _Design:
         return math.sqrt(float(rest @ rest) / free) * self.scale
 
     def unresolved(self, deviation: float) -> str:
-        """Return why a residual of this standard deviation (stiffness) gives no interval and no p; empty if it does."""
+        """Return the reason why a residual deviation (stiffness) gives no interval and no p; empty if it does."""
         if is_resolved(deviation, self.rounding, abs(self.middle) + self.scale):
             return ""
         return unresolved_words("the residuals within participants", deviation, self.rounding)
 
     @cached_property
     def parts(self) -> list[str]:
-        """Random parts that can be estimated: their factor must have repeated values within participants."""
+        """Names of the random parts that can be estimated: they need repeated values within participants."""
         found = ["participant"]
         for part in list(PARTS)[1:]:
             factor = part.split()[-1]
@@ -351,7 +351,7 @@ class _Design:
         return found
 
     def weights(self, of: Mapping[Cell, float]) -> Floats:
-        """Return the weights of all fixed effects: the given weights for cells, 0 for covariates."""
+        """Return the weights of all fixed effects: `of` for the cells (condition, damping), 0 for covariates."""
         return np.array([*(of.get(cell, 0.0) for cell in self.cells), *(0.0 for _ in self.covariates)])
 
 
@@ -360,7 +360,7 @@ class _Design:
 
 @dataclass(frozen=True)
 class _Optimum:
-    """The largest log likelihood, and the variances of the random parts there, divided by the residual's variance."""
+    """The largest log likelihood, and the variances of the random parts at this maximum over the residual's."""
 
     likelihood: float
     variances: Mapping[str, float]
@@ -434,7 +434,7 @@ class _Model:
 
     @classmethod
     def of(cls, design: _Design) -> _Model | None:
-        """Fit by REML, without random parts of zero variance; return None if the fit does not converge."""
+        """Fit the mixed model by REML, without random parts of zero variance; return None if it does not converge."""
         optimum = _optimum(design, design.columns("cell", *design.covariates))
         if optimum is None:
             return None

@@ -90,6 +90,8 @@ def draw_session(
 ) -> dict[str, Path]:
     """Draw all pictures of a study into an existing directory; return the paths by file name.
 
+    Raises `RecordingError` if a file cannot be written.
+
     Parameters
     ----------
     directory
@@ -100,11 +102,6 @@ def draw_session(
         Called with the number of finished pictures, and the total.
     on_failure
         Called with the error and the picture's name if a picture fails; None: raise the error.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be written.
     """
     written: dict[str, Path] = {}
     chosen = pictures(found)
@@ -124,7 +121,7 @@ def draw_session(
 
 
 def tracks_name(code: str) -> str:
-    """Return the name of the picture with a participant's tracks (stiffness over trials), without ending."""
+    """Return the file name, without ending, of the picture of a participant's searches (stiffness over trials)."""
     return f"{TRACKS}{file_name(code)}"
 
 
@@ -261,7 +258,7 @@ def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, 
 def _draw_censored(
     axes: Any, x: float, y: float, above: int, below: int, colour: str, *, size: float, alpha: float
 ) -> None:
-    """Draw a triangle at (x, y) if limits are above, and one if limits are below the searched levels."""
+    """Draw a triangle at (x, y) for limits above, and another for limits below all searched stiffnesses."""
     for count, marker in ((above, "^"), (below, "v")):
         if count:
             axes.scatter([x], [y], marker=marker, s=size, color=colour, alpha=alpha, zorder=5)
@@ -274,7 +271,8 @@ def _draw_censored(
 def psychometric_figure(found: StudyAnalysis) -> Any:
     """Draw the share of stable verdicts over stiffness: a row of panels for each condition, a column per damping.
 
-    A fitted function is drawn if its K50 lies within the levels; `CURVES` lists the lines and markers.
+    A fitted function is drawn if its K50 (stiffness with half of the verdicts stable) lies within the searched
+    stiffnesses; `CURVES` lists the lines and markers.
     """
     judge = "person" if any(one.judge == "person" for one in found.psychometrics) else "automatic"
     names = _conditions(found)
@@ -310,9 +308,9 @@ def psychometric_figure(found: StudyAnalysis) -> Any:
 
 
 def _draw_functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour: str, most: int) -> set[str]:
-    """Draw one panel of functions and verdicts; return the keys of `CURVES` that were drawn.
+    """Draw psychometric functions and shares of stable verdicts in a panel; return the drawn keys of `CURVES`.
 
-    The circle of a level grows with its number of verdicts; `most` verdicts give the largest circle.
+    The circle of a stiffness grows with its number of verdicts; `most` verdicts give the largest circle.
     """
     mine = [one for one in of if one.judge == judge]
     together = _find_common(mine)
@@ -359,7 +357,7 @@ def _describe_k50(one: PsychometricFit) -> str:
 
 
 def _find_common(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
-    """Return the function of all participants together, or the function of the only participant; None without one."""
+    """Return the fit of all participants together, or of the only participant; None if there is no fit."""
     for one in of:
         if one.participant == "":
             return one

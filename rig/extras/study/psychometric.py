@@ -75,7 +75,7 @@ class PsychometricFit:
 
     @property
     def bounded(self) -> bool:
-        """True if the K50 of every participant lies within the levels."""
+        """True if K50 lies within the searched stiffnesses for every participant."""
         return not self.above and not self.below
 
     def share(self, stiffness: Floats) -> Floats:
@@ -118,7 +118,7 @@ def psychometrics(
 
 
 def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
-    """Return participant and number of each complete run."""
+    """Return (participant, number) of each complete run."""
     return {(run.participant, run.run) for run in runs if run.state == "complete"}
 
 
@@ -154,7 +154,10 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """Fit the function of one participant to verdicts (stiffness, stable) of a search on `levels` (stiffnesses)."""
+    """Fit the psychometric function of one participant to verdicts (stiffness, stable).
+
+    `levels` are the stiffnesses that the search could choose.
+    """
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)

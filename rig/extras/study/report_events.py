@@ -37,7 +37,7 @@ class Deviation:
 
 
 def deviations(study: Study) -> tuple[Deviation, ...]:
-    """Return decisions and interruptions: redone, amended, restarted, skipped, retried, stopped, resumed, ended early.
+    """Return deviations from the plan: verdicts amended, blocks restarted, searches skipped, sessions stopped, etc.
 
     Values of the protocol that differ from most participants' come first. The opening of a rig is listed if the
     computer or the link lost samples in the measurement before it. Recordings that are missing or changed are last in

@@ -91,7 +91,7 @@ class _StatedSearch:
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """Prior of the psychometric function on some levels (stiffnesses), before any verdict."""
+    """Prior of the psychometric function on the searched stiffnesses `levels`, before any verdict."""
 
     levels: tuple[float, ...]
     grid: PsychometricGrid

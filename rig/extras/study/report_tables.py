@@ -311,7 +311,7 @@ def _participant(found: StudyAnalysis, session: StudySession) -> tuple[object, .
 
 
 def tracks(found: StudyAnalysis) -> Table:
-    """Return a table of every search with its limit."""
+    """Return a table of every search with its stiffness limit."""
     rows = []
     for run in found.runs:
         limit = run.limits.get(found.options.measure)
@@ -384,7 +384,7 @@ def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Cont
 
 
 def is_tested(one: Contrast | Paired) -> bool:
-    """Return True unless a paired difference has no interval because most limits are censored."""
+    """Return False for a paired difference without a test, because most of its limits are censored."""
     return not (isinstance(one, Paired) and one.withheld)
 
 
@@ -398,7 +398,7 @@ def summarise_differences(found: StudyAnalysis) -> Iterator[tuple[Contrast | Pai
 
 
 def write_bounded(value: float, above: int, below: int, marked: object = "") -> str:
-    """Return a value as text, with ≥, ≤ or ? before it if limits `above` or `below` the levels make it a bound.
+    """Return a value as text, after ≥, ≤ or ? if limits `above` or `below` all searched stiffnesses make it a bound.
 
     An asterisk follows if `marked` is true: the verdicts do not support some of the limits.
     """
@@ -426,7 +426,7 @@ def _units(found: StudyAnalysis) -> Sequence[str]:
 
 
 def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[PsychometricFit]]:
-    """Return the functions of all participants together (or of the only participant), and those of single ones."""
+    """Split psychometric functions: of all participants together (or the only one), and of single participants."""
     alone = len(found.study.sessions) == 1
     every = list(found.psychometrics)
     together = [one for one in every if alone or not one.participant]

@@ -114,7 +114,7 @@ class LimitInterval:
 
     @property
     def rounding(self) -> float:
-        """Standard deviation (stiffness) of the error that rounding to the levels makes."""
+        """Standard deviation of the error that rounding to the searched stiffnesses makes, in units of stiffness."""
         return rounding_deviation(self.step)
 
 

@@ -280,7 +280,7 @@ def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str
 
 
 def _decides_cells(one: Difference) -> bool:
-    """Return True if sessions with this difference cannot be analysed together: other conditions, dampings or unit."""
+    """Return True if sessions with this difference cannot be compared: other conditions, dampings or motion."""
     if one.key == "condition":  # in another order they are the same
         return len({frozenset(names) for names in one.values.values()}) > 1
     if one.key.startswith("condition.") and ".changes." not in one.key:
@@ -367,7 +367,7 @@ def _changed_between(session: StudySession) -> Iterator[str]:
 
 
 def _has_changed(one: Any, other: Any) -> bool:
-    """Return True if two values are known and differ."""
+    """Return True if both values are known and differ."""
     return one is not None and other is not None and one != other
 
 

@@ -171,7 +171,7 @@ def tables(found: StudyAnalysis) -> tuple[DataTable, ...]:
 
 
 def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") -> DataColumn:
-    """Describe a column whose value is the row's field `field`, or the field of the column's name."""
+    """Describe a table column whose value is the row's field `field`, or the field with the column's name."""
     return DataColumn(name, kind, quantity, meaning, lambda row: getattr(row, field or name))
 
 

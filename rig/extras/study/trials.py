@@ -130,7 +130,7 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
 
 
 def levels(protocol: Protocol, condition: str) -> tuple[float, ...]:
-    """Return the stiffnesses that a condition's search may use, in ascending order."""
+    """Return the stiffnesses (levels) that a condition's search may use, in ascending order."""
     return tuple(levels_of(protocol.search_of(protocol.condition_named(condition))))
 
 
@@ -174,11 +174,8 @@ def half_way(
 def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
     """Return the verdicts of a run's trials by one judge.
 
-    Parameters
-    ----------
-    judge
-        "followed": the verdicts that the search rule received. "person": the same verdicts, or an empty list if no
-        person judged a trial. "automatic": whether each wall is stable under the study's criterion.
+    `judge` is "followed": the verdicts that the search rule received; "person": the same verdicts, or an empty list if
+    no person judged a trial; or "automatic": whether each wall is stable under the study's criterion.
     """
     if judge == "followed":
         return state.judged_probes(run)
@@ -276,7 +273,7 @@ def _caught(
 
 
 def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
-    """Return the limits of a run by each measure that has one, and a note about them."""
+    """Estimate the stiffness limits of a run; return them by measure, and a note about them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     probes, note = answers(state, run, "followed"), ""
@@ -320,7 +317,7 @@ def _add(found: dict[Measure, LimitInterval], measure: Measure, estimate: Estima
 def _follows(
     state: SessionState, run: SearchRun, name: str, probes: Sequence[JudgedProbe], grid: Sequence[float]
 ) -> bool:
-    """Return True if the search rule would have chosen each wall of `probes` after the verdicts before it."""
+    """Return True if the search rule would have chosen each wall of `probes` after the verdicts on walls before it."""
     if name not in WALKING:
         return all(answer.probe.level in grid for answer in probes)
     rule = state.rule(run)

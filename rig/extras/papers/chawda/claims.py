@@ -16,7 +16,7 @@ from rig.extras.papers.rules import MOST, Ruling, each, judge, judge_share, over
 
 
 def rulings(chawda: Chawda) -> dict[str, Ruling]:
-    """Return the ruling (verdict and the numbers behind it) on every claim, by the claim's key in ``claims.j2``."""
+    """Judge every claim of the paper; return the ruling (verdict and its numbers) by the claim's key."""
     drops = derived.drops(chawda)
     fits = [fit for of in derived.by_edge(chawda).values() for fit in of]
     mass, damping = derived.mass_and_damping()
@@ -111,7 +111,7 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """Return numbers about the limits of some schemes that the search of stiffnesses could not find.
+    """Count the dampings at which the stiffness limits of schemes `names` lie beyond the searched stiffnesses.
 
     ``dampings`` is the number of dampings in (0, `up_to`] N·s/m, ``top`` the stiffest searched wall (N/m). ``beyond``
     has (scheme, number of dampings at which its limit and that of the filtered difference both exceed ``top``).

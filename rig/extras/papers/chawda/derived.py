@@ -1,6 +1,6 @@
 """Compute from the results of Chawda et al. the numbers that the claims, the page and the pictures share.
 
-A *reading* is one way to judge passivity: a frequency band and a tolerance, since the paper does not state its own.
+A *reading* is one passivity test (a frequency band and a phase tolerance), since the paper does not state its own.
 """
 
 from __future__ import annotations
@@ -81,9 +81,10 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
 
 
 def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
-    """Return, for each upper edge of the band (Hz), a pair of booleans per reading and measurement.
+    """Compare the results with Table I, for each upper edge (Hz) of the frequency band of the passivity test.
 
-    The first is True if all K-widths (stiffest passive walls) are near Table I, the second if all fidelity errors are.
+    There is a pair for each passivity test with this edge and each measurement: True if all K-widths (stiffest passive
+    walls) are near Table I, and True if all fidelity errors are.
     """
     fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
     stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
@@ -112,9 +113,9 @@ def mass_and_damping() -> tuple[float, float]:
 
 
 def floors() -> dict[float, float]:
-    """Return the fidelity error (rms of |Z|, N·s/m) of the rig without a wall, by upper edge of the band (Hz).
+    """Return the rms of |Z| (N·s/m) of the rig without a wall, by upper edge (Hz) of the frequency band.
 
-    The largest error that a measurement finds over all walls can hardly be smaller.
+    The largest fidelity error that a measurement finds over all walls can hardly be smaller.
     """
     low, _ = rigs.CONTROL_BAND
     return {high: fidelity_without_wall(*mass_and_damping(), (low, high)) for high in rigs.HIGHEST_HZ}
@@ -129,7 +130,7 @@ def edge_of(error: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """Results for all readings that share one upper edge of the frequency band, `high` (Hz).
+    """Results of all passivity tests that share one upper edge of the frequency band, `high` (Hz).
 
     Attributes
     ----------
@@ -140,7 +141,7 @@ class Edge:
     widths, errors, both
         Number of results with all K-widths near Table I, with all fidelity errors near Table I, and with both.
     readings
-        Number of results: readings with this edge times measurements.
+        Number of results: passivity tests with this edge times measurements.
     """
 
     high: float
@@ -192,7 +193,7 @@ def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[flo
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
-    """Return the shares of `common_gains` (by how much FOAW's error is lower) for each upper edge of the band (Hz)."""
+    """Return the shares by which FOAW's fidelity error is lower (see `common_gains`), by upper band edge (Hz)."""
     main = rigs.READINGS[rigs.MAIN]
     return {
         high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
@@ -253,18 +254,18 @@ def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
 
 
 def count_tuned(chawda: Chawda, name: str) -> int:
-    """Return how many numeric settings the paper's scheme for an estimator states."""
+    """Return the number of numeric settings in the paper's sampling scheme for an estimator."""
     controller = rigs.SCHEMES[name].applied(chawda.map.grid.experiment).controller
     return len(tuned_numbers(controller.estimator, controller.parameters))
 
 
 def is_capped(widths: Sequence[FrequencyWidth], name: str) -> bool:
-    """Return True if the width `name` ("stiffness" or "damping") of any measurement reaches the end of the grid."""
+    """Return True if the largest passive "stiffness" or "damping" (`name`) of a measurement is the grid's end."""
     return any(getattr(width, f"{name}_capped") for width in widths)
 
 
 def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
-    """Return the extent of the passive region (K-width, B-width, errors) of each variant of Levant's estimator."""
+    """Return the largest passive stiffness and damping for each variant of Levant's differentiator, by its name."""
     return {name: chawda.variants.width(0, 0, n) for n, name in enumerate(chawda.variant_names)}
 
 
@@ -273,7 +274,7 @@ def variant_widths(chawda: Chawda) -> dict[str, FrequencyWidth]:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """One sampling scheme on one of Koul's rigs, judged by one reading.
+    """One sampling scheme on one of Koul's rigs, judged by one passivity test (band and tolerance).
 
     Area, stiffness and damping describe the passive region; each has mean and standard deviation over the measurements.
     """
@@ -289,7 +290,7 @@ class Ranked:
 def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
     """Return the schemes of a grid, sorted by the area of their passive region in the K–B plane, the largest first.
 
-    `reading` is an index into the readings of the grid.
+    `reading` is the index of the passivity test.
     """
     schemes = found.grid.schemes
     reference = schemes.index(Scheme.parse(rigs.PAPERS_DUAL))
@@ -310,9 +311,9 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return a scheme's mean fidelity error divided by that of a reference scheme, as a spread over measurements.
+    """Return a scheme's mean fidelity error divided by that of a reference scheme, with its spread.
 
-    Both means are over the walls that are passive with both schemes. `number` and `reference` are indices of schemes.
+    Means are over the walls that are passive with both schemes, the spread is over measurements; schemes are indices.
     """
     ratios = []
     for m in range(found.grid.measurements):
@@ -345,7 +346,7 @@ class BestDual:
 
     @classmethod
     def of(cls, rows: Sequence[Ranked]) -> BestDual:
-        """Choose the schemes from `rows`, which must be sorted by area, the largest first."""
+        """Choose the best, near, most faithful and best uniform scheme from `rows`, sorted by area, largest first."""
         best, *others = (row for row in rows if row.scheme.kind == "dual")
         judged = [row for row in (best, *others) if row.error.count]
         uniform = max((row for row in rows if row.scheme.kind == "uniform"), key=lambda row: row.area.mean)

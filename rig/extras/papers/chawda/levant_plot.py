@@ -38,7 +38,7 @@ class LevantRegions:
     worst_case_mu2: Floats
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return boundaries, crossing and named gains as lists and numbers for JSON (infinite values: null)."""
+        """Return the boundaries and the named gains as lists and numbers for JSON (infinite values: null)."""
         return {
             "parameters": "alpha = mu1 * C, lambda = mu2 * sqrt(C)",
             "crossing": dict(zip(("mu1", "mu2"), regions.find_crossing(), strict=True)),
@@ -60,7 +60,7 @@ class LevantRegions:
 
 
 def levant_regions() -> LevantRegions:
-    """Compute the boundaries of the convergent gains for μ1 up to `LARGEST_MU1` and μ2 up to `LARGEST_MU2`."""
+    """Compute the boundaries of the gains with which Levant's differentiator converges, for μ1 ≤ 10 and μ2 ≤ 6."""
     mu2 = np.linspace(0.0, LARGEST_MU2, _POINTS)
     mu1 = 1.0 + np.geomspace(0.02, LARGEST_MU1 - 1.0, _POINTS // 2)
     return LevantRegions(
@@ -74,7 +74,7 @@ def levant_regions() -> LevantRegions:
 
 @style.own_style()
 def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
-    """Draw the HBA and LFBA regions, named gains and the numeric boundary; return the path of the picture."""
+    """Draw the gains with which Levant's differentiator converges, by both proofs and numerically; return the path."""
     figure = style.new_figure(7.0, 5.0)
     axes = figure.subplots()
     for bound, colour, label in (

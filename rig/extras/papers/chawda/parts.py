@@ -1,4 +1,4 @@
-"""Compute linear theory, the constant C of Levant's differentiator, and control values for the paper of Chawda et al.
+"""Compute linear theory, the constant C of Levant's differentiator, and check values for the paper of Chawda et al.
 
 Each public function is the work of one task of the sweep that runs the reproduction (`rig.extras.papers.parts`): it
 takes and returns values that JSON can store, and has no side effects.
@@ -51,17 +51,10 @@ NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Compute the largest stable and the largest passive stiffness (N/m) of one scheme by linear theory.
 
-    Parameters
-    ----------
-    payload
-        ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), ``low_hz``, and ``highest_hz``, the
-        upper edges of the bands (Hz) in which passivity is tested, every 1 Hz.
-
-    Returns
-    -------
-    dict
-        ``stable``: a stiffness for each damping; ``passive``: a list of stiffnesses for each upper edge; ``range``: the
-        largest stable damping (N·s/m).
+    `payload` has ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), ``low_hz``, and
+    ``highest_hz``, the upper edges of the bands (Hz) in which passivity is tested, every 1 Hz. In the result ``stable``
+    has a stiffness for each damping, ``passive`` a list of stiffnesses for each upper edge; ``range`` is the largest
+    stable damping (N·s/m).
     """
     experiment = config.restore_experiment(payload["experiment"])
     scheme, dampings = Scheme.parse(payload["scheme"]), payload["dampings"]
@@ -86,13 +79,9 @@ def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
     """Identify C, the bound of the acceleration for Levant's differentiator, from one simulated hit on a wall.
 
     The hit has a rate of 10 kHz and uses the filtered difference. A sum of sines is fitted to the encoder counts around
-    the contact.
-
-    Returns
-    -------
-    dict
-        ``lipschitz``: C (m/s²) to three digits; ``residual_rms`` of the fit (m); ``true``: largest acceleration of the
-        simulation in the same interval (m/s²); ``impact_velocity`` (m/s); and the wall's ``stiffness`` and ``damping``.
+    the contact. The result has ``lipschitz``, C (m/s²) to three digits; ``residual_rms`` of the fit (m); ``true``, the
+    largest acceleration of the simulation in the same interval (m/s²); ``impact_velocity`` (m/s); and the wall's
+    ``stiffness`` and ``damping``.
     """
     changes = {"wall.stiffness": stiffness, "wall.damping": damping, "trial.duration_s": LIPSCHITZ_S}
     experiment = config.override(FILTERED_SCHEME.applied(pushed_rig(FIGURE_3_RATE)), changes, "a hit")
@@ -117,11 +106,8 @@ def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
     """Compute two values that theory predicts, to check the method, on a rig without friction and encoder quantisation.
 
-    Returns
-    -------
-    dict
-        ``stiffness``: largest K (N/m) at B = 0 whose impedance is passive without any tolerance, by bisection;
-        ``fidelity``: rms of |Z| without a wall (N·s/m).
+    ``stiffness`` is the largest K (N/m) at B = 0 whose impedance is passive without any tolerance, by bisection;
+    ``fidelity`` is the rms of |Z| without a wall (N·s/m).
     """
     experiment = _ideal(config.restore_experiment(payload["experiment"]))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
@@ -156,7 +142,7 @@ def control_payload(
 
 
 def _ideal(experiment: Experiment) -> Experiment:
-    """Return the experiment without friction and quantisation, with one realisation of the excitation."""
+    """Return the experiment without friction and quantisation, and with one realisation of the excitation."""
     ideal = config.override(experiment, IDEAL, "a control")
     return replace(
         ideal,

@@ -145,7 +145,7 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
 
 
 def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
-    """Draw the stable (dashed) and passive limits (dotted) of linear theory; the axes count cells of the grid."""
+    """Draw the largest stable (dashed) and passive stiffness (dotted) by linear theory, in cells of the grid."""
     grid, of = chawda.map.grid, chawda.linear[name]
     x = np.interp(chawda.linear_dampings, grid.dampings, np.arange(len(grid.dampings)))
     passive = of["passive"][rigs.HIGHEST_HZ.index(rigs.READINGS[rigs.MAIN].high_hz)]

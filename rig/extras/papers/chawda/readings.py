@@ -1,9 +1,10 @@
 """Measure the impedance of many walls, and judge the passivity of each wall in many ways.
 
 Chawda et al. do not state the frequency band and tolerance of their passivity test. A *reading*
-(`rig.extras.papers.chawda.rigs.Reading`) is one band and one tolerance; every measurement is judged by every reading,
-to count how much a result depends on this choice. A wall passes if Re Z is not below zero by more than the tolerance,
-if the residual power is low, and if the coherence is sufficient, as in `rig.analysis.impedance._verdict`.
+(`rig.extras.papers.chawda.rigs.Reading`) is a passivity test with one band and one tolerance; every measurement is
+judged by every reading, to count how much a result depends on this choice. A wall passes if Re Z is not below zero by
+more than the tolerance, if the residual power is low, and if the coherence is sufficient, as in
+`rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Flags = NDArray[np.bool_]
 class ExcitationGrid:
     """Grid of walls (every stiffness with every damping) to excite with some sampling schemes.
 
-    The measured impedance of each wall is judged by all `readings` (band and tolerance of the passivity test).
+    Each measured impedance is judged by all `readings` (passivity tests, each with a band and a tolerance).
     """
 
     experiment: Experiment  # its excitation has the realisations of all measurements
@@ -72,9 +73,9 @@ class ExcitationGrid:
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     """Excite all walls of one scheme and damping; return a row for each stiffness, with a dict for each measurement.
 
-    ``passive`` is a string with the digit 1 (passive) or 0 for each reading; ``fidelity`` is a list with the rms of |Z|
-    − |K/(jω) + B| (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the excited
-    lines. A measurement that the safety guard ended is not passive, and its other values are None.
+    ``passive`` is a string with the digit 1 (passive) or 0 for each passivity test; ``fidelity`` is a list with the rms
+    of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the
+    excited lines. A measurement that the safety guard ended is not passive, and its other values are None.
     """
     experiment = config.restore_experiment(payload["experiment"])
     readings = [
@@ -106,7 +107,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
 
 
 def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Return the runs of one wall for the realisations `numbers`, up to the first run that the safety guard ends."""
+    """Excite one wall with the realisations `numbers`, up to the first run that the safety guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
@@ -118,7 +119,7 @@ def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range)
 def read(
     impedance: Impedance, stiffness: float, damping: float, readings: Sequence[Reading]
 ) -> tuple[Flags, Floats]:
-    """Judge the measured impedance of one wall: return passive or not by reading, and the fidelity error by band.
+    """Judge the measured impedance of one wall: return passive or not by passivity test, and errors by band.
 
     The error is the rms of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`.
     """
@@ -137,14 +138,14 @@ def read(
 
 
 def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
-    """Return the distinct frequency bands (lowest, highest frequency in Hz) of the readings, in order of appearance."""
+    """Return the distinct frequency bands (lowest, highest frequency in Hz) of passivity tests, in their order."""
     return list(dict.fromkeys((reading.low_hz, reading.high_hz) for reading in readings))
 
 
 def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
-    """Return how far Re Z may be below zero (N·s/m) at each line, for a tolerance in the unit `kind`.
+    """Return how far Re Z may be below zero (N·s/m) at each frequency of the impedance.
 
-    The unit is "deviations" (standard deviations of the measured line) or "degrees" of phase.
+    `kind` is the unit of `tolerance`: "deviations" (standard deviations of the measurement) or "degrees" of phase.
     """
     if tolerance == 0.0:
         return np.zeros(len(impedance.z))
@@ -162,13 +163,10 @@ def _band(lines: Floats, low: float, high: float) -> slice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Passivity and fidelity error of all walls of a grid, by measurement and reading (band and tolerance of the test).
+    """Passivity and fidelity error of all walls of a grid, by measurement and by passivity test (*reading*).
 
-    Attributes
-    ----------
-    passive, fidelity
-        Shape (measurement, reading, scheme, damping, stiffness); the fidelity error (N·s/m) is NaN if the safety guard
-        ended the measurement.
+    `passive` and `fidelity` have the shape (measurement, reading, scheme, damping, stiffness); the fidelity error
+    (N·s/m) is NaN if the safety guard ended the measurement.
     """
 
     grid: ExcitationGrid
@@ -177,7 +175,7 @@ class Readings:
 
     @classmethod
     def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
-        """Arrange the results of the tasks of `ExcitationGrid.part`, in their order, as arrays."""
+        """Build the arrays from the results of the tasks of `ExcitationGrid.part`, in their order."""
         shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
         cells = [cell for rows in columns for row in rows for cell in row]
         names = bands(grid.readings)
@@ -193,9 +191,9 @@ class Readings:
         )
 
     def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
-        """Return the extent of a scheme's passive region (K-width, B-width, errors) in one measurement.
+        """Return the largest passive stiffness and damping, and the fidelity errors, of a scheme in one measurement.
 
-        All three arguments are indices; `reading` chooses the band and tolerance that judge passivity.
+        All three arguments are indices; `reading` chooses the passivity test.
         """
         place = measurement, reading, scheme
         return FrequencyWidth.of(
@@ -203,7 +201,7 @@ class Readings:
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Return the extent of one scheme's passive region by one reading, one result for each measurement."""
+        """Return the result of `width` (largest passive stiffness, …) of one scheme for each measurement."""
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:

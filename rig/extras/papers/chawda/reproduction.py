@@ -2,8 +2,8 @@
 
 About ten thousand walls are excited and some thousand more are hit, in one sweep. Rules compute verdicts from the
 numbers, and templates write the sentences. The paper does not give band and tolerance of its passivity test, and the
-results depend on both: each wall is judged by many readings (`rig.extras.papers.chawda.readings`), and a claim is
-judged by the number of readings in which it holds. No value is tuned to match Table I.
+results depend on both: each wall is judged by many passivity tests (`rig.extras.papers.chawda.readings`), and a claim
+is judged by the number of tests in which it holds. No value is tuned to match Table I.
 
 Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
 """
@@ -106,7 +106,7 @@ class ChawdaPlan:
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
-        """Return the schemes of Fig. 3 by name: the filtered difference, and Levant's differentiator variants.
+        """Return the sampling schemes of Fig. 3 by name: the filtered difference, then Levant's differentiator.
 
         Levant's differentiator has the identified C, and each of the scale's other values of C with each pair of gains.
         """
@@ -181,7 +181,7 @@ class ChawdaPlan:
 
 
 def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Return the name of Levant's gains with the largest stable area in the K–B plane, as tuning would find them."""
+    """Return the name of the scheme with Levant's gains whose stable area in the K–B plane is largest."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 

@@ -43,7 +43,7 @@ class BoundarySearch:
 class Chawda:
     """All computed results, from which claims, sentences and pictures are derived.
 
-    An *estimator* is one of the four of Table I; a *reading* is a frequency band and a tolerance that judge passivity.
+    An *estimator* is one of the four of Table I; a *reading* is a passivity test with one band and one tolerance.
 
     Attributes
     ----------
@@ -58,7 +58,8 @@ class Chawda:
     slow_hits
         Stiffness limits by hits at 1 kHz, for the four estimators in the order of `SCHEMES`.
     read
-        Extent of the passive region by estimator, for every reading of measurement 1, then of measurement 2, and so on.
+        Largest passive stiffness and damping, and errors, by estimator: for every reading of measurement 1, then of
+        measurement 2, and so on.
     map, frictionless
         Figs. 5 and 7 and Table I: measured walls judged by every reading; and the same walls on a rig without friction,
         with FDM+filter and FOAW.
@@ -94,14 +95,14 @@ class Chawda:
     dual_schemes: tuple[Scheme, ...]
 
     def widths(self, name: str, reading: int = rigs.MAIN) -> list[FrequencyWidth]:
-        """Return the extent of the passive region (K-width, B-width, errors) of one estimator, for each measurement.
+        """Return the largest passive stiffness and damping, and errors, of one estimator for each measurement.
 
-        `reading` is an index into `rigs.READINGS`.
+        `reading` is an index into `rigs.READINGS`, the passivity tests.
         """
         return [of[name] for of in self.read[reading :: len(rigs.READINGS)]]
 
     def search(self, name: str, measurement: int = 0) -> GridSearch:
-        """Return the path and result of the paper's boundary search in the map of one estimator and measurement."""
+        """Apply the paper's boundary search to the passivity map of one estimator and measurement."""
         grid = self.map.grid
         passive = self.map.passive[measurement, rigs.MAIN, list(rigs.SCHEMES).index(name)]
         return trace_grid(passive, grid.dampings, grid.stiffnesses)
@@ -112,7 +113,7 @@ class Chawda:
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:
-        """Return the result of the paper's boundary search for every estimator and measurement."""
+        """Apply the paper's boundary search to the passivity map of every estimator and measurement."""
         stiffnesses = self.map.grid.stiffnesses
         return [
             BoundarySearch(
@@ -128,7 +129,7 @@ class Chawda:
         ]
 
     def islands(self, name: str) -> list[int]:
-        """Return the number of islands of an estimator (passive walls above a wall that is not) per measurement."""
+        """Return, per measurement, the number of islands of an estimator: passive walls above a wall that is not."""
         return [len(width.islands) for width in self.widths(name)]
 
     @property
@@ -139,7 +140,7 @@ class Chawda:
 
 
 def read_all(found: Readings) -> tuple[dict[str, FrequencyWidth], ...]:
-    """Return the extent of the passive region by estimator, for every reading of each measurement in turn."""
+    """Return the largest passive stiffness and damping by estimator, for every passivity test of each measurement."""
     grid = found.grid
     return tuple(
         {name: found.width(m, r, s) for s, name in enumerate(rigs.SCHEMES)}
@@ -154,7 +155,7 @@ def spread(widths: Sequence[FrequencyWidth], name: str) -> Spread:
 
 
 def numbers(chawda: Chawda) -> dict[str, Any]:
-    """Return every computed number of the reproduction, for the JSON file."""
+    """Return every computed number of the reproduction by name, for the JSON file."""
     return {
         "identified": list(chawda.constants),
         "lipschitz": chawda.lipschitz,
@@ -190,7 +191,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
 
 
 def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
-    """Return grid, widths, passivity and mean fidelity errors of each scheme for JSON, by the main reading.
+    """Return axes, largest passive walls, passivity and mean fidelity errors of a grid by scheme, for JSON.
 
     Passivity is a string of the digits 0 and 1 for each damping, with a digit for each stiffness.
     """

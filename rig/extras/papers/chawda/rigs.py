@@ -39,7 +39,7 @@ Kind = Literal["deviations", "degrees"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """One way to judge passivity: a frequency band, and a tolerance by which the phase of Z may exceed ±90°.
+    """One passivity test: a frequency band, and a tolerance by which the phase of Z may exceed ±90°.
 
     `tolerance` is in standard deviations of the measured line (see `rig.analysis.impedance._verdict`) or in degrees, by
     `kind`; 0 allows no deviation.
@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def allowed(self) -> str:
-        """Return the allowed phase as text, such as ``±90° and 3°``."""
+        """Allowed phase as text, such as ``±90° and 3°``."""
         if not self.tolerance:
             return "strictly ±90°"
         unit = " standard deviations" if self.kind == "deviations" else "°"
@@ -60,7 +60,7 @@ class Reading:
 
     @property
     def text(self) -> str:
-        """Return band and allowed phase as text, such as ``1 to 250 Hz, ±90° and 3°``."""
+        """Frequency band and allowed phase as text, such as ``1 to 250 Hz, ±90° and 3°``."""
         return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
@@ -155,7 +155,7 @@ DUAL_READINGS = tuple(Reading(low_hz=2.0, high_hz=high, tolerance=2.0) for high 
 def dual_schemes() -> tuple[Scheme, ...]:
     """Return the sampling schemes for Koul's rigs: two uniform-rate ones for comparison, then dual-rate ones.
 
-    Each estimator of `DUAL_ESTIMATORS` has two dual-rate schemes, one for each of `DUAL_RATES`.
+    Each velocity estimator of `DUAL_ESTIMATORS` has two dual-rate schemes, one for each of `DUAL_RATES`.
     """
     texts = [f"{rates},estimator={estimator}" for rates in DUAL_RATES for estimator in DUAL_ESTIMATORS]
     return tuple(Scheme.parse(text) for text in (*REFERENCES, *texts))
@@ -186,7 +186,7 @@ class ChawdaScale:
 
     @property
     def rung(self) -> float:
-        """Return the ratio of two neighbouring stiffnesses of the maps."""
+        """Ratio of two neighbouring stiffnesses of the maps."""
         return self.stiffnesses[1] / self.stiffnesses[0]
 
 
@@ -248,7 +248,7 @@ QUICK = ChawdaScale(
 
 
 def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the paper's rig with an excitation that contains the bands of all readings, and with `changes`."""
+    """Return the paper's rig with an excitation that covers the bands of all passivity tests, and with `changes`."""
     excitation = {
         "excitation.low_hz": LOWEST_HZ[0],
         "excitation.high_hz": HIGHEST_LINE,

@@ -1,7 +1,7 @@
-"""Rules that judge the claims of Chawda et al.: each turns numbers into a ruling (verdict and numbers).
+"""Rules that judge the claims of Chawda et al.: each turns numbers into a ruling (verdict and its numbers).
 
-A claim is tested in several cases. Gains and the band of an excitation can be chosen by a user, so a claim may be
-reproduced "only with" them; the estimators and the ways to judge passivity cannot be such a condition.
+A claim is tested in several *cases*, such as estimators. Gains and the band of an excitation can be chosen by a user,
+so a claim may be reproduced "only with" them; the estimators and passivity tests cannot be such a condition.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TRACED = 0.9  # of the columns
 
 
 def is_in_order(widths: Sequence[float]) -> bool:
-    """Return True if each K-width (N/m) is larger than the next."""
+    """Return True if each K-width (stiffest passive wall, N/m) is larger than the next."""
     return all(first > second for first, second in pairwise(widths))
 
 
@@ -54,7 +54,7 @@ def mostly_stiffer(ratios: Sequence[float], step: float = 1.0) -> bool:
 
 
 def mostly_larger(cases: Mapping[str, tuple[int, int]]) -> Ruling:
-    """Judge the claim that the first of two K-widths is mostly the larger one.
+    """Judge the claim that the first of two K-widths (stiffest passive walls) is mostly the larger one.
 
     A value of `cases` is (number of results in which it is larger, number of results in which the two differ).
     """
@@ -75,12 +75,12 @@ def find_drop(dampings: Sequence[float], stiffnesses: Sequence[float]) -> float:
 
 
 def sharpness(stiffnesses: Sequence[float]) -> float:
-    """Return the largest ratio of the stiffness limit at one damping to the limit at the next damping."""
+    """Return how sharply stiffness limits drop: the largest ratio of a limit to the limit at the next damping."""
     return max((over(high, low) for high, low in pairwise(stiffnesses)), default=1.0)
 
 
 def limited(ranges: Mapping[str, float], filtered: float, paper: float) -> Ruling:
-    """Judge the claim that Levant's differentiator has a smaller range of damping than the filtered difference.
+    """Judge the claim that walls stay passive up to a smaller damping with Levant's than with the filtered difference.
 
     `ranges` has the largest damping (N·s/m) with Levant's differentiator by case, `filtered` that of the filtered
     difference. If their ratio is not near the paper's ratio `paper`, the claim is reproduced in part.
@@ -128,10 +128,10 @@ def controlled(found: Mapping[str, float], theory: float) -> Ruling:
 
 
 def lower(gains: Mapping[tuple[str, float], Sequence[float]]) -> Ruling:
-    """Judge the claim that an estimator's error is lower than others', from the shares by which it is lower.
+    """Judge the claim that an estimator's error is lower than the errors of other estimators.
 
-    A key of `gains` is (name of the other estimator, upper edge of the band in Hz); it has a share for each
-    measurement.
+    A key of `gains` is (name of the other estimator, upper edge of the band in Hz); a value has, for each measurement,
+    the share by which the error is lower.
     """
     by_other: dict[str, list[float]] = {}
     for (other, _), values in gains.items():

@@ -58,7 +58,10 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Return the cause of a disagreement (one of `CAUSES`) that a wall's cures indicate."""
+    """Return the cause (one of `CAUSES`) of a disagreement between theory and hits, from the cures of the wall.
+
+    A cure is a set of non-linearities without which theory and hits agree.
+    """
     if not found:
         return NONE
     # None of them is needed by itself.
@@ -69,7 +72,7 @@ def cause_of(found: Sequence[Cure]) -> str:
 
 
 def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
-    """Return the experiment without the non-linearities `taken`; `CONTACT` must be removed by the wall's law."""
+    """Return the experiment without the non-linearities `taken`; for `CONTACT` the wall's law must be replaced, too."""
     rig, homing = experiment.rig, experiment.homing
     for one in taken:
         if one == FRICTION:
@@ -100,7 +103,7 @@ class _Column:
         self.hits = self.ticks = 0
 
     def passes(self, stiffness: float, number: int, taken: Cure = ()) -> Holds:
-        """Hit a wall on the rig without the set `taken`; return True if the wall is stable, None for an invalid hit.
+        """Hit a wall on the rig without the non-linearities `taken`; return True if it is stable, None if invalid.
 
         `number` is the index of the experiment, which has its own encoder offset and repeat.
         """

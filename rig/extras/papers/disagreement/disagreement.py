@@ -48,7 +48,7 @@ class DisagreementPlan:
 
     @property
     def experiment(self) -> Experiment:
-        """Return the experiment (rig, controller, trial) whose walls are hit."""
+        """The experiment (rig, controller, trial) whose walls are hit."""
         return self.map.experiment
 
     def _check(self) -> None:
@@ -68,7 +68,7 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a sweep task for each scheme and damping of the map.
+        """A sweep task for each scheme and damping of the map.
 
         Raises `PlanError` for a wall that linear theory does not cover, `NotLinearError` for a non-linear scheme.
         """
@@ -98,7 +98,7 @@ class DisagreementPlan:
         return self.map.as_mapping()
 
     def found(self, results: Sequence[Any]) -> Disagreement:
-        """Compare theory and hits, given the results of all tasks in their order."""
+        """Compare theory and hits for all walls, from the results of all tasks in their order."""
         plan = self.map
         columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
         across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
@@ -177,7 +177,7 @@ class ComparedWall:
 
     @property
     def linear(self) -> bool:
-        """Return True if linear theory calls the wall stable."""
+        """True if linear theory calls the wall stable."""
         return self.radius < 1.0
 
 
@@ -190,7 +190,7 @@ class CauseShare:
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """Compute from the walls `whole` the share of their area that differs, and the causes."""
+        """Compute, for walls `whole`, the share of their area where theory and hits differ, and the causes."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_shares_by(differing, lambda wall: wall.cause))
 
@@ -294,7 +294,7 @@ class Disagreement(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return a heading and a table: share of the plane, of stable walls by theory and by hits that differs."""
+        """Return a heading and a table: which shares of the plane, and of stable walls by theory or by hits, differ."""
         head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
             ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
@@ -310,7 +310,7 @@ class Disagreement(Shown, Drawn):
         return [self.brief()[0], Table(head, rows, words=2)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield a flat dict for every wall: a row of the table file."""
+        """Yield a dict for every wall, a row of the table file."""
         for wall in self.walls:
             row = asdict(wall) | {"scheme": self.plan.schemes[wall.scheme].text}
             yield row | {"linear": wall.linear, "cures": _join_sets(wall)}
@@ -348,7 +348,7 @@ def _shares_by(
     name: Callable[[ComparedWall], str],
     of: Sequence[ComparedWall] | None = None,
 ) -> dict[str, float]:
-    """Return the area of the walls of each name as a share of the area of `of` (None: `walls`), the largest first."""
+    """Sum areas of walls by `name(wall)`; return each as a share of the area of `of` (None: `walls`), largest first."""
     areas: dict[str, float] = {}
     for wall in walls:
         areas[name(wall)] = areas.get(name(wall), 0.0) + wall.area

@@ -216,7 +216,7 @@ def _row(tally: Tally) -> Row:
 def limit_cycles(
     experiment: Experiment, schemes: Sequence[Scheme] = (), walls: Sequence[tuple[float, float]] | None = None
 ) -> LimitCycles:
-    """Predict and simulate the limit cycles of walls, given as (K, B); None: the walls that this module describes.
+    """Predict and simulate the limit cycles of walls (K, B); None: fractions of K_max and B_max by linear theory.
 
     Without `schemes`, the experiment's scheme and the uniform schemes at its rates are used.
 
@@ -248,7 +248,7 @@ def limit_cycles(
 
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
-    """Return walls as (K, B) for a scheme: `STIFFNESSES` of K_max at `DAMPINGS` of B_max, by linear theory."""
+    """Return walls as (K, B) for a scheme: `STIFFNESSES` times K_max and `DAMPINGS` times B_max by linear theory."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)

@@ -18,7 +18,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 
 def rulings(koul: Koul) -> dict[str, Ruling]:
-    """Return the ruling (verdict and the numbers behind it) on every claim, by the claim's key in ``claims.j2``."""
+    """Judge every claim of the paper; return the ruling (verdict and its numbers) by the claim's key."""
     k_max = {
         rigs.NAMES[p]: [b.stiffness for b in koul.kmax[p, rigs.WITH_LAG].curve("any")] for p in rigs.PRESETS
     }
@@ -54,7 +54,7 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
 
 
 def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Group cases such as "4 bits, fs/20" by cut-off; return (cut-off, word lengths), with "" for floating point."""
+    """Group names such as "4 bits, fs/20" by cut-off; return (cut-off, word lengths), with "" for floating point."""
     cutoffs: dict[str, list[str]] = {}
     for name in names:
         bits, _, cutoff = name.partition(" bits, ")
@@ -82,7 +82,7 @@ def _same_range(koul: Koul) -> Ruling:
 
 
 def _ranges(koul: Koul) -> dict[str, float]:
-    """Return the largest damping (N·m·s/rad) of the softest and of any wall, by rig and criterion, and by theory."""
+    """Return the largest damping (N·m·s/rad) at which walls are stable, by rig and criterion, and by linear theory."""
     values: dict[str, float] = {}
     for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]
@@ -110,7 +110,7 @@ def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
 
 
 def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
-    """Return (damping, largest stiffness) pairs of the scheme `key`, by criterion (simulated) and by linear theory."""
+    """Return (damping, largest stable stiffness) pairs of the scheme `key`, by criterion and by linear theory."""
     found = koul.maps[held.name]
     simulated = {
         criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]

@@ -58,7 +58,7 @@ class Panel:
         return none, uniform, dual
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return rate, arithmetic and the compared impacts for JSON."""
+        """Return rates, arithmetic and the simulated impacts for JSON."""
         return {"position_rate": self.position_rate, "arithmetic": self.arithmetic, **plain(self.comparison)}
 
 
@@ -319,7 +319,7 @@ def koul_figure_8(
 
 
 def _split_impact(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return begin and end (s) of the fast and of the slow part of an impact; a part ends at its limit of the speed."""
+    """Return begin and end (s) of the fast and of the slow part of an impact, separated by speed."""
 
     def last(share: float) -> float:
         above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))

@@ -72,11 +72,11 @@ class Tried:
     linear: Mapping[str, Any] | None
 
     def width(self, criterion: str) -> Width:
-        """Return the numbers that describe the Z-width of the idea's map by one criterion."""
+        """Return peak stiffness, largest damping and area of the stable walls by one stability criterion."""
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
-        """Return the area below the stiffness limits (N·m/rad × N·m·s/rad), up to the softest wall's damping range."""
+        """Return the area (N·m/rad × N·m·s/rad) below the stiffness limits of the map over damping."""
         holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
         corners = [(b.damping, b.stiffness) for b in holds]
         end = self.ranges[criterion].damping
@@ -115,7 +115,7 @@ class Change:
 
     @classmethod
     def of(cls, tried: Tried, reference: Tried) -> Change:
-        """Divide the results of one idea by those of a reference idea."""
+        """Divide the limits and area of one idea by those of a reference idea."""
         new, old = tried.width("any"), reference.width("any")
         return cls(
             over(new.stiffness_undamped or 0.0, old.stiffness_undamped or 0.0),
@@ -126,7 +126,7 @@ class Change:
 
 
 def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same", "both"]:
-    """Return how all changes affect the area: "wider", "narrower" or "same" (within 5 %); "both" if they differ."""
+    """Return how all changes affect the area of stable walls: "wider", "narrower", "same" (within 5 %), else "both"."""
     areas = [change.area for change in changes]
     if all(area > 1.0 + SAME for area in areas):
         return "wider"
@@ -143,7 +143,7 @@ def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
 
 
 def ideas() -> tuple[Idea, ...]:
-    """Return all ideas; the first is the paper's dual-rate wall, with which all others are compared."""
+    """Return all ideas for a larger Z-width; the first is the paper's dual-rate wall, the reference."""
     return (
         Idea(key=REFERENCE, group=REFERENCE, label="the paper's dual rate", scheme=Scheme.parse(DUAL_RATES)),
         *_prediction(),
@@ -161,7 +161,7 @@ def _prediction() -> list[Idea]:
 
 
 def _adaptive() -> list[Idea]:
-    """Return ideas with the paper's adaptive T2: the velocity rate is low while the handle is slow."""
+    """Return ideas with the paper's adaptive velocity period T2, which is longer while the handle is slow."""
     return [
         Idea(
             key=f"adaptive-{fast}-{slow}",

@@ -47,12 +47,12 @@ _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion
 
 
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Run a series of hits of a map (`rig.experiments.mapping.zwidth.run_series`); return only the columns `_KEPT`."""
+    """Run the hits of one series of a map (one scheme, damping, encoder offset); return the columns `_KEPT`."""
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 
 def map_part(plan: MapPlan) -> Part:
-    """Return the tasks of a map, with weights in hits of a 20 kHz rig, which other parts use, too."""
+    """Return the sweep tasks of a map; the weight of a task is its cost in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
@@ -70,7 +70,7 @@ def range_tasks(
     search: StiffnessSearch,
     weight: float,
 ) -> Part:
-    """Return tasks that search the largest damping of a wall with one stiffness, for each scheme and encoder offset."""
+    """Return tasks that search the largest stable damping at one stiffness, for each scheme and encoder offset."""
     applied = [scheme.applied(experiment) for scheme in schemes]
     return tuple(
         Task(
@@ -151,7 +151,7 @@ _ISLAND_DAMPINGS, _ISLAND_REACH = 40, 4.0  # times the connected range
 
 
 def linear_range(lifted: theory.Lifted) -> float:
-    """Return the damping (N·m·s/rad) up to which the softest wall of a scan is stable; islands above it are ignored."""
+    """Return the damping (N·m·s/rad) up to which the softest wall is stable; stable walls above a gap are ignored."""
     loop = lifted.loop
     lowest = float(stiffnesses(lifted, 0.0)[0])
     top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -168,7 +168,7 @@ def linear_range(lifted: theory.Lifted) -> float:
 
 
 def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
-    """Return the largest damping (N·m·s/rad) at which any wall of a coarse grid is stable; at least `connected`."""
+    """Return the largest damping (N·m·s/rad) of any stable wall, also above unstable gaps; at least `connected`."""
     k = np.geomspace(float(stiffnesses(lifted, 0.0)[0]), _ISLAND_HIGHEST, _ISLAND_STIFFNESSES)
     b = np.geomspace(1.0, _ISLAND_REACH, _ISLAND_DAMPINGS) * connected
     some = np.flatnonzero(lifted.stable(k, b[:, None]).any(axis=1))
@@ -207,7 +207,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
-    """Return the limits of passive walls, which do not depend on the hand, for the result of `linear_limits`."""
+    """Return the limits of passive walls by linear theory, which do not depend on the hand."""
     passive = theory.passivity_bound(lifted)
     dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     return {
@@ -289,7 +289,7 @@ FINER = 1024  # times the encoder's resolution: next to no quantiser
 
 
 def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Return the velocity noise of the encoder's quantisation early in the impact of Fig. 8 (rad/s rms), by estimator.
+    """Return the velocity noise that the encoder's quantisation causes early in the impact of Fig. 8 (rad/s rms).
 
     Each estimator gets the same motion in counts and in counts a thousand times finer. It is linear, so the difference
     of its outputs is noise alone, without delay or filtering of the motion. The result is the root mean square over the

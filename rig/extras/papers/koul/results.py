@@ -33,7 +33,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Simulated limits of the walls of Fig. 6 with only some of friction and quantisation, by scheme."""
+    """Simulated stability limits of Fig. 6 with friction, quantisation, both or neither, by scheme."""
 
     undamped: Mapping[str, float]  # K at B = 0, stable in any sense
     ranges: Mapping[str, dict[str, DampingRange]]
@@ -41,7 +41,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class OverLinear:
-    """Simulated limits with friction or quantisation divided by the limits of linear theory, by scheme."""
+    """Simulated stability limits divided by the limits of linear theory, by scheme."""
 
     undamped: Mapping[str, float]
     range: Mapping[str, float]
@@ -100,11 +100,14 @@ class Koul:
     hits: int
 
     def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
-        """Return the numbers that describe the Z-width of a scheme (key in `SCHEMES`) on one rig in one hand."""
+        """Return peak stiffness, largest damping and area of the stable walls of a scheme on one rig in one hand."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
-        """Return K_max at the highest rate divided by K_max at 20 kHz for each of `LAGS`: simulated, and by theory."""
+        """Return K_max at the highest rate divided by K_max at 20 kHz, with and without amplifier lag.
+
+        The first list is simulated, the second is by linear theory.
+        """
         fast = self.scale.rates.index(rules.FAST_HZ)
         linear = [self.kmax_theory[preset, lag] for lag in rigs.LAGS]
         simulated = [self.kmax[preset, lag].saturation("any") for lag in rigs.LAGS]
@@ -115,7 +118,7 @@ class Koul:
         return sorted(rigs.HELD, key=lambda held: rigs.PRESETS.index(held.preset))
 
     def spread_of_hands(self) -> list[tuple[str, float, float]]:
-        """Return (preset, least, largest) peak K (N·m/rad) of the dual-rate wall over all hands."""
+        """Return (preset, least, largest) peak stiffness (N·m/rad) of the dual-rate wall over all simulated hands."""
         peaks = {
             p: [self.width(held, rigs.DUAL).stiffness_peak for held in rigs.HELD if held.preset == p]
             for p in rigs.PRESETS
@@ -123,7 +126,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Compare the searches (ladder, bisection, grid) on the map of the grid, by scheme and criterion."""
+        """Compare the limits that ladder, bisection and grid searches would find on one map."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
@@ -132,7 +135,7 @@ class Koul:
         ]
 
     def null_readings(self) -> tuple[int, float]:
-        """Count the word lengths with which the velocity estimated at 20 kHz is null late in the impact.
+        """Count the filter's word lengths with which the velocity estimated at 20 kHz is null late in the impact.
 
         Also return the largest share of the true velocity that these word lengths still report early.
         """
@@ -141,7 +144,7 @@ class Koul:
         return len(null), max(null, default=0.0)
 
     def effect_ratios(self) -> list[OverLinear]:
-        """Return simulated limits divided by linear theory, for each of `EFFECTS` (with or without friction)."""
+        """Return simulated stability limits divided by linear theory, with and without friction and quantisation."""
         linear = self.linear[rigs.MAIN[0].name]
         return [
             OverLinear(
@@ -169,11 +172,11 @@ class Koul:
         }
 
     def against(self, key: str) -> Change:
-        """Return the ratios of an idea's results to those of the paper's dual-rate wall."""
+        """Return the limits and area of an idea divided by those of the paper's dual-rate wall."""
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
-        """Return an idea's ``peak`` and ``range`` of linear theory over the paper's wall's; empty if not linear."""
+        """Divide an idea's ``peak`` and ``range`` by the paper's wall's (linear theory); empty if not linear."""
         new, old = self.ideas[key].linear, self.ideas[REFERENCE].linear
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
@@ -182,7 +185,7 @@ class Koul:
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
-        """Return the ratios of each idea of a group to the paper's dual-rate wall, by the idea's label."""
+        """Return limits and area of each idea of a group over the paper's dual-rate wall's, by the idea's label."""
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
@@ -198,7 +201,7 @@ class Koul:
         )
 
     def finest_encoder(self) -> list[tuple[str, Change, float]]:
-        """Return what the finest encoder changes: (preset, change of the dual-rate wall, ratio of areas) by rig.
+        """Return, for each rig, what the finest encoder changes: (preset, change of the dual-rate wall, area ratio).
 
         The ratio is the area of the uniform 20 kHz wall divided by that of the dual-rate wall, with the finest encoder.
         """
@@ -216,7 +219,7 @@ class Koul:
         return found
 
     def ranked(self) -> list[Tried]:
-        """Return the ideas sorted by the area of their Z-width, followed by the ideas on another rig."""
+        """Return the ideas on the reference's rig, sorted by area of their stable walls, then ideas on other rigs."""
         elsewhere = [t for t in self.ideas.values() if t.idea.preset != self.ideas[REFERENCE].idea.preset]
         return [*rank_ideas(self.ideas), *elsewhere]
 
@@ -236,12 +239,12 @@ def word_name(word: Mapping[str, Any]) -> str:
 
 
 def _share_of_ones(ratios: Sequence[float]) -> float:
-    """Return the share of ratios that are within a factor of `rules.SAME_LINEAR` of 1."""
+    """Return the share of ratios that equal 1 within a factor of `rules.SAME_LINEAR`."""
     return float(np.mean([within(ratio, 1.0, rules.SAME_LINEAR) for ratio in ratios]))
 
 
 def numbers(koul: Koul) -> dict[str, Any]:
-    """Return every computed number of the reproduction, for the JSON file."""
+    """Return every computed number of the reproduction by name, for the JSON file."""
     return {
         "kmax": {
             f"{preset}, {lag}": {**found.as_mapping(), "linear_theory": koul.kmax_theory[preset, lag]}

@@ -51,7 +51,10 @@ NULL, SEEN = 0.2, 0.5  # of the true velocity
 
 
 def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: float = 1.0) -> Ruling:
-    """Judge the claim that K_max rises with the sampling rate; `curves` has K_max at each of `rates` (Hz), by rig."""
+    """Judge the claim that the largest stable stiffness rises with the sampling rate.
+
+    `curves` has this stiffness at each of `rates` (Hz), by rig.
+    """
     cases, ends = {}, []
     for name, stiffness in curves.items():
         by_rate = dict(zip(rates, stiffness, strict=True))
@@ -70,10 +73,10 @@ def _rising(stiffnesses: Sequence[float], step: float) -> bool:
 def levels_off(
     with_lag: Mapping[str, float | None], without_lag: Mapping[str, float | None], step: float = 1.0
 ) -> Ruling:
-    """Judge the claim that K levels off, from K at 50 kHz divided by K at 20 kHz, by rig, with and without lag.
+    """Judge the claim that the largest stable stiffness K no longer rises above 20 kHz, with the amplifier's lag.
 
-    None means that a search reached its highest stiffness. If K still rises without the amplifier's lag, the claim is
-    reproduced only with lag.
+    A value is K at 50 kHz divided by K at 20 kHz, by rig; None: a search reached its highest stiffness. If K still
+    rises without lag, the claim is reproduced only with lag.
     """
     found = judge(
         {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
@@ -85,7 +88,7 @@ def levels_off(
 
 
 def near(values: Mapping[str, float], target: float, factor: float) -> Ruling:
-    """Judge the claim that numbers are near the paper's `target`: at most by `factor` smaller or larger."""
+    """Judge the claim that all values agree with the paper's `target`: within `factor`, smaller or larger."""
     cases = {name: within(value, target, factor) for name, value in values.items()}
     return judge(cases, found=list(values.items()))
 
@@ -121,9 +124,9 @@ def peaks(
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Judge the claim that dual-rate and slow uniform walls have the same range of damping, from the ratios of ranges.
+    """Judge the claim that dual-rate and slow uniform walls have the same range of damping.
 
-    `ratios` are simulated, `linear` are those of linear theory.
+    `ratios` are dual-rate over slow uniform ranges, simulated by case; `linear` are those of linear theory by case.
     """
     cases = {name: within(ratio, 1.0, SAME_RANGE * step) for name, ratio in ratios.items()}
     cases |= {f"theory, {name}": within(ratio, 1.0, SAME_LINEAR) for name, ratio in linear.items()}
@@ -133,7 +136,7 @@ def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float =
 def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
     """Judge on random plants the claim that dual-rate and slow uniform walls have the same range of damping.
 
-    `ranges` are (dual-rate, slow uniform) for each plant (N·m·s/rad).
+    `ranges` are the largest dampings (dual-rate, slow uniform) of each plant (N·m·s/rad).
     """
     return judge_share(
         sum(within(over(dual, slow), 1.0, SAME_LINEAR) for dual, slow in ranges), total=len(ranges)
@@ -143,16 +146,16 @@ def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
     """Judge the claim that the fast uniform wall has half the range of damping of the dual-rate wall.
 
-    `ratios` are the ratios of ranges by rig, cut-off, and criterion (or theory).
+    `ratios` are fast over dual-rate, by (rig, cut-off, criterion or theory).
     """
     cases = {case: HALF_LOW / step <= ratio <= HALF_HIGH * step for case, ratio in ratios.items()}
     return judge_settable(cases, [1], ratios=list(ratios.values())).undecided()
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Judge on random plants the claim that the fast uniform wall has at most half the range of the dual-rate wall.
+    """Judge on random plants the claim that the fast uniform wall has at most half the dual-rate wall's damping range.
 
-    `ranges` are (fast uniform, dual-rate) for each plant (N·m·s/rad).
+    `ranges` are the largest dampings (fast uniform, dual-rate) of each plant (N·m·s/rad).
     """
     ratios = [over(fast, dual) for fast, dual in ranges]
     about = sum(HALF_LOW <= ratio <= HALF_HIGH for ratio in ratios) / len(ratios)
@@ -173,7 +176,7 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge the claim that K of the fast uniform wall falls as soon as damping is added.
+    """Judge the claim that the stiffness limit of the fast uniform wall falls as soon as damping is added.
 
     The keys of `curves` are (rig, cut-off, criterion or theory).
     """
@@ -189,7 +192,7 @@ def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ru
 
 
 def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge the claim that K of the slow uniform wall first rises with damping to a peak, by rig and criterion."""
+    """Judge the claim that the stiffness limit of the slow uniform wall first rises with damping; by rig, criterion."""
     cases, peaks = {}, []
     for case, curve in curves.items():
         stiffnesses = [stiffness for _, stiffness in curve]
@@ -225,7 +228,7 @@ def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
-    """Judge the claim that the velocity at 20 kHz (`fast`, by cut-off) is noisier than at 2 kHz (rad/s rms)."""
+    """Judge the claim that velocity noise at 20 kHz (`fast`, by cut-off) exceeds the noise at 2 kHz (rad/s rms)."""
     ratios = {name: over(noise, slow) for name, noise in fast.items()}
     return judge(
         {name: ratio >= NOISIER for name, ratio in ratios.items()},
@@ -238,8 +241,8 @@ def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
 def null_late(readings: Mapping[str, tuple[float, float]]) -> Ruling:
     """Judge the claim that the velocity estimated at 20 kHz is null late in the impact.
 
-    A value of `readings` is the estimated over the true velocity at (20, 2) kHz. The claim fails if the estimate at 2
-    kHz is null, too, because this would show nothing about the rate.
+    A value of `readings` is the estimated divided by the true velocity at (20, 2) kHz. The claim fails if the estimate
+    at 2 kHz is null, too, because this would show nothing about the rate.
     """
     cases = {name: fast <= NULL < slow for name, (fast, slow) in readings.items()}
     return judge(cases, conditions=each(cases), late=[fast for fast, _ in readings.values()])
@@ -248,7 +251,7 @@ def null_late(readings: Mapping[str, tuple[float, float]]) -> Ruling:
 def null_late_only(readings: Mapping[str, tuple[float, float]]) -> Ruling:
     """Judge the claim that the velocity estimated at 20 kHz is null late in the impact, but not early.
 
-    A value of `readings` is the estimated over the true velocity (early, late).
+    A value of `readings` is the estimated divided by the true velocity, (early, late).
     """
     cases = {name: late <= NULL and early >= SEEN for name, (early, late) in readings.items()}
     return judge(

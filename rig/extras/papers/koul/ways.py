@@ -58,7 +58,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Compare the searches for the scheme with index `scheme` and name `key`, over all encoder offsets of a grid."""
+    """Compare ladder, bisection and grid for the scheme with index `scheme` and name `key`, over all offsets."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
@@ -74,7 +74,10 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return the results of one scheme at each damping, by one criterion and encoder offset (None: the first)."""
+    """Return, for each damping, the results of all walls of one scheme, by one criterion and encoder offset.
+
+    Without `offset`, the first encoder offset of the map is used.
+    """
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
     made = []
