@@ -26,7 +26,8 @@ class Cluster:
     Workers may join and leave while a sweep runs; without workers no task is sent.
     """
 
-    ahead = 2  # the next task waits at the worker: sending one takes some 10 ms
+    # Tasks sent ahead to a worker: sending one takes some 10 ms, so the next one must already wait there.
+    ahead = 2
 
     def __init__(self, scheduler: str) -> None:
         try:
@@ -51,7 +52,8 @@ class Cluster:
         if time.monotonic() - self._counted_s >= CENSUS_S:
             try:
                 self._threads = sum(self._client.nthreads().values())
-            except Exception as error:  # of whatever carries the connection
+            except Exception as error:
+                # distributed raises errors of whatever library carries the connection.
                 raise self._lost() from error
             self._counted_s = time.monotonic()
         return self._threads
@@ -64,7 +66,8 @@ class Cluster:
             ended = f"it ended every worker that ran it ({error.allowed_failures + 1} workers)"
             return Failure(ended, "find the cause in the log of a worker", str(error))
         why = error.__cause__ or error
-        return Failure(  # before our code ran: it cannot be imported, or takes other arguments
+        # The task failed before its code ran: the worker cannot import the code, or has another version of it.
+        return Failure(
             f"{self._scheduler} cannot run this ({type(why).__name__}: {' '.join(str(why).split())})",
             "install this version of haptic-rig, and the package of the work, for scheduler and workers, and restart "
             "them",

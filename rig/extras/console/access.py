@@ -15,7 +15,7 @@ from rig.extras.console.sockets import Headers, HttpRequest
 
 SOCKETS = ("/live", "/hold", "/participant")
 SUBPROTOCOL = "rig"
-SHOWN = "token."  # begins the other subprotocol that a socket offers
+SHOWN = "token."  # prefix of the subprotocol that contains the token
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'; "
     "base-uri 'none'; form-action 'none'; object-src 'none'",

@@ -19,10 +19,12 @@ from rig.extras.console.sockets import ServerConnection
 One = TypeVar("One")
 
 MOST_AT_DOOR = 64
-MOST_HEAD_BYTES = 1 << 14  # a page sends 700, and the cookies that other servers of this computer have set
-DOOR_S = 10.0  # from a connection to its token: a page's own file over a slow tunnel takes a part of that
+# A page sends 700 bytes, and the cookies that other servers of this computer have set.
+MOST_HEAD_BYTES = 1 << 14
+# Longest time from a connection to its token; the file of the page over a slow tunnel takes a part of it.
+DOOR_S = 10.0
 HEAD_END = b"\r\n\r\n"
-MOST_A_SECOND = 200.0  # messages of a socket
+MOST_A_SECOND = 200.0  # messages per second of one socket
 
 
 class Places(Generic[One]):
@@ -38,7 +40,7 @@ class Places(Generic[One]):
 
     def __init__(self, most: int, lose: Callable[[One], None]) -> None:
         self._most, self._lose = most, lose
-        self._taken: dict[One, None] = {}  # silent longest first
+        self._taken: dict[One, None] = {}  # ordered by last activity, the longest silent first
 
     def hear(self, one: One) -> None:
         """Add `one` as a member, or note that this member has just sent something."""
@@ -74,7 +76,7 @@ class Knocking(ServerConnection):
     def __init__(self, door: Places[Knocking], *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._door = door
-        self._head: bytearray | None = bytearray()  # None: it has been let in
+        self._head: bytearray | None = bytearray()  # None after the token was checked
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Start the timeout of the connection; asyncio calls this when the connection is open."""

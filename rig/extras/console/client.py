@@ -18,7 +18,8 @@ from rig.extras.console.follow import Followed
 from rig.extras.console.sockets import ServerConnection
 from rig.extras.console.view import View, ViewRequest
 
-MOST_REPLIES = 200  # that wait for a page: more, and it is cut off
+# Messages that may wait for one page; with more, its socket is closed, or a stuck page would fill the memory.
+MOST_REPLIES = 200
 
 
 class Client:

@@ -41,7 +41,8 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 def main() -> None:
     """Run the errands that arrive on standard input, one a line, until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is no answer
+    # Libraries print on standard output, which must contain replies only: send their output to standard error.
+    os.dup2(2, 1)
     compiling.listen(lambda busy: _write_message(answers, {"compiling": busy}))
     for line in sys.stdin.buffer:
         asked = json.loads(line)
@@ -49,7 +50,8 @@ def main() -> None:
             result = ERRANDS[asked["errand"]](**asked["content"])
         except RigError as error:
             _write_message(answers, error.as_mapping())
-        except Exception as error:  # a defect of ours: report it to the page, and do the next errand
+        except Exception as error:
+            # A bug in an errand is reported to the page; the process continues with the next errand.
             _write_message(
                 answers, {"error": f"{asked['errand']}: {error!r}", "remedy": "report this defect"}
             )

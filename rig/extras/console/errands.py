@@ -18,7 +18,7 @@ from rig.core.child import with_this_package
 from rig.core.errors import RigError
 
 MOST = 2  # processes
-LINE_BYTES = 1 << 26  # of an answer
+LINE_BYTES = 1 << 26  # largest reply line
 END_S = 2.0
 
 
@@ -42,7 +42,8 @@ class Errands:
             process = self._idle.pop() if self._idle else await self._start()
             try:
                 answer, data = await _request(process, {"errand": errand, "content": content}, compiling)
-            except BaseException:  # cancelled, or dead: what it would still say is no answer to the next
+            except BaseException:
+                # A cancelled process could still send its reply, which would be taken for the reply to the next errand.
                 await self._end(process)
                 raise
             self._idle.append(process)
@@ -75,7 +76,8 @@ class Errands:
     async def _end(self, process: asyncio.subprocess.Process) -> None:
         self._all.discard(process)
         with suppress(ProcessLookupError):
-            process.kill()  # it holds nothing that could be lost: files appear whole or not at all
+            # Killing loses no data: files appear complete or not at all.
+            process.kill()
         await process.wait()
 
 

@@ -57,7 +57,8 @@ class Followed:
 
     def poll(self) -> None:
         """Read the loop's new rows into the history, and check whether the loop has ended."""
-        done = self._ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
+        # Read this flag before the rows: if it is set, no row can follow after the ones read next.
+        done = self._ring.get(control_words.LOOP_DONE) != 0
         self.history.add(self._reader.new())
         self.ended = done
 

@@ -19,8 +19,9 @@ from rig.experiments.hits.admission import admit
 from rig.extras.console.talk import Talk
 from rig.recording.canonical import canonical_json
 
-EVERY_S = 0.05  # between two words on the progress
-PLAY = {  # a person's trial that judges nothing of how the wall is met; a simulated winding does not burn
+EVERY_S = 0.05  # between two progress messages
+# Free play: no baseline, foreperiod or holding time; a long thermal time constant, as no real winding heats up.
+PLAY = {
     "trial.kind": "human",
     "trial.hold_s": 0.0,
     "trial.baseline_s": 0.0,

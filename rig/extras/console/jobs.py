@@ -15,9 +15,10 @@ from rig.core.child import with_this_package
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.realtime.running import ask_to_stop
 
-END_S = 10.0  # longest time that a job may take to bring its recording to rest after the request to end
+# Longest time that a job may take to complete its recording after the request to end.
+END_S = 10.0
 TAIL_BYTES = 4096
-LINE_BYTES = 1 << 24  # of a message: a result with all its numbers
+LINE_BYTES = 1 << 24  # largest message: a result with all its numbers
 
 
 class Job:
@@ -88,7 +89,8 @@ class Job:
         code = await self._process.wait()
         if not has_ended:
             why = await self._last_error_line
-            if self._interrupted and code in (-signal.SIGINT, 1, 130):  # Python was still importing
+            # An interrupt during the imports ends Python without a message.
+            if self._interrupted and code in (-signal.SIGINT, 1, 130):
                 error: RigError = StoppedError("stopped before anything moved")
             else:
                 error = RigError(f"the process of the {self.name} ended with exit code {code}", remedy=why)
@@ -100,7 +102,8 @@ class Job:
         if self._process.returncode is None:
             self.end()
             if self.asks and self._process.stdin is not None:
-                self._process.stdin.close()  # no answer will come any more
+                # A closed input means to the job that no answer will arrive.
+                self._process.stdin.close()
             try:
                 async with asyncio.timeout(END_S):
                     await self._process.wait()
@@ -137,7 +140,7 @@ class Jobs:
     def __init__(self, tell: Callable[[Job, Mapping[str, Any]], None]) -> None:
         self._tell = tell
         self._task: asyncio.Task[None] | None = None
-        self._starts = ""  # name of a job whose process is being made
+        self._starts = ""  # name of a job whose process is being started
         self._stops = 0
         self._closed = False
         self.running: Job | None = None
@@ -170,7 +173,8 @@ class Jobs:
                 stderr=asyncio.subprocess.PIPE,
                 limit=LINE_BYTES,
                 env=with_this_package(),
-                start_new_session=True,  # Ctrl-C on the terminal is the console's to answer
+                # In a session of its own, Ctrl-C on the terminal reaches only the console.
+                start_new_session=True,
             )
         except OSError as error:
             raise RigError(
@@ -208,7 +212,8 @@ class Jobs:
     async def _follow(self, job: Job) -> None:
         try:
             await job.follow(lambda message: self._tell(job, message))
-        except Exception as error:  # a defect of ours: a job whose messages are not read must not move
+        except Exception as error:
+            # A job whose messages are not read must not move a rig.
             traceback.print_exception(error)
             failure = RigError(
                 f"the {job.name} could not be followed: {error!r}", remedy="report this defect"

@@ -27,7 +27,7 @@ from rig.recording.seal import SEALED_SUFFIX
 FRAME_S = 1.0 / 60.0
 STATE_S = 0.1
 SEARCH_S = 0.25
-DEFECT_S = 10.0  # between two words on the same defect
+DEFECT_S = 10.0  # between two reports of the same bug
 
 
 class Live(Service):
@@ -40,10 +40,10 @@ class Live(Service):
         self._shared, self._hand, self._terminal, self._own = shared, hand, terminal, own
         self._history = History()
         self._followed: Followed | None = None
-        self._pid: int | None = None  # whose loop is wanted while no job runs; None: whichever began last
-        self._withheld = False  # whether no page may show that loop
-        self._unreadable: tuple[int, float] | None = None  # a loop that a defect of ours cannot read
-        self._defects: dict[str, float] = {}  # when each was last reported (s)
+        self._pid: int | None = None  # process chosen by a page; None: the loop that started last
+        self._withheld = False  # True: no page may show the loop
+        self._unreadable: tuple[int, float] | None = None  # a loop that raised an error
+        self._defects: dict[str, float] = {}  # time of the last report (s)
 
     def handlers(self) -> Mapping[str, tuple[type[asked.Request], Handler]]:
         """Return request class and handler of each request of the live view, by the request's name."""
@@ -158,7 +158,8 @@ class Live(Service):
         """Search for a control loop to follow every `SEARCH_S` (s); runs as a task until cancelled."""
         while True:
             with self._surviving("searching for loops"), suppress(OSError):
-                await self.search()  # out of descriptors, perhaps because of another program: try again
+                # Without free file descriptors, perhaps because of another program, try again later.
+                await self.search()
             await asyncio.sleep(SEARCH_S)
 
     @contextmanager
@@ -190,7 +191,7 @@ class Live(Service):
             self._withheld = False
         if found is None or self._shared.blinded or self._is_looked_at(found):
             return
-        self._withheld = bool(found.info.get("blinded"))  # a session of another terminal
+        self._withheld = bool(found.info.get("blinded"))  # a session at another terminal
         if self._withheld:
             self._withhold()
             return

@@ -24,7 +24,7 @@ from rig.experiments.sweep import read_on
 from rig.recording.files import plain_errors
 
 KINDS = tuple(str(kind) for kind in (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID))
-STABLE, LIMIT_CYCLE, UNSTABLE, INVALID = range(4)  # places in `KINDS`: a verdict on its way to the page
+STABLE, LIMIT_CYCLE, UNSTABLE, INVALID = range(4)  # indices in `KINDS`, sent to the page
 MOST = 500  # maps of a list
 
 
@@ -114,7 +114,8 @@ def growth(directory: str, place: int) -> dict[str, Any]:
     """
     path = Path(directory)
     plan, _ = _plan(path)
-    state = _state(path)  # before the journal: of a finished map all is read
+    # Read the state before the journal: if the map is finished now, its journal is complete.
+    state = _state(path)
     found: list[tuple[str, Any]] = []
     if (path / maps.JOURNAL).exists():
         found, place = read_on(path / maps.JOURNAL, place)

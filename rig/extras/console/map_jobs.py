@@ -28,7 +28,8 @@ def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
 
     def watch(progress: Progress) -> None:
         nonlocal is_reported
-        if not is_reported:  # the directory is there
+        if not is_reported:
+            # From the first report on, the directory exists.
             talk.tell("mapping", map=place.name)
             is_reported = True
         talk.progress(stage="stopping" if progress.stopping else "mapping", map=place.name)

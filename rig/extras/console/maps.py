@@ -197,7 +197,8 @@ class MapService(Service):
             client.put(watched.progress_message(watched.columns, time.monotonic(), anew=True))
             return watched.facts
         facts, _ = await self._shared.errands.run("map", directory=str(path))
-        if path.name in self._watched:  # another page was faster
+        if path.name in self._watched:
+            # Another page requested the same map while this one waited.
             return await self._show(client, path)
         self._watched[path.name] = watched = Watched(path, facts, {client})
         self.run_beside(self._follow(watched))

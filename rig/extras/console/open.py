@@ -63,7 +63,7 @@ def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]])
         ended, loop = asyncio.Event(), asyncio.get_running_loop()
 
         def end(*_: object) -> None:
-            with suppress(RuntimeError):  # the second signal
+            with suppress(RuntimeError):  # a second signal: the timer runs already
                 late.start()
             loop.call_soon_threadsafe(ended.set)
 

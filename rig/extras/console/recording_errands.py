@@ -31,8 +31,8 @@ SUFFIXES = (SEALED_SUFFIX, CAPTURE)
 PICTURES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAGE = 50  # recordings in one answer
 POINTS = 1500  # of a cut
-GREATEST = 1e300  # number of a setting
-COMPARED = ("velocity", "effort_sent")  # what a replay is shown of
+GREATEST = 1e300  # larger numbers of a setting are not shown
+COMPARED = ("velocity", "effort_sent")  # columns of a replay that the page compares
 MIME = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
 
 
@@ -63,7 +63,7 @@ def _newest(directory: Path) -> list[tuple[Path, int]]:
     found = []
     for path in directory.iterdir():
         if path.suffix in SUFFIXES:
-            with suppress(OSError):  # a capture that has just been sealed
+            with suppress(OSError):  # the capture was converted meanwhile
                 found.append((path, path.lstat().st_mtime_ns))
     return sorted(found, key=lambda one: -one[1])
 
@@ -140,7 +140,7 @@ def _picture(path: Path) -> Path | None:
 # One recording --------------------------------------------------------------------------------------
 
 
-@lru_cache(maxsize=1)  # 20 kHz are some 300 MB a minute
+@lru_cache(maxsize=1)  # a recording at 20 kHz has some 300 MB a minute
 def _read(path: str, changed_ns: int) -> Recording:
     return open_recording(path)
 

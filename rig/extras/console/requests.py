@@ -23,8 +23,9 @@ from rig.extras.console.view import DEFAULT
 Name = Annotated[str, MaxLen(4096)]
 Scalar = float | int | bool | str
 Changes = Annotated[dict[Annotated[str, MaxLen(200)], Scalar], MaxLen(200)]
-RESERVED = ("wall.law",)  # a page chooses no program
-MOST_BYTES = 1 << 16  # of a message
+# A law is a program that runs on this computer, which a page must not choose.
+RESERVED = ("wall.law",)
+MOST_BYTES = 1 << 16  # largest message
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

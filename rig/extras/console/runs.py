@@ -131,7 +131,7 @@ class Runs(Service):
         An exception in this task ends the job, even a detached one, and then the console, because no other task would
         end the job later.
         """
-        ending: Job | None = None  # that was asked to end since the last operator left
+        ending: Job | None = None  # job that received the request to end
         try:
             while True:
                 ending = self._beat(ending)

@@ -52,11 +52,14 @@ from rig.extras.console.terminal import Terminal
 from rig.realtime.hand import SharedHand
 
 MOST_CLIENTS = 16  # pages, and as many participants' screens
-MOST_AT_ONCE = 1  # connections accepted before the loop looks at its sockets again, STOP's among them
-MOST_WAITING = 128  # connections that the system keeps meanwhile
-MOST_HOLDS = 4 * MOST_CLIENTS  # a worker that connects again leaves one behind, which pings find dead
-CLOSE_S = 1.0  # for a page to answer that it is shut out
-DOWNLOAD_S = 600.0  # a download is part of a connection's opening, and may have to be computed
+# Accept one connection at a time, then serve open sockets: a flood of connections must not delay a STOP.
+MOST_AT_ONCE = 1
+MOST_WAITING = 128  # connections that the operating system queues meanwhile
+# A worker that reconnects leaves its old socket open until a ping fails, hence more sockets than pages.
+MOST_HOLDS = 4 * MOST_CLIENTS
+CLOSE_S = 1.0  # for a page to confirm that its socket is closed
+# websockets counts a download as part of the handshake, and its content may have to be computed first.
+DOWNLOAD_S = 600.0
 TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 UTF8 = "; charset=utf-8"
 
@@ -178,7 +181,8 @@ class Console:
             result = await self._handlers[request.do][1](client, request)
         except RigError as error:
             client.reply(number, error=error)
-        except Exception as error:  # it costs the page an answer, not its socket
+        except Exception as error:
+            # A bug in a handler fails this request only; the socket stays open.
             client.reply(number, error=defect(str(asked.json_of(text).get("do")), error))
         else:
             if number and result is not LATER:
@@ -276,7 +280,8 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
             logger=LOGGER,
             subprotocols=[Subprotocol(SUBPROTOCOL)],
             server_header=None,
-            open_timeout=DOWNLOAD_S,  # of who shows the token; others have what the door gives them
+            # For connections with a valid token; `bounds.Knocking` aborts all others earlier.
+            open_timeout=DOWNLOAD_S,
             close_timeout=CLOSE_S,
             ping_interval=5.0,
             ping_timeout=10.0,
@@ -284,8 +289,10 @@ async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Even
             create_connection=door(),
         )
         await stack.enter_async_context(served)
-        listening.listen(MOST_WAITING)  # asyncio has one number for both
-        stack.push_async_callback(console.close)  # before the server waits for its pages: what moves, ends
+        # asyncio uses `backlog` as accepts per turn and as queue length: set the queue length again.
+        listening.listen(MOST_WAITING)
+        # Runs before the server waits for its sockets to close, so that moving rigs stop first.
+        stack.push_async_callback(console.close)
         console.access = Access(listening.getsockname()[1], settings.hosts)
         settings.announce(console.access.url)
         tasks = [
@@ -330,7 +337,8 @@ async def _respond(
             return _response(HTTPStatus.FORBIDDEN, "sockets are only accepted from pages of this server")
         if access.guest(request) is not None:
             let_in(socket)
-        return None  # a browser shows its page why a socket was closed, and nothing of why it was not opened
+        # Open the socket even without a valid token, then close it with a reason: a browser hides why opening failed.
+        return None
     found = Download(*static[path]) if path in static else None
     if found is None and access.bearer_right(headers):
         let_in(socket)

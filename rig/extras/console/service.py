@@ -82,7 +82,7 @@ class ServiceContext:
             client.put(trouble(error))
 
 
-LATER = object()  # what a handler returns that will answer by itself
+LATER = object()  # returned by a handler that sends its reply later
 
 
 class Service(ABC):

@@ -39,9 +39,9 @@ from rig.session.page import (
 )
 
 JOB = "session"
-PARTICIPANTS = ("session_key", "session_line", "stop")  # what a participant's screen may ask for
+PARTICIPANTS = ("session_key", "session_line", "stop")  # requests that a participant's screen may send
 MOVING = ("go", "hold")  # states in which the participant moves the handle
-ROUND_S = 0.08  # between two looks at a loop that runs
+ROUND_S = 0.08  # between two updates of the session's state
 
 
 class Sessions(Service):
@@ -55,7 +55,7 @@ class Sessions(Service):
         self._job: Job | None = None
         self._seat: Seat | None = None
         self._rounds: asyncio.Task[None] | None = None
-        self._end: Mapping[str, Any] | None = None  # how the last one ended
+        self._end: Mapping[str, Any] | None = None  # end of the last session
         self._compiling = False
         self._rings = 0
         self._sent: dict[str, Any] = {}
@@ -89,7 +89,8 @@ class Sessions(Service):
                 "a new session needs a protocol and a participant's code", remedy="give protocol and code"
             )
         person, url, realtime = request.person is not None, request.url, request.realtime
-        if request.directory:  # as its log says
+        if request.directory:
+            # A resumed session continues as its log states, on the same device unless the request names another.
             log, _ = await self._shared.errands.run("resumed", directory=request.directory)
             person, url, realtime = log["rehearsed"], request.url or log["url"], log["realtime"]
         content = asdict(request) | {
@@ -134,9 +135,11 @@ class Sessions(Service):
         if seat is None or self._job is None:
             return
         now_s = time.monotonic()
-        if request.key != STOP:  # which any page may say, whatever is asked
+        if request.key != STOP:
+            # STOP alone may come from any page at any time.
             if not self._may_send(client, seat, request, "verdict"):
-                seat.talk.held.arrive(request.key, now_s)  # before the question that the page shows next
+                # The key was pressed before the next question appeared, so it must not answer that question.
+                seat.talk.held.arrive(request.key, now_s)
                 return
             if client.participant and seat.talk.keymap.meaning(request.key) not in VERDICTS:
                 return

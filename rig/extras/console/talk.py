@@ -44,7 +44,8 @@ class Talk:
 
         Raises `StoppedError` if the console has ended or is silent for `SILENT_S` (s), unless the job is detached.
         """
-        if time.monotonic() - self._last_line_s > SILENT_S:  # the console hangs: a STOP could not arrive
+        if time.monotonic() - self._last_line_s > SILENT_S:
+            # The console hangs, so that a STOP could not arrive.
             self._gone.set()
         if self._gone.is_set() and not self._is_detached:
             raise StoppedError("the connection to the console was lost", remedy="start it again: rig console")

@@ -82,8 +82,8 @@ class Terminal:
 
     def _read(self) -> None:
         line = b""
-        with suppress(OSError):  # it was hung up
-            line = os.read(sys.stdin.fileno(), LINE_BYTES)  # one read, which waits for no end of a line
+        with suppress(OSError):  # the terminal was closed
+            line = os.read(sys.stdin.fileno(), LINE_BYTES)  # does not wait for the end of a line
         if self._asked is not None and not self._asked.done():
             self._asked.set_result(line.decode(errors="replace"))
 

@@ -16,8 +16,8 @@ assert sys.platform == "linux"
 
 # A quadrature encoder's counts are four per line; a drive reports counts alone.
 DECODING = 4
-EFFORT = 0.3  # N·m that is given at most, to start with
-SPEED = 20.0  # rad/s that ends a run, to start with
+EFFORT = 0.3  # N·m, largest effort of the initial file
+SPEED = 20.0  # rad/s, speed limit of the initial file
 TEXT = Template("""\
 # A handle on the shaft of the $name. [drive]: read from the drive; [assumed]: replace by known values, or measure with
 #   rig identify FILE --url '$url' --verified -o identified.toml
@@ -85,7 +85,7 @@ def text(found: DriveFacts, url: str) -> str:
     most = output.torque_constant * output.most_current
     effort = min(EFFORT, most)
     speed = min(SPEED, 2.0 * math.pi * output.most_speed)
-    quantum = max(output.most_current / 32_000.0, 1e-3)  # a current is 16 bits
+    quantum = max(output.most_current / 32_000.0, 1e-3)  # the protocol sends a current in 16 bits
     filled = TEXT.substitute(
         url=url,
         kind=output.kind,

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
-MOST_HZ = 30_000.0  # of its control cycles: with a faster PWM they come every second period (RateConfig)
+# With a faster PWM the drive runs its control only in every second period (RateConfig of the firmware).
+MOST_HZ = 30_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

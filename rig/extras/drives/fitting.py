@@ -12,8 +12,8 @@ from rig.core.model import RigModel
 from rig.core.sample import unit_of
 
 TORQUE_TOLERANCE = 0.1  # chosen: by how much the torque constant may differ from the experiment's
-EXACT_COUNTS = 2**23 - 1  # of a float32, to half a count
-Difference = tuple[str, str]  # what is otherwise, and its remedy
+EXACT_COUNTS = 2**23 - 1  # up to here a float32 is exact to half a count
+Difference = tuple[str, str]  # description, remedy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

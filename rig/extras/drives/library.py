@@ -29,7 +29,7 @@ BRIDGE = CLibrary(
     purpose="a bridge to a drive is the firmware",
     flags=(*FLAGS, "-D_GNU_SOURCE"),
 )
-RATE_INITIAL, RATE_MAXIMUM = 1_000, 2_500  # Hz; the latter is what a moteus answers at best
+RATE_INITIAL, RATE_MAXIMUM = 1_000, 2_500  # Hz; the highest rate at which a moteus replies
 DRIVES = ("moteus", "odrive")  # enum bridge_drive of bridge.h
 BINS, BIN_US = 512, 10
 NO_EXCITATION = {"excitation_lines": (0, 0), "excitation_period": (2, 2)}
@@ -271,7 +271,8 @@ class Bridge:
         setup = Setup(
             board=BoardSetup.of(
                 model,
-                self.dictionary.packed,  # by its address: it lasts as long as the dictionary
+                # The C code keeps the address of these bytes, which live as long as the dictionary.
+                self.dictionary.packed,
                 self.dictionary.hash,
                 min(rate, drive.rate_maximum),
             ),

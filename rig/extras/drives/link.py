@@ -38,7 +38,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
     named = url.options.get("rig")
     plain = {name: text for name, text in url.options.items() if name != "rig"}
     asked = DeviceUrl(url.scheme, url.place, plain, url.text)
-    address_of(asked)  # raises for a wrong address now, not when the link is opened
+    # Raise errors of the address now, not in the process of the bridge.
+    address_of(asked)
     if named is not None:
         model = rig_model(presets.load_named(named))
     if model is None:
@@ -62,7 +63,8 @@ class BridgeLink(DescriptorLink):
     bytes_per_second: float | None = None
 
     def __init__(self, url: DeviceUrl, model: RigModel) -> None:
-        library()  # compiled here, not by two processes
+        # Compile here, so that not both processes compile.
+        library()
         self.cpu = max(processors())
         ours, theirs = socket.socketpair()
         self._running = ExitStack()

@@ -100,7 +100,8 @@ def _open_host_end(host: socket.socket | None) -> Iterator[tuple[int, str]]:
     try:
         place = os.ttyname(slave)
         tty.setraw(slave)
-        os.close(slave)  # from now on a hang-up shows that no host has it open
+        # With this end closed, the other end reports a hang-up while no host has the port open.
+        os.close(slave)
         os.set_blocking(master, False)
         yield master, place
     finally:

@@ -16,8 +16,8 @@ from rig.core.clock_fit import ClockFit, as_exchanges, fit_if_possible
 from rig.realtime.ring import Ring
 from rig.recording.timing import device_times
 
-KEPT = 1024  # exchanges: a minute and a half
-EAGER = 16  # exchanges up to which each is a reason to fit anew
+KEPT = 1024  # exchanges, which are a minute and a half
+EAGER = 16  # number of first exchanges after each of which the line is fitted
 EVERY = 6  # further exchanges between two fits
 
 
@@ -63,6 +63,7 @@ class LiveClock:
         received = int(rows["received_at"][0])
         if self._fit is None:
             return device_ns - int(first[0]) + received
-        if self._shift is None:  # 32 bits of the device's clock wrap: which round the rows began in
+        if self._shift is None:
+            # The device's clock has 32 bits and wraps: find the number of wraps before the first row.
             self._shift = int(device_times(first, self._fit, received)[0]) - int(first[0])
         return self._fit.host_of(device_ns + self._shift)

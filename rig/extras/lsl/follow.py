@@ -125,7 +125,8 @@ class Follower:
 
     def poll(self) -> Chunk:
         """Return rows and markers since the last call; after the last rows of the loop `ended` is True."""
-        done = self.ring.get(control_words.LOOP_DONE) != 0  # before the rows: what follows is then all
+        # Read this flag before the rows: if it is set, no row can follow after the ones read next.
+        done = self.ring.get(control_words.LOOP_DONE) != 0
         self._clock.look(self.ring)
         if not self._clock.fitted and not done and time.monotonic() - self._since < HOLD_S:
             return Chunk(np.zeros(0, ROW), np.zeros(0, np.int64))

@@ -13,7 +13,7 @@ from rig.core.errors import ConfigError
 
 # The narrowest of many readings counts: one that was interrupted between the two clocks is wide.
 TRIES = 101
-_QUIET = "[log]\nlevel = -2\n"  # errors alone, on a terminal that shows other things
+_QUIET = "[log]\nlevel = -2\n"  # log errors only: the terminal shows other things
 _CONFIGURATIONS = (
     Path("lsl_api.cfg"),
     Path.home() / "lsl_api" / "lsl_api.cfg",

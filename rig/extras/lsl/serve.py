@@ -22,8 +22,9 @@ from rig.realtime.ring import Ring
 
 POLL_S = 0.02  # a chunk's length
 LOOK_S, LOOK_EVERYWHERE_S = 0.02, 0.25  # between two looks for the next loop, of a process or of any
-LINGER_S = 0.5  # at the end, before the outlets go: what liblsl has queued still leaves
-DEATH_S = 1.0  # without a row, before it is asked whether the process lives
+# Time at the end in which liblsl sends what it has queued, before the outlets close.
+LINGER_S = 0.5
+DEATH_S = 1.0  # time without a row after which the process is checked
 
 
 @dataclass(slots=True)
@@ -159,7 +160,7 @@ class _Server:
         )
         self._markers = MarkerStream(pylsl, name, self._offset)
         self._samples: SampleStream | None = None
-        self._context: dict[str, Any] = {}  # what every marker of a loop says: the session's trial
+        self._context: dict[str, Any] = {}  # added to every marker: the session's trial
         report({"stream": f"{name} markers", **asdict(self._offset)})
 
     def run(self, pid: int | None, source: Markers | None, *, once: bool) -> None:
@@ -201,7 +202,7 @@ class _Server:
             if follower.rows > before:
                 last_line_s = now
             elif not follower.ended and now - last_line_s > DEATH_S and not _alive(owner):
-                return  # it died without a word
+                return  # the process died without ending its loop
             if not follower.ended:
                 time.sleep(POLL_S)
 

@@ -22,7 +22,8 @@ from rig.core.sample import Motion
 NAME = "haptic-rig"
 PATIENCE_S = 5.0
 READY_S = 30.0
-LINE_BYTES = 4096  # PIPE_BUF: written whole or not at all
+# PIPE_BUF of Linux: a write of at most this size to a pipe is complete or fails.
+LINE_BYTES = 4096
 CUT = "…"  # what stands for the rest of a text
 
 _log = logging.getLogger(__name__)

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 
 Words = TypeVar("Words", bound=tuple[str, ...])
 
-MOST = 0.9  # of many plants or readings: so many have to agree
+MOST = 0.9  # share of random plants or passivity tests that must agree
 
 
 class ClaimStatus(StrEnum):

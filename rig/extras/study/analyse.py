@@ -47,8 +47,8 @@ from rig.extras.study.trials import (
 )
 
 Watch = Callable[[str, int, int], None]
-_VAGUE = 0.4  # of the range of levels: an interval wider than that says little
-_NAMED = 5  # runs in a message
+_VAGUE = 0.4  # of the searched range: wider intervals are reported as imprecise
+_NAMED = 5  # runs that a message names
 _JUDGES: dict[Measure, str] = {"rule": "followed", "K50 person": "person", "K50 automatic": "automatic"}
 
 

@@ -32,7 +32,7 @@ from rig.recording.reader import open_recording
 from rig.session.finished import END, distinct_names
 
 BIDS_VERSION = "1.10.0"
-SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # what the standard asks of shifted dates
+SHIFTED_TO = datetime(1925, 1, 1, tzinfo=UTC)  # BIDS: shifted dates are in 1925 or earlier
 _STEM = f"task-{TASK}_tracksys-{TRACKSYS}"
 
 Watch = Callable[[int, int], None]

@@ -452,7 +452,8 @@ def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
         return math.nan, math.nan
     for method in ("BCa", "percentile"):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # degenerate: then it is NaN, and the next one is taken
+            # BCa warns and gives NaN for degenerate data; then the percentile method is used.
+            warnings.simplefilter("ignore")
             drawn = np.random.default_rng(seed)
             found = stats.bootstrap(
                 (values,), np.mean, n_resamples=RESAMPLES, method=method, random_state=drawn
@@ -493,7 +494,8 @@ def _differences(
     participants = dict.fromkeys(code for code, _, _ in known)
     of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}
     dampings = [damping] if damping is not None else sorted(of[against] & of[condition])
-    if damping is None and len(dampings) < 2:  # it stands under its damping
+    if damping is None and len(dampings) < 2:
+        # With one common damping the difference is already listed at this damping.
         return np.array([]), 0.0
     values, variances = [], []
     for code in participants:

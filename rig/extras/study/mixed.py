@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 LEAST_PARTICIPANTS = 3
 FEW_PARTICIPANTS = 6
 ENOUGH_PARTICIPANTS = 8  # for likelihood ratios
-PARTS = {  # random: what each person has of their own, as a formula within a person
+PARTS = {  # random parts of a participant, as formulas within a participant
     "participant": "1",
     "participant × condition": "0 + condition",
     "participant × damping": "0 + damping",
@@ -152,11 +152,13 @@ def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence
     if problem:
         return Mixed(measure=measure, problem=problem)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of steps on the way; whether the optimum is reached is looked at
+        # Ignore warnings of intermediate steps; the optimum itself is checked.
+        warnings.simplefilter("ignore")
         try:
             model = _Model.of(design)
             tests = _tests(design) if design.participants >= ENOUGH_PARTICIPANTS else ()
-        except np.linalg.LinAlgError:  # a singular covariance: some part leaves nothing for the residual
+        except np.linalg.LinAlgError:
+            # A singular covariance matrix: a random part explains everything, and no residual remains.
             model = None
     if model is None:
         return Mixed(measure=measure, problem="the mixed model did not converge; the paired tests remain")
@@ -253,7 +255,8 @@ class _Design:
         where: list[Cell] = [(one.condition, one.damping) for one in values]
         conditions = list(dict.fromkeys(name for name, _ in cells))
         dampings = sorted({damping for _, damping in cells})
-        each = pandas.DataFrame(  # factors by number, which keeps their order and any name out of the formula
+        # Numbers instead of names keep the order of factors, and keep users' names out of the formula.
+        each = pandas.DataFrame(
             {
                 "participant": [one.participant for one in values],
                 "cell": [f"{cells.index(cell):03}" for cell in where],
@@ -388,7 +391,7 @@ def _minus_log_likelihood(
         value += float(np.linalg.slogdet(known)[1])
         lost = seen @ np.linalg.solve(known, np.swapaxes(seen, 1, 2))
         gradient -= [np.sum(lost * part) for part in parts]
-    unlike = max(unlike, np.finfo(np.float64).tiny)  # rounding may make it 0 where a random part takes all
+    unlike = max(unlike, np.finfo(np.float64).tiny)  # rounding may give 0 if no residual remains
     value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
     gradient -= [free / unlike * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
     return 0.5 * value, 0.5 * gradient

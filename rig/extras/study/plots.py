@@ -41,7 +41,7 @@ _VERDICT_WORDS = {"": "invalid"}
 EACH, ALL, ONE = "each participant", "all participants", "the participant"
 AUTOMATIC, VERDICTS_THERE = "automatic verdicts", "verdicts, their number as area"
 K50, K50_INTERVAL = "K50", "its interval of 95 %"
-CURVES: Mapping[str, dict[str, Any]] = {  # what a psychometric picture is made of
+CURVES: Mapping[str, dict[str, Any]] = {  # lines and markers of a psychometric picture
     ALL: {"linewidth": 3.0},
     ONE: {"linewidth": 3.0},
     EACH: {"linewidth": 0.6, "alpha": 0.5},
@@ -110,7 +110,8 @@ def draw_session(
             figure = draw(found)
             for file in dict.fromkeys(f"{name}.{ending}" for ending in endings):
                 written[file] = style.save(figure, directory / file)
-                figure.set_layout_engine("none")  # it is laid out now, which takes as long as drawing it
+                # The layout is computed by the first file; computing it again takes as long as drawing.
+                figure.set_layout_engine("none")
         except Exception as error:
             if on_failure is None:
                 raise
@@ -323,7 +324,7 @@ def _draw_functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour
     curves: dict[str, Sequence[PsychometricFit | None]] = {
         EACH: [one for one in mine if one is not together],
         ONE if together.participant else ALL: [together],
-        AUTOMATIC: [other],  # often equal to the one before: on top of it
+        AUTOMATIC: [other],  # drawn on top, since it is often equal to the one before
     }
     drawn = {VERDICTS_THERE}
     for label, some in curves.items():

@@ -27,7 +27,7 @@ MEASURES: dict[Measure, str] = {
     "K50 automatic": "K50 of the automatic verdicts",
 }
 BOUNDS: dict[Bound, str] = {"": "", "least": "≥ ", "most": "≤ ", "unknown": "? "}
-MARK = " *"  # after a value whose verdicts do not show it
+MARK = " *"  # after a value that the verdicts do not support
 _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 

@@ -17,7 +17,7 @@ from rig.session.search import CatchTrials, Censored, rounding_deviation
 Measure = Literal["rule", "K50 person", "K50 automatic"]
 # How the limit of a run is estimated: by the rule that asked for its walls, from the verdicts that it followed;
 # or as the stiffness that is stable half of the time, from the person's or the automatic verdicts, whatever rule asked.
-ENDED_BY_MOST = "ended by most"  # state of a search that had all its verdicts before it had its turns
+ENDED_BY_MOST = "ended by most"  # state of a search that reached its trial limit before its reversals
 MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 

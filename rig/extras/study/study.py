@@ -281,7 +281,8 @@ def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str
 
 def _decides_cells(one: Difference) -> bool:
     """Return True if sessions with this difference cannot be compared: other conditions, dampings or motion."""
-    if one.key == "condition":  # in another order they are the same
+    if one.key == "condition":
+        # The order of the conditions does not matter.
         return len({frozenset(names) for names in one.values.values()}) > 1
     if one.key.startswith("condition.") and ".changes." not in one.key:
         return one.key.endswith(".damping")

@@ -113,7 +113,8 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
         rates = scheme.position_rate, scheme.velocity_rate
         estimator = scheme.estimator or own["estimator"]
         settings = dict(own["parameters"]) if estimator == own["estimator"] else {}
-        if isinstance(settings.get("cutoff_hz"), int | float):  # keeps its share of the rate
+        if isinstance(settings.get("cutoff_hz"), int | float):
+            # The cut-off keeps its ratio to the velocity rate, as `Scheme.applied` does.
             settings["cutoff_hz"] *= scheme.velocity_rate / own["velocity_rate"]
         settings |= scheme.parameters
         extra = {

@@ -125,7 +125,8 @@ def read(
     """
     lines, z = impedance.lines_hz, impedance.z
     error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
-    seen = ~(impedance.coherence_motion < COHERENCE)  # what is unknown does not count against a wall
+    # Lines with a low coherence are unknown: they do not count against a wall.
+    seen = ~(impedance.coherence_motion < COHERENCE)
     quiet = not impedance.residual > RESIDUAL
     fails = {
         key: ~((z.real + _tolerance(impedance, *key) >= 0.0) & seen)

@@ -46,7 +46,8 @@ class ChawdaPlan:
 
     def __init__(self, scale: rigs.ChawdaScale) -> None:
         self._scale = scale
-        self._nominal = chawda_parts.identify_wall(*WALLS[0])  # the schemes of the hits need its C
+        # Computed here, not in the sweep, because the schemes of the hits need its C.
+        self._nominal = chawda_parts.identify_wall(*WALLS[0])
         self._named_hits = self._hit_schemes()
         self._hits = self._hit_plan(rigs.FIGURE_3_RATE, tuple(self._named_hits.values()), scale.hit_ratio)
         self._slow_hits = self._hit_plan(1000, tuple(rigs.SCHEMES.values()), scale.hit_ratio**0.5)

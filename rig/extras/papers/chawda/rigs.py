@@ -119,7 +119,7 @@ CONSTANTS = (1.5, 3.0, 6.0, 12.0, 25.0, 50.0, 100.0)
 
 # --- Levant's differentiator otherwise -----------------------------------------------------------------------------
 
-VARIANT_CONSTANTS = (6.0, 25.0)  # m/s²: the paper's gains at 1 kHz, and what a hit asks for
+VARIANT_CONSTANTS = (6.0, 25.0)  # m/s²: as in the paper at 1 kHz, and as identified from a hit
 VARIANT_FORMS = ("explicit", "semi-implicit", "implicit")
 VARIANT_OUTPUTS = ("u", "u1")
 VARIANT_DAMPINGS = (0.0, 20.0, 60.0, 140.0)

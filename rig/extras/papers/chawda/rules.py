@@ -23,7 +23,8 @@ HALF = 0.5  # of its own peak: where a Z-width has dropped
 SHARP = 2.0  # from one damping to the next
 NEAR_DROP = 1.25
 NEAR_WIDTH = 1.5  # K-widths and fidelity against Table I
-LEAST_DAMPING = 40.0  # N·s/m: what differs between filters is damping's work
+# N·s/m: filters act on the velocity only, so they differ only at walls with damping.
+LEAST_DAMPING = 40.0
 SAME_CONTROL = 0.03
 WIDER = 1.2
 BETTER_COMMON = 0.05  # share of the error

@@ -37,11 +37,12 @@ from rig.experiments.mapping.interface import StiffnessSearch
 FRICTION, QUANTUM, SATURATION, CONTACT = FOUR = ("friction", "quantum", "saturation", "contact")
 EACH, OTHERS, NONE = "each of several", "any of several", "none of the four"
 CAUSES = (*FOUR, EACH, OTHERS, NONE)
-FINER = 256  # counts for one: below a thousandth of the thresholds on every preset
-UNBOUND = 1e9  # stands for a slew limit that never binds, in units of the given one
+# Counts for one count: the finer quantum is below a thousandth of the thresholds on every preset.
+FINER = 256
+UNBOUND = 1e9  # factor that makes the slew limit so high that it never acts
 
 Cure = tuple[str, ...]
-Holds = bool | None  # None: the hit does not show it
+Holds = bool | None  # None: invalid hit
 
 
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:

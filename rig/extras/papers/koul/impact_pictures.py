@@ -12,7 +12,7 @@ from rig.extras.papers.koul.compare import EstimatorProfile, Panel, Profiles
 from rig.views.plots import style
 from rig.views.plots.compare import draw_penetration
 
-STRETCH = 1.8  # times the largest true speed: noise is the point of figure 8
+STRETCH = 1.8  # axis range over the largest true speed, to show the noise
 
 
 @style.own_style()

@@ -190,7 +190,7 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
         return {"stiffness": [theory.k_max(experiment, scheme, 0.0).stiffness for scheme in schemes]}
     try:
         lifted = theory.as_lifted(experiment, Scheme.parse(payload["scheme"]))
-    except ConfigError as error:  # an estimator that is not linear, a rate that adapts
+    except ConfigError as error:  # a non-linear estimator, or an adaptive rate
         return {"not_linear": error.message}
     undamped, *curve = theory.k_max_curve(lifted, None, [0.0, *payload["dampings"]])
     largest = theory.b_max(lifted) if payload["islands"] else None
@@ -285,7 +285,7 @@ def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 # --- the noise of a count ----------------------------------------------------------------------------------------
 
 _SHARES = (1 / 20, 1 / 10)  # cut-off over rate: both readings of the paper
-FINER = 1024  # times the encoder's resolution: next to no quantiser
+FINER = 1024  # factor of the encoder's resolution, so fine that quantisation has no effect
 
 
 def velocity_noise(payload: Mapping[str, Any]) -> dict[str, float]:

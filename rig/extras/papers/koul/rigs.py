@@ -51,7 +51,7 @@ class KoulScale:
     offsets: tuple[float, ...]  # counts: position zero in its encoder cell, for each hit
     range_ratio: float  # of neighbouring dampings in the searches of the largest damping
     idea_dampings: tuple[float, ...]  # N·m·s/rad
-    effect_s: float  # of trials that are compared with linear theory: slow growth takes its time
+    effect_s: float  # trials compared with linear theory: slow growth takes long
     idea_points: int  # dampings of the ideas' linear theory
     idea_ratio: float  # of neighbouring stiffnesses of the ideas' maps
     idea_offsets: tuple[float, ...]  # counts

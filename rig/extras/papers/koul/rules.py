@@ -81,7 +81,7 @@ def levels_off(
     found = judge(
         {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
         ratios=[(name, ratio, without_lag[name]) for name, ratio in with_lag.items()],
-        lag=False,  # whether it is what K levels off with
+        lag=False,  # True if K levels off only with the lag
     )
     free = any(r is None or r >= STILL_RISING for r in without_lag.values())
     return found.only(lag=True) if found.status is ClaimStatus.REPRODUCED and free else found
