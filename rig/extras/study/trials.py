@@ -113,8 +113,8 @@ def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
         rates = scheme.position_rate, scheme.velocity_rate
         estimator = scheme.estimator or own["estimator"]
         settings = dict(own["parameters"]) if estimator == own["estimator"] else {}
-        if isinstance(settings.get("cutoff_hz"), int | float):
-            # The cut-off keeps its ratio to the velocity rate, as `Scheme.applied` does.
+        if isinstance(settings.get("cutoff_hz"), int | float) and own.get("scheme_cutoff") != "same":
+            # The cut-off keeps its ratio to the velocity rate, as in `Scheme.applied`.
             settings["cutoff_hz"] *= scheme.velocity_rate / own["velocity_rate"]
         settings |= scheme.parameters
         extra = {

@@ -19,7 +19,7 @@ from click.testing import CliRunner
 
 import rig.session as rig_session
 from rig.cli import rig
-from rig.config import as_mapping, presets
+from rig.config import as_mapping, override, presets
 from rig.config.schemes import Scheme
 from rig.core.errors import ConfigError, RecordingError
 from rig.extras.study import (
@@ -214,15 +214,15 @@ def test_the_same_logs_give_the_same_numbers(study: Path, found: Any) -> None:
     ("scheme", "words"),
     [
         (None, None),
-        ("dual:20k/2k", None),
+        ("uniform:20k", None),
         ("uniform:20k,cutoff_hz=1000", None),
         ("dual:20k/2k,estimator=of-another-package,gain=3", "dual 20/2 kHz, of-another-package, gain 3.0"),
     ],
 )
-def test_a_scheme_is_called_what_a_legend_calls_it(scheme: str | None, words: str | None) -> None:
-    experiment = presets.load(PRESET)
-    if words is None:
-        words = (Scheme.of(experiment) if scheme is None else Scheme.parse(scheme)).label(experiment)
+@pytest.mark.parametrize("cutoff", ["as-in-the-paper", "same"])
+def test_a_scheme_is_named_as_in_a_legend(scheme: str | None, words: str | None, cutoff: str) -> None:
+    experiment = override(presets.load(PRESET), {"controller.scheme_cutoff": cutoff})
+    words = words or (Scheme.parse(scheme) if scheme else Scheme.of(experiment)).label(experiment)
     assert trials_module._scheme_words(scheme, as_mapping(experiment)["controller"]) == words
 
 
@@ -243,13 +243,7 @@ def test_a_scheme_is_called_what_a_legend_calls_it(scheme: str | None, words: st
 def test_every_rule_finds_the_same_half_way_point(tmp_path: Path, rule: str, settings: Any) -> None:
     share = 0.0 if rule == "psi" else 0.2
     mapping = protocol(
-        search={
-            "rule": rule,
-            "settings": settings,
-            "lowest": 200.0,
-            "highest": 700.0,
-            "catch_share": share,
-        },
+        search={"rule": rule, "settings": settings, "lowest": 200.0, "highest": 700.0, "catch_share": share},
         order={"repeats": 2, "blocks": "one", "interleave": True, "kind": "fixed"},
     )
     found = one_session(tmp_path, mapping, person(lapse_rate=0.0))
