@@ -1,4 +1,4 @@
-"""The process that runs errands: it reads, draws and computes for a page (`rig.extras.console.errands`).
+"""The process that reads, draws and computes for a page (runs *errands*, see `rig.extras.console.errands`).
 
 ``python -P -m rig.extras.console errands``: each line of standard input is an errand. Its reply is one line, with the
 result and the number of bytes that follow, or with the error. The process ends when its input ends.
@@ -39,7 +39,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 
 
 def main() -> None:
-    """Run the errands that arrive on standard input, one a line, until it ends."""
+    """Run the tasks (errands) that arrive on standard input, one a line, until it ends."""
     answers = os.fdopen(os.dup(1), "wb")
     # Libraries print on standard output, which must contain replies only: send their output to standard error.
     os.dup2(2, 1)

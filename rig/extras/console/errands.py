@@ -23,7 +23,7 @@ END_S = 2.0
 
 
 class Errands:
-    """Pool of processes that run errands; the server must close it."""
+    """Pool of processes that read, draw and compute for a page; the server must close the pool."""
 
     def __init__(self) -> None:
         self._free_processes = asyncio.Semaphore(MOST)
@@ -33,10 +33,11 @@ class Errands:
     async def run(
         self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
     ) -> tuple[Any, bytes]:
-        """Run an errand, one of `rig.extras.console.errand_worker.ERRANDS`, with the arguments `content`.
+        """Run a task in another process: `errand` is a key of `rig.extras.console.errand_worker.ERRANDS`.
 
-        Return its result and its bytes, which may be empty. `compiling` is called with True when a compilation begins,
-        and with False when it ends. Raises `RigError` if the errand fails or its process dies.
+        `content` are the task's arguments. Return its result and its bytes, which may be empty. `compiling` is called
+        with True when a compilation begins, and with False when it ends. Raises `RigError` if the task fails or its
+        process dies.
         """
         async with self._free_processes:
             process = self._idle.pop() if self._idle else await self._start()

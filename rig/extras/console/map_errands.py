@@ -1,4 +1,4 @@
-"""Errands about stiffness maps: list maps, describe one, read new results and theory, find a hit's recording."""
+"""Work for a page outside the server's process: list and describe stiffness maps, read results, find recordings."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """Return the verdict on a hit by one criterion, as an index in `KINDS` (stable, limit cycle, unstable, invalid)."""
+    """Return the verdict on a hit by one stability criterion, as an index in `KINDS` (stable, limit cycle, …)."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -208,7 +208,7 @@ def find_recording(directory: str, key: str, stiffness: float, output: str) -> d
     )
     if row is None:
         raise ConfigError(
-            f"the map has no hit at K = {stiffness:g} in series {key}", remedy="choose a cell of the map"
+            f"the map has no hit at K = {stiffness:g} in its series {key!r}", remedy="choose a cell of the map"
         )
     if device:
         if not (path / maps.RECORDINGS / row[RECORDING]).exists():

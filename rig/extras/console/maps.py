@@ -104,7 +104,7 @@ class Watched:
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
-        """Append the columns, the journal's offset and the state that the errand `map growth` returned."""
+        """Append new results of the map; `grown` is the reply of `rig.extras.console.map_errands.growth`."""
         self.columns += grown["columns"]
         self.place = grown["place"]
         self.state = "finished" if len(self.columns) >= self.total else grown["state"]

@@ -1,4 +1,4 @@
-"""Errands about recordings: list recordings, cut a time span of one, replay, draw and export it."""
+"""Work for a page outside the server's process: list recordings, cut a time span, replay, draw and export."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class PageDesk(AskingDesk):
     talk
         Messages to and from the console.
     keymap
-        Keys of the protocol.
+        Meaning of each key, from the study's protocol.
     hand
         Device that moves the simulated hand on the page (mouse or keyboard), and its press (N); None if the hand moves
         by itself.

@@ -49,7 +49,7 @@ class Address(Protocol):
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Identify the drive and compare it with a rig; raise `RigError` as `look`, or if they do not match."""
+        """Identify the drive and compare it with a rig; raise `RigError` if the drive is unusable or does not match."""
         ...
 
 

@@ -363,7 +363,7 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
         bits[name] = 1 << int(match[2])
     if len(ports) > 1:
         raise ConfigError(
-            "hold and stop are on different ports",
+            "the switches hold and stop are on different ports of the drive",
             remedy="wire both to pins of aux1, or both to pins of aux2",
         )
     return Switches(ports.pop() if ports else 0, bits["hold"], bits["stop"])

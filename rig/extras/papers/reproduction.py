@@ -34,7 +34,7 @@ class ReproductionPlan(Protocol):
         """Return all sweep tasks, by the name of their group."""
 
     def results(self, done: Parts) -> Any:
-        """Convert the raw results of all tasks to one typed object."""
+        """Convert the results of all sweep tasks to one typed object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

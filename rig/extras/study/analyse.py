@@ -177,7 +177,7 @@ class StudyAnalysis:
 
     @property
     def runs_as_counted(self) -> tuple[RunRow, ...]:
-        """Runs that K_max, models and slopes use: without marked limits, unless `include_marked`."""
+        """Runs (searches) that K_max, models and slopes use: without doubtful limits, unless `include_marked`."""
         return runs_as_counted(self.runs, include_marked=self.options.include_marked)
 
     def counts(self) -> dict[str, int]:
@@ -362,9 +362,9 @@ def analyse_study(
 
 
 def _pool(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
-    """Estimate the limit from all verdicts of a participant's complete runs, by measure, participant, and cell.
+    """Estimate the stiffness limit from all verdicts of a participant's complete runs under one condition and damping.
 
-    A cell is a (condition, damping).
+    The keys are (measure, participant, (condition, damping)).
     """
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}

@@ -54,12 +54,12 @@ class Beyond:
 
     @property
     def count(self) -> int:
-        """Number of censored limits, above or below the searched stiffnesses."""
+        """Number of censored limits: above or below all searched stiffnesses."""
         return self.above + self.below
 
     @property
     def mostly(self) -> bool:
-        """True if more than half of the limits are censored."""
+        """True if more than half of the limits are censored: above or below all searched stiffnesses."""
         # Then a mean is little more than the end of the levels, and scatters as little: no interval, and no difference
         # with it has an interval or p.
         return 2 * self.count > self.limits
@@ -70,7 +70,7 @@ NONE_BEYOND = Beyond()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfParticipant:
-    """K_max of one participant under one condition at one damping.
+    """K_max (stiffest stable wall) of one participant under one condition at one damping.
 
     Attributes
     ----------
@@ -81,13 +81,13 @@ class OfParticipant:
     low, high, interval
         95 % interval and its source: "Student" or "bootstrap" over repeats, the single "run", all "verdicts", or "none"
         (NaN). The interval from all verdicts is of the stiffness that they show, and need not contain the mean of the
-        rule's limits. Beyond the levels it is open: from zero, or to infinity.
+        rule's limits. Beyond the searched stiffnesses it is open: from zero, or to infinity.
     student_low, student_high, bootstrap_low, bootstrap_high
         Both intervals over repeats; NaN for K50, fewer than three repeats, equal repeats, or if most are censored.
     limits, above, below
-        Number of limits, and number of limits beyond the stiffest or the softest level.
+        Number of limits, and number of limits above or below all searched stiffnesses.
     rounding
-        Standard deviation of the error of `mean` that rounding to the levels makes.
+        Standard deviation of the error of `mean` that rounding to the searched stiffnesses makes.
     marked
         Number of marked limits (`rig.extras.study.rows.LimitInterval`); 0 unless `include_marked`.
     """
@@ -114,16 +114,16 @@ class OfParticipant:
 
     @property
     def beyond(self) -> Beyond:
-        """Numbers of censored and of marked limits."""
+        """Numbers of all, censored and doubtful (marked) limits."""
         return Beyond(self.limits, self.above, self.below, self.marked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverParticipants:
-    """K_max of a condition at one damping: mean over participants of each participant's mean over repeats.
+    """K_max (stiffest stable wall) of a condition at one damping: mean of the participants' means over repeats.
 
     `low` and `high` are Student's 95 % interval over participants; NaN if `problem` gives a reason. `above` and `below`
-    are the numbers of the `limits` that lie beyond the levels.
+    are the numbers of the `limits` that lie beyond the searched stiffnesses.
     """
 
     measure: Measure
@@ -172,7 +172,7 @@ Pooled = Mapping[tuple[Measure, str, Cell], LimitInterval]  # by measure, partic
 
 
 def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, Beyond]:
-    """Count all, censored and marked limits by (condition, damping)."""
+    """Count all, censored and doubtful (marked) stiffness limits by (condition, damping)."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
         one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
@@ -229,9 +229,10 @@ def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterva
 
 
 def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
-    """Estimate K_max of each participant, by measure, condition and damping; `seed` is for the bootstrap.
+    """Estimate each participant's K_max (stiffest stable wall), by measure, condition and damping.
 
-    `pooled` has the limits from all verdicts of a participant under a condition at a damping.
+    `pooled` has the limits from all verdicts of a participant under a condition at a damping; `seed` is for the
+    bootstrap.
     """
     found = []
     for measure in MEASURES:
@@ -280,7 +281,10 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
 def over_participants(
     each: Sequence[OfParticipant], conditions: Sequence[str]
 ) -> tuple[OverParticipants, ...]:
-    """Average K_max over participants; return the means by measure, by the order of `conditions`, and by damping."""
+    """Average K_max (stiffest stable wall) over participants, by measure, condition and damping.
+
+    `conditions` gives the order of the results.
+    """
     groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
     for one in each:
         groups.setdefault((one.measure, one.condition, one.damping), []).append(one)

@@ -225,16 +225,16 @@ def _is_installed() -> bool:
 
 @dataclass(frozen=True)
 class _Design:
-    """Data of the model: a row of `frame` for each participant and cell, with limits minus `middle` divided by `scale`.
+    """Data of the mixed model, with a row of `frame` for each participant and cell (condition, damping).
 
     Attributes
     ----------
     cells
         Conditions and dampings, in the order of their labels in the frame.
     middle, scale
-        Mean and standard deviation of the limits, in stiffness.
+        Mean and standard deviation of the limits, in stiffness; the frame has limits minus `middle` divided by `scale`.
     rounding
-        Standard deviation of the error of the limits that rounding to the levels makes, in stiffness.
+        Standard deviation of the error of the limits that rounding to the searched stiffnesses makes, in stiffness.
     covariates
         Those of order and block whose effect can be separated from cells and participants.
     notes
@@ -251,7 +251,7 @@ class _Design:
 
     @classmethod
     def of(cls, values: Sequence[Observed], cells: Sequence[Cell]) -> _Design:
-        """Build the data from limits: means over the repeats of each participant in each cell."""
+        """Build the data from limits: means over the repeats of each participant, by condition and damping."""
         where: list[Cell] = [(one.condition, one.damping) for one in values]
         conditions = list(dict.fromkeys(name for name, _ in cells))
         dampings = sorted({damping for _, damping in cells})
@@ -330,7 +330,7 @@ class _Design:
 
     @cached_property
     def residual_deviation(self) -> float:
-        """Residual standard deviation (stiffness) of a least-squares fit of cells, participants and covariates."""
+        """Residual standard deviation (stiffness) of a least-squares fit of all fixed effects and participants."""
         columns, limits = self.columns("cell", "participant", *self.covariates), self.frame["limit"]
         rest = limits - columns @ np.linalg.lstsq(columns, limits, rcond=None)[0]
         free = len(limits) - int(np.linalg.matrix_rank(columns))
@@ -427,7 +427,10 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
 
 @dataclass(frozen=True)
 class _Model:
-    """A fitted model: fixed effects (cells, then covariates) and their covariance matrix, in units of stiffness."""
+    """A fitted mixed model: fixed effects and their covariance matrix, in units of stiffness.
+
+    The effects are those of the cells (condition, damping), then of the covariates.
+    """
 
     mean: Floats
     covariance: Floats
@@ -529,7 +532,10 @@ def _contrasts(
 def _difference(
     cells: Iterable[Cell], condition: str, against: str, damping: float | None
 ) -> dict[Cell, float]:
-    """Return the weight of each cell in a difference; empty without a common damping, or with only one for None."""
+    """Return the weights of the means (condition, damping) in a difference of two conditions.
+
+    Empty if the conditions share no damping, or if `damping` is None and they share only one.
+    """
     of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
     both = of[condition] & of[against]
     if damping is not None:

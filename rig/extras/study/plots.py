@@ -131,7 +131,7 @@ def tracks_name(code: str) -> str:
 
 @style.own_style()
 def zwidth_figure(found: StudyAnalysis, measure: Measure) -> Any:
-    """Draw K_max over B by condition: a thin line for each participant, a thick line with intervals for the mean.
+    """Draw K_max (stiffest stable wall) over B by condition, for each participant and as a mean with intervals.
 
     With a single damping the conditions are side by side, and a line joins the values of each participant.
     """

@@ -32,7 +32,7 @@ _SAME = 0.005  # of a lapse rate: no further from the mean of its prior
 
 
 def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
-    """Return a table of K_max over participants, for each condition and damping."""
+    """Return a table of K_max (stiffest stable wall) over participants, for each condition and damping."""
     rows = [
         (
             one.condition,
@@ -52,7 +52,7 @@ def over_participants(found: StudyAnalysis, measure: Measure) -> Table:
 
 
 def tabulate_participants(found: StudyAnalysis, measure: Measure) -> Table:
-    """Return a table of K_max of each participant at each condition and damping."""
+    """Return a table of K_max (stiffest stable wall) of each participant at each condition and damping."""
     rows = [
         (
             one.participant,

@@ -170,9 +170,10 @@ class RunRow:
 
 
 def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> tuple[RunRow, ...]:
-    """Return the runs as K_max, models and slopes use them.
+    """Return the runs (searches) as K_max, models and slopes use them.
 
-    Marked limits are removed, and a run that stopped at its trial limit is not complete, unless `include_marked`.
+    Doubtful (marked) limits are removed, and a run that stopped at its trial limit is not complete, unless
+    `include_marked`.
     """
     if include_marked:
         return tuple(replace(run, state="complete") if run.state == ENDED_BY_MOST else run for run in runs)

@@ -211,7 +211,7 @@ def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
             remedy="analyse it with the version of haptic-rig that wrote it; the log's first event contains it",
         ) from error
     except RecordingError as error:
-        raise RecordingError(f"{path}: {error.message}", remedy=error.remedy) from error
+        raise RecordingError(f"cannot read the log {path}: {error.message}", remedy=error.remedy) from error
     return StudySession(
         directory=directory,
         events=events,

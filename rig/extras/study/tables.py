@@ -103,7 +103,7 @@ def _unit(column: DataColumn, found: StudyAnalysis) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return the value of a cell for a file; None if it is not finite."""
+    """Return a table value for a file; None if it is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

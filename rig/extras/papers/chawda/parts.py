@@ -49,7 +49,7 @@ NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is
 
 
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute the largest stable and the largest passive stiffness (N/m) of one scheme by linear theory.
+    """Compute the largest stable and the largest passive stiffness (N/m) of one sampling scheme by linear theory.
 
     `payload` has ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), ``low_hz``, and
     ``highest_hz``, the upper edges of the bands (Hz) in which passivity is tested, every 1 Hz. In the result ``stable``
@@ -131,7 +131,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
 def control_payload(
     experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
 ) -> Any:
-    """Return the argument of `control` for one scheme; `band` is its lowest and highest frequency (Hz)."""
+    """Return the argument of `control` (a check against theory) for one scheme; `band` is in Hz."""
     applied = scheme.applied(config.excited(experiment))
     return {
         "experiment": config.as_mapping(applied),

@@ -82,7 +82,7 @@ class ChawdaPlan:
         return parts
 
     def results(self, done: Parts) -> Chawda:
-        """Convert the raw results of all tasks to one typed object."""
+        """Convert the results of all sweep tasks to one typed object."""
         found = {name: Readings.of(grid, done.results[name]) for name, grid in self._grids.items()}
         hits = ZWidth.of(self._hits, done.results["hits"])
         return Chawda(

@@ -246,7 +246,7 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
-    """Return what the numbers were computed from: code version, scale, seed, settings; independent of the machine."""
+    """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     x = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(),

@@ -115,9 +115,9 @@ def near_table(ours: Mapping[str, float], paper: Mapping[str, float], step: floa
 
 
 def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Judge the claim that simulated K-widths exceed the paper's measured ones, from their ratios by estimator.
+    """Judge the claim that simulated K-widths (stiffest passive walls) exceed the paper's measured ones.
 
-    `step` is the ratio of neighbouring stiffnesses of the grid.
+    `ratios` are simulated over measured, by estimator; `step` is the ratio of neighbouring stiffnesses of the grid.
     """
     return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
 

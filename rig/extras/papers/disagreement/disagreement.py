@@ -115,7 +115,7 @@ class DisagreementPlan:
 
 
 def edges_of(values: Sequence[float], *, by_ratio: bool = False) -> Floats:
-    """Return the n + 1 cell edges of n rising values: the ends, and the middles between neighbours.
+    """Return the n + 1 edges of cells around n rising values: the ends, and the middles between neighbours.
 
     The middle is the geometric mean if `by_ratio` is True. The cell of a single value is 1 wide.
     """
@@ -381,7 +381,7 @@ def compare_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> Disagreement:
-    """Run a plan, and write the table of walls and the summary into `directory`; a journal there resumes a stopped run.
+    """Compare theory and hits; write the table of walls and the summary into `directory`, and resume from its journal.
 
     Unlike `maps.map_into`, write no plan file, so that the directory is not taken for a map.
     """

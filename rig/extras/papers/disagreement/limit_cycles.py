@@ -80,12 +80,12 @@ class HeldWall:
 
     @reported
     def amplitude_error(self) -> float | None:
-        """Predicted / simulated amplitude - 1; None if the prediction or the simulation has no cycle."""
+        """Predicted / simulated amplitude - 1; None without a predicted or without a simulated limit cycle."""
         return self.predicted.amplitude / self.simulated.amplitude - 1.0 if self._both else None
 
     @reported
     def frequency_error(self) -> float | None:
-        """Predicted / simulated frequency - 1; None if the prediction or the simulation has no cycle."""
+        """Predicted / simulated frequency - 1; None without a predicted or without a simulated limit cycle."""
         return self.predicted.frequency_hz / self.simulated.frequency_hz - 1.0 if self._both else None
 
     @property
@@ -103,7 +103,7 @@ class Errors:
 
     @classmethod
     def of(cls, walls: Sequence[HeldWall]) -> Errors:
-        """Summarise the errors of walls that have a predicted and a simulated cycle; NaN without walls."""
+        """Summarise the errors of walls that have a predicted and a simulated limit cycle; NaN without walls."""
 
         def spread(errors: list[float]) -> tuple[float, float]:
             sizes = np.abs(errors)

@@ -82,7 +82,7 @@ def _same_range(koul: Koul) -> Ruling:
 
 
 def _ranges(koul: Koul) -> dict[str, float]:
-    """Return the largest damping (N·m·s/rad) at which walls are stable, by rig and criterion, and by linear theory."""
+    """Return the largest stable damping (N·m·s/rad), by rig and stability criterion, and by linear theory."""
     values: dict[str, float] = {}
     for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]
@@ -110,7 +110,7 @@ def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
 
 
 def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
-    """Return (damping, largest stable stiffness) pairs of the scheme `key`, by criterion and by linear theory."""
+    """Return (damping, largest stable stiffness) pairs, by stability criterion (simulated) and by linear theory."""
     found = koul.maps[held.name]
     simulated = {
         criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]

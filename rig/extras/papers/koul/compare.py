@@ -251,7 +251,7 @@ class Profiles:
     profiles: tuple[EstimatorProfile, ...]
 
     def __getitem__(self, key: tuple[int, str]) -> EstimatorProfile:
-        """Return the profile at a velocity rate (Hz) in an arithmetic; raise `KeyError` if it is missing."""
+        """Return the velocity profile for a velocity rate (Hz) and an arithmetic; raise `KeyError` if it is missing."""
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile

@@ -106,7 +106,7 @@ class Tried:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Ratios of an idea's results to a reference's (criterion "any"): K at B = 0, largest K, largest B, and area."""
+    """Results of an idea divided by those of a reference idea: K at B = 0, largest K, largest B, and area."""
 
     undamped: float
     peak: float

@@ -91,10 +91,10 @@ def range_tasks(
 
 
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Search the largest damping (N·m·s/rad) at which a wall with one stiffness is stable, by criterion.
+    """Search the largest damping (N·m·s/rad) with which a wall of one stiffness is stable.
 
-    The result has ``damping`` and ``capped`` (True: the search ended before a wall failed) for each criterion, and
-    ``hits``, their number. The search is the one that maps use for the stiffness.
+    The result has ``damping`` and ``capped`` (True: the search ended before a wall failed) for each stability
+    criterion, and ``hits``, their number. The search is the one that maps use for the stiffness.
     """
     simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
@@ -115,7 +115,7 @@ def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class DampingRange:
-    """Largest damping (N·m·s/rad) of a soft wall by one criterion: mean, least and largest over the encoder offsets.
+    """Largest stable damping (N·m·s/rad) of a soft wall: mean, least and largest over the encoder offsets.
 
     `capped` is True if a search ended before a wall failed, so that the true damping is larger.
     """
@@ -127,7 +127,7 @@ class DampingRange:
 
 
 def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
-    """Summarise the results of `range_tasks`: return, for each scheme, the largest damping by criterion.
+    """Summarise the results of `range_tasks`: return the largest stable dampings by criterion for each scheme.
 
     `offsets` is the number of encoder offsets.
     """

@@ -107,7 +107,7 @@ class KoulPlan:
         return parts
 
     def results(self, done: Parts) -> Koul:
-        """Convert the raw results of all tasks to one typed object."""
+        """Convert the results of all sweep tasks to one typed object."""
         scale = self._scale
         maps = {name: ZWidth.of(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
         kmax = {

@@ -104,7 +104,7 @@ class Koul:
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:
-        """Return K_max at the highest rate divided by K_max at 20 kHz, with and without amplifier lag.
+        """Return K_max (stiffest stable wall) at the highest rate over K_max at 20 kHz, with and without lag.
 
         The first list is simulated, the second is by linear theory.
         """
@@ -224,7 +224,7 @@ class Koul:
         return [*rank_ideas(self.ideas), *elsewhere]
 
     def highest_search(self) -> float:
-        """Return the highest stiffness (N·m/rad) that the search of any idea could reach."""
+        """Return the highest stiffness (N·m/rad) that was searched for any idea."""
         return max(tried.map.plan.search.highest for tried in self.ideas.values())
 
 
@@ -264,7 +264,7 @@ def numbers(koul: Koul) -> dict[str, Any]:
 
 
 def provenance(koul: Koul) -> dict[str, Any]:
-    """Return what the numbers were computed from: code version, scale, seed, settings; independent of the machine."""
+    """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
         "haptic-rig": code_version(),

@@ -163,9 +163,10 @@ def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
 
 
 def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float = 1.0) -> Ruling:
-    """Judge the claim that the dual-rate wall has the higher peak K, by rig, hand, cut-off and criterion.
+    """Judge the claim that the dual-rate wall has a higher peak stiffness than the fast uniform wall.
 
-    A value of `ratios` is the peak K of the dual-rate wall divided by that of the fast uniform wall.
+    A value of `ratios` is the peak of the dual-rate wall over that of the fast uniform wall; the key is (rig, hand,
+    cut-off, stability criterion).
     """
     cases = {case: ratio >= HIGHER * step**0.5 for case, ratio in ratios.items()}
     groups: dict[str, list[bool]] = {}
@@ -178,7 +179,7 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
     """Judge the claim that the stiffness limit of the fast uniform wall falls as soon as damping is added.
 
-    The keys of `curves` are (rig, cut-off, criterion or theory).
+    The keys of `curves` are (rig, cut-off, stability criterion or theory).
     """
     cases: dict[tuple[str, str, str], bool] = {}
     most: dict[tuple[str, str, str], float] = {}
@@ -192,7 +193,10 @@ def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ru
 
 
 def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge the claim that the stiffness limit of the slow uniform wall first rises with damping; by rig, criterion."""
+    """Judge the claim that the stiffness limit of the slow uniform wall first rises with damping to a peak.
+
+    The keys of `curves` are (rig, stability criterion or theory).
+    """
     cases, peaks = {}, []
     for case, curve in curves.items():
         stiffnesses = [stiffness for _, stiffness in curve]

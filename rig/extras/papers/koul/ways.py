@@ -74,7 +74,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return, for each damping, the results of all walls of one scheme, by one criterion and encoder offset.
+    """Return, for each damping, the results of all walls of one scheme by one stability criterion.
 
     Without `offset`, the first encoder offset of the map is used.
     """
