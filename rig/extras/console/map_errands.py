@@ -208,7 +208,8 @@ def find_recording(directory: str, key: str, stiffness: float, output: str) -> d
     )
     if row is None:
         raise ConfigError(
-            f"the map has no hit at K = {stiffness:g} in its series {key!r}", remedy="choose a cell of the map"
+            f"the map has no hit at K = {stiffness:g} in its series {key!r}",
+            remedy="choose a cell of the map",
         )
     if device:
         if not (path / maps.RECORDINGS / row[RECORDING]).exists():

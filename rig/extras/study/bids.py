@@ -111,7 +111,7 @@ def export_bids(
     options = options or BidsOptions()
     if options.every < 1:
         raise ConfigError(
-            f"every = {options.every}: cannot keep every {options.every}th row", remedy="give 1 (all rows) or a larger whole number"
+            f"every = {options.every} is not possible", remedy="give 1 (all rows) or n, for every n-th row"
         )
     labels = _labels(study)
     trials = [row for row in trials_of(study) if row.recorded != "none"]
