@@ -40,11 +40,11 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(lines)
 
 
-def _summary(thing: object) -> str:
+def _first_line(thing: object) -> str:
     return (thing.__doc__ or "").strip().splitlines()[0]
 
 
-def _bytes_of(wires: dict[str, Wire], start: int = 0) -> str:
+def _field_table(wires: dict[str, Wire], start: int = 0) -> str:
     rows, at = [], start
     for name, wire in wires.items():
         rows.append((at, wire.ctype, f"`{name}`", wire.unit, wire.meaning))
@@ -73,7 +73,9 @@ def messages() -> str:
         reply = REPLIES.get(cls)
         answer = f" Answered by `{title(reply)}`." if reply else ""
         heading = f"### 0x{type_id:02X} {title(cls)}"
-        parts.append(f"{heading}\n\n{_summary(cls)}{answer}\n\n{_bytes_of(wire_fields(cls), HEADER_BYTES)}")
+        parts.append(
+            f"{heading}\n\n{_first_line(cls)}{answer}\n\n{_field_table(wire_fields(cls), HEADER_BYTES)}"
+        )
     return "\n\n".join(parts)
 
 
@@ -89,7 +91,7 @@ def batch_layouts() -> str:
 
 def fault_entry() -> str:
     """Return the Markdown table of the fields of a FAULT_ENTRY (a tick in the fault log), and its size (bytes)."""
-    return f"{_bytes_of(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
+    return f"{_field_table(wire_fields(m.FaultEntry))}\n\n{FAULT_ENTRY_BYTES} bytes an entry."
 
 
 def parameters() -> str:
@@ -100,7 +102,7 @@ def parameters() -> str:
     return table(("id", "name", "type", "unit", "minimum", "maximum", "default", "meaning"), rows)
 
 
-def _codes(codes: Iterable[Described | DescribedFlag]) -> str:
+def _code_table(codes: Iterable[Described | DescribedFlag]) -> str:
     return table(
         ("code", "name", "meaning", "remedy"), [(int(c), f"`{c.name}`", c.text, c.remedy) for c in codes]
     )
@@ -133,7 +135,7 @@ def states() -> str:
 
 def header() -> str:
     """Return the Markdown table of the header's fields; every frame begins with the header."""
-    return _bytes_of(wire_fields(Header))
+    return _field_table(wire_fields(Header))
 
 
 def faults_of_a_rig() -> str:
@@ -163,10 +165,10 @@ def duties_of_a_port() -> str:
 def parts_list() -> str:
     """Return the Markdown table of the parts of the reference rig, with the source of each part's data."""
     parts = tomllib.loads(WIRING.read_text(encoding="utf-8"))["part"]
-    return table(("", "part", "source"), ((one["name"], _part(one), one["source"]) for one in parts))
+    return table(("", "part", "source"), ((one["name"], _describe_part(one), one["source"]) for one in parts))
 
 
-def _part(row: dict[str, Any]) -> str:
+def _describe_part(row: dict[str, Any]) -> str:
     only = ", ".join(f'`{name} = "{value}"`' for name, value in row.get("where", {}).items())
     return f"{row['what']} (with {only})" if only else str(row["what"])
 
@@ -186,10 +188,10 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "batch_layouts": batch_layouts,
     "fault_entry": fault_entry,
     "parameters": parameters,
-    "faults": lambda: _codes(Fault),
-    "limits": lambda: _codes(LimitFlag),
-    "statuses": lambda: _codes(Status),
-    "inputs": lambda: _codes(Input),
+    "faults": lambda: _code_table(Fault),
+    "limits": lambda: _code_table(LimitFlag),
+    "statuses": lambda: _code_table(Status),
+    "inputs": lambda: _code_table(Input),
     "picture": picture,
     "states": states,
     "duties": duties_of_a_port,
@@ -212,9 +214,9 @@ def fresh() -> dict[Path, str]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Rewrite the generated files that are out of date; with ``--check``, only report them, and return 1 if any are."""
+    """Rewrite generated files that are out of date; with ``--check``, only report them and return 1 if any exist."""
     check = "--check" in (sys.argv[1:] if arguments is None else arguments)
-    stale = {path: text for path, text in fresh().items() if _text_of(path) != text}
+    stale = {path: text for path, text in fresh().items() if _read_text(path) != text}
     for path, text in stale.items():
         if check:
             print(f"{path.name} is stale: run python -m firmware_protocol.codegen", file=sys.stderr)
@@ -223,7 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(check and bool(stale))
 
 
-def _text_of(path: Path) -> str:
+def _read_text(path: Path) -> str:
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 

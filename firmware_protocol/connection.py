@@ -81,7 +81,7 @@ TRANSITIONS: dict[State, dict[type[Message], State]] = {
     },
     State.FAULT: {
         **dict.fromkeys(_QUESTIONS, State.FAULT),
-        m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._objection
+        m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._find_objection
         m.EnterBootloader: State.BOOT,
     },
 }
@@ -268,7 +268,7 @@ class Connection:
         if not self._is_news(layout, sequence):
             return None
         if after is not self.state:
-            self._move(after)
+            self._enter_state(after)
         return Received(message, session, sequence)
 
     def _is_news(self, layout: Layout, sequence: int) -> bool:
@@ -295,14 +295,14 @@ class Connection:
             self._handle_answer(message)
             self.transaction = after_answer(self.transaction, event.nonce, *self._as_ack(message))
             return event
-        objection = self._objection(event)
+        objection = self._find_objection(event)
         if objection is not None:
             self.statistics.out_of_state += 1
             return self._refuse(raw, *objection)
         self._begin(layout.type_id, event.nonce, session)
         return event
 
-    def _objection(self, event: Received) -> tuple[Status, int] | None:
+    def _find_objection(self, event: Received) -> tuple[Status, int] | None:
         """Return status and detail of the rejection if the state or another rule forbids a request, else None."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
@@ -387,7 +387,7 @@ class Connection:
         unfinished
         transaction is abandoned.
         """
-        self._only(Role.HOST, "begin")
+        self._require_role(Role.HOST, "begin")
         self._requests, self._session_to_open = requests, session
         nonce, step = requests[0].nonce, type_id_of(type(requests[0]))  # type: ignore[attr-defined]
         length = requests[0].length if isinstance(requests[0], m.SetBegin) else 0
@@ -413,7 +413,10 @@ class Connection:
         return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
 
     def _as_ack(self, reply: Message) -> tuple[int, int, int]:
-        """Return request, status and detail of an ACK; for other replies OK, or UNSUPPORTED for a wrong request."""
+        """Return type id of the request, status and detail, as if every reply were an ACK.
+
+        The status of another reply is OK if it is the reply of the present request, else UNSUPPORTED.
+        """
         if isinstance(reply, m.Ack):
             return reply.request, reply.status, reply.detail
         step = self.transaction.step
@@ -470,16 +473,16 @@ class Connection:
             return
         if request == _ARM:
             self._open_session(session)
-        self._move(after)
+        self._enter_state(after)
 
     def _adopt_state(self, reply: Message) -> None:
         """Host: adopt the device's state from an IDENTITY or BAD_STATE reply: after a restart the ends disagree."""
         if isinstance(reply, m.Identity):
-            self._move(_STATES.get(reply.state, self.state))
+            self._enter_state(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
-            self._move(_STATES.get(reply.detail, self.state))
+            self._enter_state(_STATES.get(reply.detail, self.state))
 
-    def _move(self, after: State) -> None:
+    def _enter_state(self, after: State) -> None:
         if self.session and after < State.ARMED:
             self._open_session(0)
         self.state = after
@@ -498,12 +501,12 @@ class Connection:
 
     def fault(self) -> None:
         """Device: enter the state FAULT. The session stays open, so the host still accepts STATE frames."""
-        self._only(Role.DEVICE, "fault")
+        self._require_role(Role.DEVICE, "fault")
         self.state = State.FAULT
 
     def resend(self, event: Event) -> None:
         """Device: mark a request as answered before, so that sending its reply again does not change the state."""
-        self._only(Role.DEVICE, "resend")
+        self._require_role(Role.DEVICE, "resend")
         # Otherwise a late repeat of a DISARM would clear a fault that occurred in between.
         self._open.pop((event.request, event.nonce), None)
 
@@ -524,7 +527,7 @@ class Connection:
     @property
     def answered(self) -> int:
         """Host: return the sequence of the newest STATE in the session (0 before), which the next COMMAND contains."""
-        self._only(Role.HOST, "answered")
+        self._require_role(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 
     def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
@@ -539,14 +542,14 @@ class Connection:
         state
             State of the device in that STATE.
         """
-        self._only(Role.HOST, "resume")
+        self._require_role(Role.HOST, "resume")
         self._splitter.reset()
         self._frames.clear()
         self._to_send[_COMMAND] = next_command & 0xFFFF
         self._received[_STATE] = newest_state & 0xFFFF
-        self._move(state)
+        self._enter_state(state)
 
-    def _only(self, role: Role, what: str) -> None:
+    def _require_role(self, role: Role, what: str) -> None:
         if self.role is not role:
             raise LocalProtocolError(
                 f"only the {role.name.lower()} may call `{what}`; this connection is the {self.role.name.lower()}'s"

@@ -186,7 +186,7 @@ def decode(packed: bytes) -> Dictionary:
     """Return the dictionary in the compressed bytes from a device; raise `RemoteProtocolError` for invalid bytes."""
     try:
         # Python's parser would accept NaN and Infinity, which JSON does not have.
-        content = json.loads(_inflate(packed), parse_constant=_no_constant)
+        content = json.loads(_inflate(packed), parse_constant=_reject_constant)
         if not isinstance(content, dict):
             raise TypeError(f"expected a JSON object, got {content!r}")
         return _dictionary(content)
@@ -204,22 +204,22 @@ def _inflate(packed: bytes) -> bytes:
     return plain
 
 
-def _no_constant(name: str) -> NoReturn:
+def _reject_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not allowed as a number; numbers must be finite")
 
 
 def _dictionary(content: dict[str, Any]) -> Dictionary:
     return Dictionary(
-        major=_whole(content, "major", 0, 255),
-        minor=_whole(content, "minor", 0, 255),
+        major=_integer_in_range(content, "major", 0, 255),
+        minor=_integer_in_range(content, "minor", 0, 255),
         device=_text(content, "device"),
         firmware=_text(content, "firmware"),
         simulated=_typed(content, "simulated", bool),
         time_unit_ns=_positive(content, "time_unit_ns"),
         current_quantum_a=_positive(content, "current_quantum_a"),
         current_measured=_typed({"current_measured": False} | content, "current_measured", bool),
-        position_rate_default=_whole(content, "position_rate_default", 1, 10**6),
-        position_rate_maximum=_whole(content, "position_rate_maximum", 1, 10**6),
+        position_rate_default=_integer_in_range(content, "position_rate_default", 1, 10**6),
+        position_rate_maximum=_integer_in_range(content, "position_rate_maximum", 1, 10**6),
         constants=tuple(_constant(item) for item in _typed({"constants": []} | content, "constants", list)),
         settings=tuple(_setting(item) for item in _typed({"settings": []} | content, "settings", list)),
         parameters=tuple(_parameter(item) for item in _typed(content, "parameters", list)),
@@ -235,7 +235,7 @@ def _parameter(item: Any) -> ParameterInfo:
             f"default {default} of parameter {item['name']!r} is outside its range {minimum} … {maximum}"
         )
     return ParameterInfo(
-        _whole(item, "id", 0, 0xFFFF),
+        _integer_in_range(item, "id", 0, 0xFFFF),
         _text(item, "name"),
         _text(item, "ctype"),
         _text(item, "unit"),
@@ -256,7 +256,10 @@ def _constant(item: Any) -> ConstantInfo:
 
 def _code(item: Any) -> CodeInfo:
     return CodeInfo(
-        _whole(item, "code", 0, 0xFFFF), _text(item, "name"), _text(item, "text"), _text(item, "remedy")
+        _integer_in_range(item, "code", 0, 0xFFFF),
+        _text(item, "name"),
+        _text(item, "text"),
+        _text(item, "remedy"),
     )
 
 
@@ -285,7 +288,7 @@ def _positive(item: Any, key: str) -> float:
     return value
 
 
-def _whole(item: Any, key: str, minimum: int, maximum: int) -> int:
+def _integer_in_range(item: Any, key: str, minimum: int, maximum: int) -> int:
     value = int(_typed(item, key, int))
     if not minimum <= value <= maximum:
         raise ValueError(f"the key {key} must be {minimum} … {maximum}, not {value}")

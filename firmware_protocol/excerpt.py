@@ -12,13 +12,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-_MARK = re.compile(
+_TOKEN = re.compile(
     r'/\*.*?\*/|"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])+\'|^[ \t]*#[^\n]*|[{};]', re.DOTALL | re.MULTILINE
 )
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _NAME = re.compile(r"[A-Za-z_]\w*")
 _FUNCTION = re.compile(r"\b([a-z]\w*)\s*\(")
-_BESIDE = re.compile(r"[ \t]*/\*[^\n]*?\*/")  # a comment on the line where a declaration ends
+_TRAILING_COMMENT = re.compile(r"[ \t]*/\*[^\n]*?\*/")  # a comment on the line where a declaration ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
     KeyError
         No source defines one of the names in `wanted`.
     """
-    pieces = [piece for path in sources for piece in _pieces(path.read_text(encoding="utf-8"))]
+    pieces = [piece for path in sources for piece in _split_declarations(path.read_text(encoding="utf-8"))]
     where = {name: piece for piece in pieces for name in piece.names}
     needed: set[_Piece] = set()
     waiting = [where[name] for name in wanted]
@@ -62,8 +62,8 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
             needed.add(piece)
             waiting += [where[name] for name in piece.uses if name in where]
     kept = [piece for piece in pieces if piece in needed]
-    text = "\n".join(f"{piece.comment}{_private(piece)}\n" for piece in kept)
-    return _renamed(text, kept, prefix)
+    text = "\n".join(f"{piece.comment}{_make_static(piece)}\n" for piece in kept)
+    return _rename_all(text, kept, prefix)
 
 
 def renamed(name: str, prefix: str) -> str:
@@ -76,11 +76,11 @@ def renamed(name: str, prefix: str) -> str:
     return bare if bare == before or bare.startswith(f"{before}_") else f"{before}_{bare}"
 
 
-def _private(piece: _Piece) -> str:
+def _make_static(piece: _Piece) -> str:
     return f"static {piece.code}" if piece.function and not piece.code.startswith("static ") else piece.code
 
 
-def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
+def _rename_all(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
     """Return the C text with renamed functions and types; a function is renamed only before a parenthesis."""
     functions = {name for piece in pieces if piece.function for name in piece.names}
     others = {name for piece in pieces if not piece.function for name in piece.names}
@@ -89,10 +89,10 @@ def _renamed(text: str, pieces: Iterable[_Piece], prefix: str) -> str:
     return re.sub("|".join(patterns), lambda found: renamed(str(found[0]), prefix), text)
 
 
-def _pieces(text: str) -> Iterator[_Piece]:
+def _split_declarations(text: str) -> Iterator[_Piece]:
     """Yield the declarations of a C file, except prototypes and preprocessor lines at the outermost level."""
     start = depth = 0
-    for mark in _MARK.finditer(text):
+    for mark in _TOKEN.finditer(text):
         word = mark[0]
         if word.lstrip().startswith("#"):
             if depth == 0:  # a comment above it is about the file
@@ -101,7 +101,7 @@ def _pieces(text: str) -> Iterator[_Piece]:
         depth += {"{": 1, "}": -1}.get(word, 0)
         if depth != 0 or word not in (";", "}"):
             continue
-        beside = _BESIDE.match(text, mark.end())
+        beside = _TRAILING_COMMENT.match(text, mark.end())
         end = beside.end() if beside else mark.end()
         whole = text[start:end].strip()
         code = _COMMENT.sub("", whole).strip()
@@ -110,13 +110,13 @@ def _pieces(text: str) -> Iterator[_Piece]:
         start = end
         if word == ";" and _is_prototype(code):
             continue
-        names = _defined(code)
+        names = _defined_names(code)
         used = frozenset(_NAME.findall(code)) - names
-        at = whole.index(code.split(maxsplit=1)[0], _leading(whole))
+        at = whole.index(code.split(maxsplit=1)[0], _comment_length(whole))
         yield _Piece(whole[:at], whole[at:], names, used)
 
 
-def _leading(whole: str) -> int:
+def _comment_length(whole: str) -> int:
     """Return the length of the comments before a C declaration (characters)."""
     found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
     return found.end() if found else 0
@@ -131,7 +131,7 @@ def _is_prototype(code: str) -> bool:
     return not code.startswith(("typedef", "enum")) and "=" not in code and "(" in code
 
 
-def _defined(code: str) -> frozenset[str]:
+def _defined_names(code: str) -> frozenset[str]:
     if not code.startswith(("typedef", "enum")):
         found = _FUNCTION.search(code) if code.endswith("}") else _NAME.search(_last_name(code))
         return frozenset({found[found.lastindex or 0]} if found else ())

@@ -44,7 +44,7 @@ class DescribedFlag(IntFlag):
 
 
 class Fault(Described):
-    """Reason for which the device latched FAULT. Only the first is latched; later ones set the bit ``1 << code``."""
+    """Reason for which the device latched FAULT: the first fault; later faults set the bit ``1 << code`` of a mask."""
 
     NONE = 0, "no fault", ""
     LINK_LOST = (

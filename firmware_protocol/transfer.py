@@ -56,7 +56,7 @@ class Assembler:
         return Status.OK
 
     def commit(self, message: SetCommit) -> tuple[Status, bytes]:
-        """Return OK and the parameter block; or INCOMPLETE (more chunks may follow) or BAD_CRC, and no bytes."""
+        """Return status OK and the parameter block; or INCOMPLETE (chunks may still follow) or BAD_CRC, and b""."""
         begun = self._begun
         if begun is None or message.nonce != begun.nonce or self._missing:
             return Status.INCOMPLETE, b""

@@ -145,7 +145,7 @@ class Board(BoardFile):
         return [f"{self.name}: {self.description}, up to {self.rate_maximum / 1e3:g} kHz", *named]
 
     def sources(self, application: str) -> tuple[Path, ...]:
-        """Return the C and assembler files of a program (`application`): files of all programs, then its own ones."""
+        """Return the C and assembler files of the program `application`: files of all programs, then its own files."""
         special = {name for names in self.applications.values() for name in names}
         found = sorted(path for path in self.directory.iterdir() if path.suffix in (".c", ".S"))
         own = (Path(normpath(self.directory / name)) for name in self.applications[application])

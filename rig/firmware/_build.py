@@ -142,8 +142,8 @@ class BuildResult:
             Row("firmware", self.firmware),
             Row("rig", self.rig),
             Row("protocol", self.protocol, note=f"dictionary {self.dictionary_hash}"),
-            Row("flash", self.flash_bytes, "bytes", _share(self.flash_bytes, self.flash_room)),
-            Row("memory", self.ram_bytes, "bytes", _share(self.ram_bytes, self.ram_room)),
+            Row("flash", self.flash_bytes, "bytes", _percent_of(self.flash_bytes, self.flash_room)),
+            Row("memory", self.ram_bytes, "bytes", _percent_of(self.ram_bytes, self.ram_room)),
             Row("compiler", self.compiler),
             *self._set_point_rows(),
             *(Row(f"law, {name}", text) for name, text in self.ticks.items()),
@@ -158,7 +158,7 @@ class BuildResult:
         return [Row("set-point step", f"{self.set_point_step_a:.3g}", "A", note)]
 
 
-def _share(taken: int, room: int) -> str:
+def _percent_of(taken: int, room: int) -> str:
     return f"{100 * taken / room:.3g} % of {room // 1024} KiB"
 
 
@@ -182,7 +182,7 @@ def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | 
     return tuple(found)
 
 
-def build(request: BuildRequest, on_progress: Progress = lambda _what, _share: None) -> BuildResult:
+def build(request: BuildRequest, on_progress: Progress = lambda _what, _percent_of: None) -> BuildResult:
     """Build a firmware image and write its files.
 
     Parameters

@@ -163,7 +163,7 @@ class Simulator:
         block = self._blocks.get((address, size))
         if block is None:
             words = np.frombuffer(bytes(uc.mem_read(address, size)), "<u2").tolist()
-            block = self._blocks[address, size] = _block(address, words, self.image.core.name == "M0+")
+            block = self._blocks[address, size] = _count_block(address, words, self.image.core.name == "M0+")
         last, self._last = self._last, block
         cycles = block.cycles + (last.jump if address != last.end else 0)
         self.instructions += block.instructions
@@ -199,7 +199,7 @@ class Simulator:
 # words 1 + n, a taken branch 2, a call 3, a return from the stack 3 + n, everything else 1, also a product (the RP2040
 # has the fast multiplier). M4F and M7: a load or store 2, a taken branch 3, a division of integers 8, of floats and a
 # root 14, everything else 1; the M7 often issues two instructions per cycle, so its number is an upper bound.
-def _block(address: int, words: list[int], small: bool) -> BasicBlock:
+def _count_block(address: int, words: list[int], small: bool) -> BasicBlock:
     """Return instructions and cycles of the basic block at `address`, from its 16-bit `words`.
 
     `small` is True for the core M0+, which has a shorter pipeline.

@@ -95,7 +95,7 @@ def flash(
         with open_device(url) as device:
             device.enter_bootloader()
         _wait_for_drive(drive, on_progress)
-    target = _only(find_drives()) if drive is None else drive_at(drive)
+    target = _choose_drive(find_drives()) if drive is None else drive_at(drive)
     _check_family(image, content, target)
     _check_board(image, record, target)
     _copy(content, target, image.name, on_progress)
@@ -128,7 +128,7 @@ def find_drives() -> list[BootDrive]:
     """Return the boot drives of all boards that are mounted now."""
     found = []
     for path in _mount_points():
-        drive = _drive(path)
+        drive = _read_drive(path)
         if drive is not None:
             found.append(drive)
     return found
@@ -136,7 +136,7 @@ def find_drives() -> list[BootDrive]:
 
 def drive_at(path: Path) -> BootDrive:
     """Return the boot drive at a path; raise `DeviceNotFoundError` if the path is not the drive of a boot ROM."""
-    drive = _drive(path)
+    drive = _read_drive(path)
     if drive is None:
         raise DeviceNotFoundError(
             f"{path} is not the drive of a boot ROM: {INFO_FILE} is missing", remedy=HOLD
@@ -154,7 +154,7 @@ def _mount_points() -> list[Path]:
         return sorted({path for parent in parents for path in root.glob(f"{parent.lstrip('/')}/*")})
 
 
-def _drive(path: Path) -> BootDrive | None:
+def _read_drive(path: Path) -> BootDrive | None:
     try:
         text = read_regular(path / INFO_FILE).decode(errors="replace")
     except OSError:
@@ -165,7 +165,7 @@ def _drive(path: Path) -> BootDrive | None:
     )
 
 
-def _only(drives: list[BootDrive]) -> BootDrive:
+def _choose_drive(drives: list[BootDrive]) -> BootDrive:
     if len(drives) == 1:
         return drives[0]
     if drives:
@@ -259,7 +259,7 @@ def _is_there(drive: BootDrive) -> bool:
 def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
     """Wait until the system has mounted the drive (None: any boot drive), at most `APPEAR_S` (s); raise nothing."""
     deadline = time.monotonic() + APPEAR_S
-    while not (find_drives() if drive is None else _drive(drive)) and time.monotonic() < deadline:
+    while not (find_drives() if drive is None else _read_drive(drive)) and time.monotonic() < deadline:
         on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)
         time.sleep(_LOOK_S)
 

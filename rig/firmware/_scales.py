@@ -36,7 +36,7 @@ def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
     return settings.get("output", "pwm") == "pwm"
 
 
-def _share_of_a_step(settings: Mapping[str, SettingValue]) -> float | None:
+def _step_of_full_scale(settings: Mapping[str, SettingValue]) -> float | None:
     """Return one step of the board's current output as a share of full scale; None if the settings do not give it."""
     if not settings.keys() >= SCALES:
         return None
@@ -56,7 +56,7 @@ def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> f
 
     Return None for a board without such an output. If the clock is not given in MHz, only the amplifier's step counts.
     """
-    if (sent := _share_of_a_step(settings)) is None:
+    if (sent := _step_of_full_scale(settings)) is None:
         return None
     smallest_step = amplifiers.load(model.amplifier.profile).steps
     seen = 2.0 / smallest_step if smallest_step else 0.0

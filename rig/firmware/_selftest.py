@@ -319,7 +319,7 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
     counts = [first]
     while max(counts) - min(counts) < MOVE_COUNTS and len(counts) < MOVE_LOOKS:
         counts += [state.count for state in device.states(MOVE_LOOK_S)] or [counts[-1]]
-    counts += _until_rest(device, counts[-1])
+    counts += _counts_until_rest(device, counts[-1])
     least, most = min(counts), max(counts)
     if _is_faulty(device):
         report = device.fault_report()
@@ -331,10 +331,10 @@ def _encoder(device: FramedDevice, request: SelfTestRequest) -> Check:
         )
     if most - least == 1:
         return refused("the count only toggles by one", "check both encoder wires: one channel is missing")
-    return ok(_way(first, counts[-1], most - least, request.model))
+    return ok(_describe_motion(first, counts[-1], most - least, request.model))
 
 
-def _until_rest(device: FramedDevice, last: int) -> list[int]:
+def _counts_until_rest(device: FramedDevice, last: int) -> list[int]:
     """Read STATE frames until the handle is at rest; return their encoder counts, after the count `last`."""
     counts = [last]
     while len(counts) < MOVE_LOOKS:
@@ -345,7 +345,7 @@ def _until_rest(device: FramedDevice, last: int) -> list[int]:
     return counts
 
 
-def _way(first: int, last: int, span: int, model: RigModel | None) -> str:
+def _describe_motion(first: int, last: int, span: int, model: RigModel | None) -> str:
     """Return a sentence on the handle's motion, in counts, and in rad or m if the rig is known.
 
     `first` and `last` are encoder counts, `span` is the largest minus the smallest count.

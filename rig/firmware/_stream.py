@@ -21,7 +21,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
     """
     batches = [message for message in received if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in received if isinstance(message, m.State)}
-    rows, gaps = _rows(batches)
+    rows, gaps = _collect_samples(batches)
     remedy = "flash the device again; keep motor power off"
     faults = [dictionary.explain_fault(code) for code in {state.fault for state in states.values()} if code]
     if faults:
@@ -44,7 +44,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
     return ok(f"{text}; no current; {timed}")
 
 
-def _rows(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
+def _collect_samples(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
     """Return (encoder count, current in quanta) by sample index, and the number of gaps between successive BATCHes."""
     rows: dict[int, tuple[int, int]] = {}
     gaps = 0

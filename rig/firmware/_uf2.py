@@ -87,7 +87,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
         raise _damage_error(
             name, f"{len(content)} bytes are not a multiple of {BLOCK_BYTES}, the size of a block"
         )
-    blocks = [_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
+    blocks = [_read_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
     numbers = [number for number, *_ in blocks]
     totals = {total for _, total, *_ in blocks}
     if numbers != list(range(len(blocks))) or totals != {len(blocks)}:
@@ -101,7 +101,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
     return Uf2(_join(piece for *_, piece in blocks if piece is not None), families.pop())
 
 
-def _block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
+def _read_block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
     """Return number, total number of blocks, family and data of a UF2 block; data is None for a block not for flash."""
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)

@@ -106,7 +106,7 @@ def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None
 
 
 def named_budget(name: str) -> TickBudget:
-    """Return the processor and clock of the board with a name.
+    """Return the processor and clock of the board `name`.
 
     Raise `ConfigError` if the board is unknown or the cycles of its processor were never counted.
     """

@@ -106,7 +106,7 @@ def excite(
 
 
 class ExcitedPlant:
-    """A simulated rig for many impedance measurements, as `rig.devices.simulated.ExcitedSimulation` requires it."""
+    """A simulated rig that makes many impedance measurements, each from rest (`rig.devices.simulated`)."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)

@@ -99,7 +99,7 @@ def hit(
 
 
 class RigOfHits:
-    """A simulated rig for many hits on a wall, as `rig.devices.simulated` requires it."""
+    """A simulated rig that makes many hits on a wall, each from rest (`rig.devices.simulated`)."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
         self._model = model

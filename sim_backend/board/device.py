@@ -337,10 +337,10 @@ class SimulatedDevice:
         return {
             m.Identify: lambda request, _: self._configuration.identity(request, self.connection.state),
             m.GetParameters: lambda request, _: self._configuration.parameters(request),
-            m.GetTime: lambda request, _: self._stamps(request),
+            m.GetTime: lambda request, _: self._time_reply(request),
             m.GetFaultLog: lambda request, _: self._faults.page(request),
-            m.GetStatistics: lambda request, _: self._statistics(request),
-            m.GetReference: lambda request, _: self._reference(request),
+            m.GetStatistics: lambda request, _: self._statistics_reply(request),
+            m.GetReference: lambda request, _: self._reference_reply(request),
             m.SetBegin: lambda request, event: self._ack(event, self._configuration.begin(request)),
             m.SetChunk: lambda request, event: self._ack(
                 event, self._configuration.chunk(request), request.offset
@@ -356,16 +356,16 @@ class SimulatedDevice:
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 
-    def _stamps(self, request: m.GetTime) -> m.Time:
+    def _time_reply(self, request: m.GetTime) -> m.Time:
         received = self._received_at
         return m.Time(request.nonce, request.host_sent, received, max(received, self.time))
 
-    def _statistics(self, request: m.GetStatistics) -> m.Statistics:
+    def _statistics_reply(self, request: m.GetStatistics) -> m.Statistics:
         counted = self.connection.statistics
         values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:-1]}
         return m.Statistics(request.nonce, **values, stopped_at=0)
 
-    def _reference(self, request: m.GetReference) -> m.Reference:
+    def _reference_reply(self, request: m.GetReference) -> m.Reference:
         words, configuration = self.board.words, self._configuration
         zero = int(configuration.values["reference"]) + 1 if configuration.homed else 0
         count = int(configuration.values["reference_count"])
@@ -415,7 +415,7 @@ class SimulatedDevice:
     def _apply(self, values: Mapping[str, Value]) -> None:
         """Use new parameters from the next tick on, or raise `ParameterError` and keep the old ones.
 
-        An armed device keeps all: only parameters of a law on the device may change then, and this device has no law.
+        Change nothing while armed: only parameters of a law on the device may change then, and this device has no law.
         """
         if self._armed:
             return

@@ -93,7 +93,7 @@ class Core:
         return status
 
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
-        """Return the firmware's functions for `lockstep.run_ticks`; `words` is the memory that both use."""
+        """Return the firmware's functions for `lockstep.run_ticks`; they exchange data with the rig in `words`."""
         prepare(run_ticks)
         library = self.library
         return Lockstep(
@@ -230,7 +230,7 @@ class FirmwareDevice:
 
     @property
     def status(self) -> HostStatus:
-        """Return state and counters of the firmware, also those that the protocol does not report."""
+        """Return state and counters of the firmware, also values that the protocol does not report."""
         return self._seen
 
     # ------------------------------------------------------------------ the tick
@@ -273,7 +273,7 @@ class FirmwareDevice:
         return self._lockstep, world
 
     def passed(self, world: World) -> None:
-        """Update this object after compiled ticks have changed the arguments that `compiled` returned."""
+        """Update this object after compiled ticks have changed `world`, the arguments that `compiled` returned."""
         self.hardware.passed(self._lockstep, world, self._truth)
         self.time, self.inputs = self._words.item(TIME), self._words.item(INPUTS)
         self._seen = self.core.status
@@ -284,7 +284,7 @@ class FirmwareDevice:
         self._words[RATE_CHANGED] = self._words[SWITCHED_ON] = 0
 
     def tick(self) -> bytes:
-        """Simulate one period in single steps; return the bytes that the device sends, the same as `run` would."""
+        """Simulate one period in single steps; return the bytes that the device sends, as `run` would return them."""
         library, address = self.core.library, self.core.address
         # A port's `device_tick` takes the sample and drives the current that follows from it at once. Here the halves
         # stand apart and the plant moves in between, so a current acts from its sample on.

@@ -244,7 +244,7 @@ class Hardware:
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
-        """Copy back the state that compiled ticks changed in `world`, the tuple that `self.world` returned."""
+        """Copy back the state that compiled ticks changed in `world`, the arguments that `self.world` returned."""
         places, words = world[-1].places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)

@@ -382,7 +382,7 @@ class FaultMemory:
     Parameters
     ----------
     rules
-        `Safety.rules`, which contains the latched fault because ticks read it.
+        Integers of all limits and monitors (`Safety.rules`); they contain the latched fault, which each tick reads.
     """
 
     def __init__(self, rules: Ints) -> None:

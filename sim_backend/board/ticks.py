@@ -74,16 +74,16 @@ _SHOWN = tuple(  # `Sync` bits → `Input` bits
 
 # Memory views: Python reads and writes their numbers twice as fast as those of an array.
 class DeviceMemory(NamedTuple):
-    """Memory of a simulated device.
+    """Memory of a simulated device: flat arrays that its tick functions read and write.
 
     Attributes
     ----------
     words
-        Integers whose indices `lockstep` names, followed by those that `OWN` names.
+        Sample, times, switches and settings (integers); `lockstep` names the first indices, `OWN` the rest.
     rules, heat, counts, currents
-        Same arrays as in `sim_backend.board.safety.Safety`.
+        Memory of limits and monitors: integers, thermal model, counts in the speed window, comparison of currents.
     ring
-        Ring buffer of `sim_backend.board.safety.FaultMemory`.
+        Last ticks before a fault, a ring buffer of integers.
     state
         Fields of the next STATE, at the indices of `rig.realtime.codec.STATE`.
     """

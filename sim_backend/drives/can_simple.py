@@ -46,7 +46,7 @@ class CanSimpleCommand(IntEnum):
 
 
 class AxisState(IntEnum):
-    """State of an ODrive's axis, those that are simulated; numbers of ODriveArduino, src/ODriveEnums.h."""
+    """State of an ODrive's axis (only the simulated states); numbers of ODriveArduino, src/ODriveEnums.h."""
 
     UNDEFINED = 0
     IDLE = 1

@@ -63,14 +63,14 @@ class DriveScript:
     @classmethod
     def of(cls, texts: Iterable[str]) -> DriveScript:
         """Return the script with one fault for each of `texts`; raise `ConfigError` for an invalid text."""
-        found = [_read(text) for text in texts]
+        found = [_parse_fault(text) for text in texts]
         return cls(
             frames=tuple(one for one in found if isinstance(one, FrameFault)),
             events=tuple(one for one in found if isinstance(one, DriveEvent)),
         )
 
 
-def _read(text: str) -> FrameFault | DriveEvent:
+def _parse_fault(text: str) -> FrameFault | DriveEvent:
     word, *rest = text.split()
     given = dict(part.partition("=")[::2] for part in rest)
     to = given.pop("to", "host")

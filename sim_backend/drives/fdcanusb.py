@@ -15,9 +15,10 @@ LONGEST_LINE = 254  # fw/uart_fdcanusb_micro_server.h; what is longer is thrown 
 DATA_BYTES = 64  # of a CAN FD frame
 _POLYNOMIAL = 0x97  # docs/integration/uart.md
 _SEND = b"can send "
+# The texts of `_InvalidLineError` are those of the makers' firmware, word for word.
 
 
-def _table() -> bytes:
+def _crc_table() -> bytes:
     table = bytearray()
     for byte in range(256):
         for _ in range(8):
@@ -26,7 +27,7 @@ def _table() -> bytes:
     return bytes(table)
 
 
-_CRC = _table()
+_CRC = _crc_table()
 
 
 def checksum(text: bytes) -> int:
@@ -42,8 +43,8 @@ def seal(text: bytes) -> bytes:
     return b"%b *%02X" % (text, checksum(text + b" "))
 
 
-class _RefusedError(Exception):
-    """The line from the host is invalid; the reply is ERR with the text of this exception."""
+class _InvalidLineError(Exception):
+    """The line from the host is invalid; the adapter replies ERR with the text of this exception."""
 
 
 class LineSplitter:
@@ -81,27 +82,27 @@ class Uart:
         """Return the CAN frame in a line from the host (None without one), and the port's own replies to it."""
         try:
             frame = self._frame(unit.rstrip())
-        except _RefusedError as refused:
+        except _InvalidLineError as refused:
             return None, self._format_answer(b"ERR " + refused.args[0])
         return frame, self._format_answer(b"OK") if frame is not None else []
 
     def _frame(self, line: bytes) -> Frame | None:
         line = self._remove_checksum(line)
         if not line.startswith(_SEND):
-            raise _RefusedError(b"unknown command")
+            raise _InvalidLineError(b"unknown command")
         word, space, rest = line.removeprefix(_SEND).partition(b" ")
         try:
             identifier = int(word, 16)
         except ValueError:
-            raise _RefusedError(b"invalid hex in id") from None
+            raise _InvalidLineError(b"invalid hex in id") from None
         if not space:
-            raise _RefusedError(b"missing data")
+            raise _InvalidLineError(b"missing data")
         # In silence: on a shared bus a frame with another prefix belongs to another drive.
         if identifier >> 16 & 0x1FFF != self._prefix:
             return None
-        data = _hex(rest.partition(b" ")[0])
+        data = _parse_hex(rest.partition(b" ")[0])
         if data is None:
-            raise _RefusedError(b"malformed data")
+            raise _InvalidLineError(b"malformed data")
         return Frame(identifier & 0xFFFF, data[:DATA_BYTES])
 
     def close(self, frame: Frame) -> list[bytes]:
@@ -110,14 +111,14 @@ class Uart:
         return self._format_answer(b"rcv %08x %b" % (identifier, frame.data.hex().encode()))
 
     def _remove_checksum(self, line: bytes) -> bytes:
-        """Return a line without its checksum; raise `_RefusedError` if that is wrong, or missing after a first one."""
+        """Return a line without its checksum; raise `_InvalidLineError` if that is wrong, or missing after a first."""
         text, star, digits = line.rpartition(b"*")
-        claimed = _hex(digits) if star and len(digits) == 2 else None
+        claimed = _parse_hex(digits) if star and len(digits) == 2 else None
         # A checksum is optional until one has come; from then on each command needs one and each answer has one.
         if claimed is None and not self._checked:
             return line
         if claimed is None or checksum(text) != claimed[0]:
-            raise _RefusedError(b"checksum")
+            raise _InvalidLineError(b"checksum")
         self._checked = True
         return text.rstrip(b" ")
 
@@ -137,28 +138,28 @@ class Fdcanusb:
         line = unit.rstrip()
         try:
             frame = None if line in {b"can on", b"can off"} else self._frame(line)
-        except _RefusedError as refused:
+        except _InvalidLineError as refused:
             return None, [b"ERR %b\r\n" % refused.args[0]]
         return frame, [b"OK\r\n"]
 
     @staticmethod
     def _frame(line: bytes) -> Frame:
         if not line.startswith(_SEND):
-            raise _RefusedError(b"unknown command")
+            raise _InvalidLineError(b"unknown command")
         word, *rest = line.removeprefix(_SEND).split()
         if not rest:
-            raise _RefusedError(b"insufficient options")
+            raise _InvalidLineError(b"insufficient options")
         if set(b"".join(rest[1:])) - set(b"BbFfRr"):
-            raise _RefusedError(b"unknown flag")
+            raise _InvalidLineError(b"unknown flag")
         try:
             identifier = int(word, 16)
         except ValueError:
             identifier = -1
         if not 0 <= identifier < 1 << 29:
-            raise _RefusedError(b"bad id")
-        data = _hex(rest[0])
+            raise _InvalidLineError(b"bad id")
+        data = _parse_hex(rest[0])
         if data is None or len(data) > DATA_BYTES:
-            raise _RefusedError(b"invalid data")
+            raise _InvalidLineError(b"invalid data")
         return Frame(identifier & 0xFFFF, pad(data, NOP))
 
     def close(self, frame: Frame) -> list[bytes]:
@@ -172,7 +173,7 @@ class Fdcanusb:
         ]
 
 
-def _hex(text: bytes) -> bytes | None:
+def _parse_hex(text: bytes) -> bytes | None:
     try:
         return bytes.fromhex(text.decode("ascii"))
     except ValueError:

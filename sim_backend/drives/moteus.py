@@ -271,9 +271,9 @@ class SimulatedMoteus:
         return reply(part.first, part.kind, values)
 
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
-        """Return the value of a register, scaled for a frame as the type `kind`; None if it cannot be read so.
+        """Return the value of a register, scaled for a frame as the type `kind`.
 
-        `words` is the memory of the drive's law.
+        Return None if the register cannot be read, or not as this type. `words` is the memory of the drive's law.
         """
         if register in self._numbers:
             return self._numbers[register] if kind == INT32 else None

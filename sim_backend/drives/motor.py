@@ -44,7 +44,7 @@ class Shaft(NamedTuple):
     words
         Memory of the law.
     places
-        Count, row of the hand's script, ticks left for that row, and slip, at the indices `COUNT` to `SLIP`.
+        Encoder count, row of the hand's script, ticks left for that row, and slip, at the indices `COUNT` to `SLIP`.
     effort_per_torque
         Effort at the link (N·m) for 1 N·m at the shaft.
     row_ticks
@@ -60,7 +60,7 @@ class Shaft(NamedTuple):
 
 @group
 class Moving(NamedTuple):
-    """A simulated rig with a drive: the plant, the script of its hand, and the drive at its shaft."""
+    """A simulated rig with a drive: the plant, the scripted motion of its hand, and the drive at its shaft."""
 
     plant: Annotated[PlantArguments, type_of(PlantArguments)]
     script: Annotated[OperatorScript, type_of(OperatorScript)]

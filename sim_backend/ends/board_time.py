@@ -210,7 +210,7 @@ class TickedDevice(Protocol):
         ...
 
     def passed(self, world: World) -> None:
-        """Update this object after compiled ticks have changed the arguments that `compiled` returned."""
+        """Update this object after compiled ticks have changed `world`, the arguments that `compiled` returned."""
         ...
 
 

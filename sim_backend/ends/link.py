@@ -30,7 +30,7 @@ from sim_backend.ends.channel import ScriptedLine
 from sim_backend.ends.far_end import ARRIVED, CLOSED, DISCARDED, OUTPUT_BYTES, PROGRESS, TICKS, CompiledPort
 
 
-def _times(text: str) -> tuple[float, ...]:
+def _parse_times(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(","))
 
 
@@ -43,7 +43,7 @@ OPTIONS: dict[str, Callable[[str], Any]] = {
     "incremental": int,
     "clock_ppm": float,
     "firmware": int,
-    "sync": _times,
+    "sync": _parse_times,
 }
 CLOCK_PPM_MAXIMUM = 1000.0
 SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
@@ -154,7 +154,9 @@ def _parse(url: DeviceUrl) -> dict[str, Any]:
         try:
             options[name] = kind(text)
         except ValueError:
-            what = {int: "a whole number", _times: "numbers with commas between them"}.get(kind, "a number")
+            what = {int: "a whole number", _parse_times: "numbers with commas between them"}.get(
+                kind, "a number"
+            )
             raise ConfigError(
                 f"{url.text}: the option {name} = {text!r} is not {what}", remedy=f"give {what}"
             ) from None
@@ -187,7 +189,7 @@ def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
     return replace(model, encoder=replace(model.encoder, offset=offset))
 
 
-def _pulses(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
+def _sync_edges(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
     """Return time (ns, on the scale of `elapsed_ns`) and level of each edge of the sync input.
 
     `starts_s` are the starts of the pulses (s after power-up), `origin_ns` is the time of power-up.
@@ -247,7 +249,7 @@ class MemoryLink:
         self.line = None if faults is None else ScriptedLine(faults.frames)
         self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._start_ns = device.elapsed_ns
-        self._levels = _pulses(sync_s, self._start_ns)
+        self._levels = _sync_edges(sync_s, self._start_ns)
         self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
         self._progress = np.zeros(PROGRESS, np.int64)
         self._arrived = np.zeros(BUFFER_BYTES + OUTPUT_BYTES, np.uint8)
@@ -315,7 +317,7 @@ class MemoryLink:
         """Return the bytes that have arrived from the device; wait at most `timeout_s` (virtual) for the first."""
         self._take_back()
         self._wait(self.clock.now_ns() + round(max(0.0, timeout_s) * 1e9))
-        return self._taken(BUFFER_BYTES)
+        return self._take_arrived(BUFFER_BYTES)
 
     def write(self, data: bytes) -> None:
         """Send all of `data` to the device; without scripted faults the bytes arrive at once."""
@@ -453,7 +455,7 @@ class MemoryLink:
         self._progress[ARRIVED] += len(kept)
         self._progress[DISCARDED] += len(data) - len(kept)
 
-    def _taken(self, most: int) -> bytes:
+    def _take_arrived(self, most: int) -> bytes:
         """Remove and return at most `most` of the bytes that have arrived."""
         waiting = self._progress.item(ARRIVED)
         size = min(most, waiting)
@@ -483,4 +485,4 @@ class MemoryLink:
 
     def _read_now(self, most: int) -> bytes:
         self._check_open()
-        return self._taken(most)
+        return self._take_arrived(most)

@@ -111,7 +111,11 @@ def serve(
             if isinstance(device, FirmwareDevice)
             else RealTime(device, port, stop)
         )
-        with _drive_hand(device, model, hand), _link(link_path, port.place), stopped_by_signals(stop):
+        with (
+            _drive_hand(device, model, hand),
+            _symbolic_link(link_path, port.place),
+            stopped_by_signals(stop),
+        ):
             announce(str(link_path) if link_path is not None else port.place)
             body.run(duration_s)
 
@@ -134,7 +138,7 @@ def _drive_hand(
 
 
 @contextlib.contextmanager
-def _link(link_path: str | Path | None, target: str) -> Iterator[None]:
+def _symbolic_link(link_path: str | Path | None, target: str) -> Iterator[None]:
     """Return a context in which `link_path` is a symbolic link to the port `target`; without a path, do nothing."""
     if link_path is None:
         yield

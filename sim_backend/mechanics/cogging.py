@@ -86,9 +86,8 @@ def _carry(
 ) -> float:
     """Return the part of the next value of state number `row` that follows from the present states.
 
-    The positions `x`, `y`, `h`, `goal` (motor, link, hand, target) are distances from the mass to which the row
-    belongs;
-    `v`, `w` and `g` are the velocities of motor, link and hand.
+    `x`, `y`, `h`, `goal` (motor, link, hand, target) are distances from the mass of this row; `v`, `w` and `g` are the
+    velocities of motor, link and hand.
     """
     hand = phi[row, 5] * h + phi[row, 6] * g + phi[row, 7] * goal
     return float(
@@ -100,7 +99,7 @@ def _carry(
 def _push(
     phi: Matrix, gamma: Matrix, row: int, command: float, external: float, velocity: float, press: float
 ) -> float:
-    """Return what the inputs, which are constant during a tick, add to state number `row` in one inner step.
+    """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
 
     Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
     """
@@ -110,7 +109,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
-    """Return what an effort on the motor and one on the link (N·m or N) add to state number `row` in one inner step."""
+    """Return the contribution of efforts on motor and link (N·m or N) to state number `row` in one inner step."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
 

@@ -56,7 +56,7 @@ def _push(
     wanted_velocity: float,
     press: float,
 ) -> float:
-    """Return what the inputs, which are constant during a tick, add to state number `row` in one inner step.
+    """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
 
     Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
     """
@@ -67,7 +67,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
-    """Return what velocities (motor v, link w, hand g) and motor effort add to state number `row` in one inner step."""
+    """Return the contribution of velocities (motor v, link w, hand g) and motor effort to the next state `row`."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 

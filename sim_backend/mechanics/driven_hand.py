@@ -89,7 +89,7 @@ class DrivenHand:
             self._leads = True
             # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
             # handle from its start.
-            return OperatorScript(rows=self._along())
+            return OperatorScript(rows=self._follow_homing())
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
@@ -103,7 +103,7 @@ class DrivenHand:
         self._at, self._rate = float(at[-1]), float(rate[-1])
         self._press, self._press_rate = float(pressed[-1]), float(press_rate[-1])
         # Tremor grows with the effort, as in the script (Sutton and Sykes 1967).
-        share = self._share()
+        share = self._tremor_scale()
         swell = 1.0 + self._operator.press_modulation * np.sin(
             2.0 * math.pi * PRESS_HZ * self._tick_s * places
         )
@@ -113,7 +113,7 @@ class DrivenHand:
         rows[:, 2] = self._side * self._radius * pressed * swell
         return OperatorScript(rows=rows)
 
-    def _along(self) -> Rows:
+    def _follow_homing(self) -> Rows:
         """Return rows of a script that follows the handle while the rig homes, then rests until the trial begins."""
         reach = self._reach
         along_s = abs(reach.start - self._from) / reach.pace
@@ -150,7 +150,7 @@ class DrivenHand:
         self._goal = min(max(self._newest_wish.position, min(ends)), max(ends))
         return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
-    def _share(self) -> float:
+    def _tremor_scale(self) -> float:
         """Return the hand's force divided by that of the scripted hand, at most 1; it scales the tremor."""
         operator = self._operator
         wall = self._reach.target - self._side * operator.depth / self._radius

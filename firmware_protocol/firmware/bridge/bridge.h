@@ -119,15 +119,17 @@ struct bridge {
 size_t bridge_bytes(void);
 size_t bridge_facts_bytes(void);
 
-/* `bridge` is memory of zeroes; dictionary and facts must live as long. Ranges rise by parameter. */
+/* Set up `bridge`, which must be zero. Dictionary and facts must exist as long as `bridge`; ranges are in ascending
+ * order of the parameters. */
 void bridge_setup(struct bridge *bridge, const struct bridge_setup *setup, struct bridge_facts *facts);
 void bridge_narrow(struct bridge *bridge, uint8_t parameter, uint32_t minimum, uint32_t maximum);
 void bridge_start(struct bridge *bridge, uint64_t now);
 
-/* Begin a period, at `due`: send the set-point and the next query to the drive. */
+/* Begin a period (call it at the device time bridge_due): send the set-point and the next query to the drive. */
 void bridge_tick(struct bridge *bridge, uint64_t now);
 
-/* Pass in bytes of the adapter or a frame of the socket; bytes of the host. What is to be sent is in `bus` and `output`. */
+/* Pass in bytes of the adapter (or a frame of the socket), or bytes of the host. Bytes to send are then in `bus` and
+ * `output`. */
 void bridge_receive_bus(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
 void bridge_receive_host(struct bridge *bridge, const uint8_t *bytes, size_t count, uint64_t now);
 

@@ -1,5 +1,6 @@
-/* What a bridge needs of a drive, one file for each kind: the frames of an order, the samples in its replies, and the
- * meaning of its state. The rules (when a set-point may be sent, what a lost sample costs) are the bridge's, and shared. */
+/* Interface between the bridge and the kinds of drive (one file for each kind): frames of an order, samples in the
+ * replies, meaning of the drive's state. The rules (when a set-point may be sent, what happens after a lost sample) are
+ * in the bridge, for all kinds. */
 #ifndef HR_DRIVE_H
 #define HR_DRIVE_H
 
@@ -102,22 +103,22 @@ struct drive {
 struct drive_kind {
     bool classic; /* CAN frames of eight bytes */
 
-    /* Write the frames that an order takes; returns how many, at most DRIVE_FRAMES. */
+    /* Write the frames of an order; returns their number, at most DRIVE_FRAMES. */
     size_t (*write_order)(struct drive *drive, const struct drive_order *order, struct can_frame_bytes *frames);
 
-    /* Take a frame of the bus. */
+    /* Process a frame from the bus. */
     enum drive_frame (*read_frame)(struct drive *drive, const struct can_frame_bytes *frame, uint64_t now);
 
-    /* Return true if it can render this wall itself; NULL: it can render none. */
+    /* Return true if the drive can render this wall itself; NULL: it can render no wall. */
     bool (*renders)(const struct drive *drive, const struct drive_wall *wall);
 
-    /* Return true if a set-point acts at once. */
+    /* Return true if a set-point sent now acts at once, because the drive is in closed loop. */
     bool (*is_on)(const struct drive *drive);
 
-    /* Return the fault that its last sample means, `since` samples after the last order; 0: no fault. */
+    /* Return the fault that the drive's last sample shows, `since` samples after the last order; 0: no fault. */
     uint8_t (*fault)(const struct drive *drive, enum drive_wish wish, uint32_t since);
 
-    /* Return true if its power may have been lost, and with it the turns that it counted. */
+    /* Return true if the drive may have lost its power, and with it the number of turns. */
     bool (*may_have_restarted)(const struct drive *drive);
 };
 

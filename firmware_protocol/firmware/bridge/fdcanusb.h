@@ -29,10 +29,10 @@ struct fdcanusb {
     uint32_t garbled; /* malformed lines, and lines with a wrong checksum */
 };
 
-/* Take a byte of the adapter's; true when it ends a frame of the bus. */
+/* Process a byte from the adapter; returns true if the byte ends a frame of the bus. */
 bool fdcanusb_take(struct fdcanusb *port, uint8_t byte, struct can_frame_bytes *frame);
 
-/* Write the line that sends a frame; returns its bytes, at most FDCANUSB_LINE_BYTES. */
+/* Write the line that sends a frame; returns its length (bytes), at most FDCANUSB_LINE_BYTES. */
 size_t fdcanusb_make(const struct fdcanusb *port, const struct can_frame_bytes *frame, uint8_t *into);
 
 #endif

@@ -1,4 +1,4 @@
-/* A bridge in real time: waits for its host, its bus and the next period, and moves bytes. Linux. */
+/* Run a bridge in real time on Linux: wait for its host, its bus and the next period, and move bytes. */
 #ifndef HR_BRIDGE_LOOP_H
 #define HR_BRIDGE_LOOP_H
 
@@ -10,11 +10,11 @@
 struct bridge_ends {
     int host; /* a pseudo-terminal's master, or a socket */
     int bus;
-    int wake; /* readable when it is to end */
+    int wake; /* becomes readable when the loop must end */
     bool host_stays; /* a host that hangs up may come again: a pseudo-terminal */
 };
 
-/* Run until `wake` is readable, or the host of a socket has disconnected. The drive is off at the return. */
+/* Run until `wake` is readable, or the host of a socket has disconnected. At the return the drive is off. */
 void bridge_run(struct bridge *bridge, const struct bridge_ends *ends);
 
 #endif

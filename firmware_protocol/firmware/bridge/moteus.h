@@ -50,11 +50,11 @@ struct moteus_command {
     struct moteus_wall wall; /* of MOTEUS_WALL */
 };
 
-/* A frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply` asks for one. */
+/* Write a frame for the drive `id`, on a bus whose ids have a prefix of 13 bits (0: none). `reply`: request a reply. */
 void moteus_make(struct can_frame_bytes *frame, uint32_t prefix, uint8_t id, uint8_t sender, bool reply,
                  const struct moteus_command *command);
 
-/* Read the registers that a command asks for; false when one is missing, or the frame is no reply. */
+/* Read the registers that a query requests; returns false if one is missing, or the frame is not a reply. */
 bool moteus_read(const struct can_frame_bytes *frame, uint8_t switches, struct drive_sample *reply);
 
 extern const struct drive_kind moteus_kind;

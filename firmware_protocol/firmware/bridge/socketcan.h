@@ -20,7 +20,8 @@ enum socketcan_kind {
 
 enum socketcan_kind socketcan_take(const uint8_t *bytes, size_t count, struct can_frame_bytes *frame);
 
-/* Write a frame, of CAN FD at the higher bit rate unless it is classic; returns its bytes, at most SOCKETCAN_BYTES. */
+/* Write a frame (CAN FD at the higher bit rate unless it is classic); returns its length (bytes), at most
+ * SOCKETCAN_BYTES. */
 size_t socketcan_make(const struct can_frame_bytes *frame, uint8_t *into);
 
 #endif

@@ -15,7 +15,7 @@ bool wall_of_law(const struct wall_scales *scales, const law_parameters *law, ui
            && law->slow_multiple == 1 && law->excitation.lines == 0;
 }
 
-/* Return the share of the wall: 1 in a trial, falling to 0 in the release. */
+/* Return the share of the wall's effort that acts: 1 in a trial, falling to 0 in the release. */
 static float share_of_phase(const law_state *state, const law_parameters *law)
 {
     if (state->phase == LAW_TRIAL)

@@ -13,12 +13,13 @@ struct wall_scales {
     double torque_per_quantum; /* N·m at the output; may be negative */
 };
 
-/* Convert the wall of a law at this rate, without a limit. False if no drive can render it: a wall that clamps its pull,
- * damps in one direction or has two rates. */
+/* Convert the wall of a law at this tick rate to the drive's units, without its limit. Returns false if no drive can
+ * render it: a wall that only pushes, that damps in one direction only, or that has two rates. */
 bool wall_of_law(const struct wall_scales *scales, const law_parameters *law, uint32_t rate, struct drive_wall *wall);
 
-/* Return the active part of the wall in the tick that device_drive has begun, reduced like the current of a law on the
- * device, and limited together with the set-point. False: no wall. `given` is the sum of both at the last sample (quanta). */
+/* Compute the active part of the wall in the tick that device_drive has begun, reduced like the current of a law on the
+ * device, and limited together with the set-point. Returns false without a wall. `given` is the sum of wall and
+ * set-point at the last sample (quanta). */
 bool wall_now(const struct wall_scales *scales, struct device *device, int16_t given, struct drive_wall *wall);
 
 #endif

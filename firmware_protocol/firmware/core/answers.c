@@ -16,7 +16,7 @@ static uint16_t nonce_of(const uint8_t *raw)
     return get_u16(raw + AT_NONCE);
 }
 
-/* At most `room` bytes of a reply from `offset`; none behind its end. Returns their number. */
+/* Copy at most `room` bytes of a long reply, from `offset` on. Returns the number of copied bytes, 0 beyond its end. */
 static size_t copy_page(uint8_t *into, const uint8_t *content, size_t total, size_t offset, size_t room)
 {
     if (offset >= total)

@@ -7,10 +7,10 @@
 
 #include "device.h"
 
-/* Execute a request and send the reply, or send the refusal. */
+/* Execute a request of the host and send the reply, or send the refusal that `verdict` contains. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict);
 
-/* Do the next step of a parameter change of an armed device, and acknowledge it after the last. */
+/* Do the next step of a parameter change while the device is armed; send the ACK after the last step. */
 void answer_more(struct device *device);
 
 #endif

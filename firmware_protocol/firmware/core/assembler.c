@@ -24,7 +24,7 @@ enum hr_status assembler_begin(struct assembler *assembler, uint16_t nonce, uint
     return HR_STATUS_OK;
 }
 
-/* Note the bytes from `first` to before `end` as there, eight of them at a time. */
+/* Mark the bytes from `first` to before `end` as received, eight bytes at a time. */
 static void mark(struct assembler *assembler, size_t first, size_t end)
 {
     static const uint8_t ones[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};

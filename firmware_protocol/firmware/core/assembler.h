@@ -1,4 +1,4 @@
-/* SET_PARAMETERS: pieces of a block, in any order and more than once. */
+/* SET_PARAMETERS: join the chunks of a parameter block, which may arrive in any order and more than once. */
 #ifndef HR_ASSEMBLER_H
 #define HR_ASSEMBLER_H
 
@@ -20,17 +20,18 @@ struct assembler {
 
 void assembler_reset(struct assembler *assembler);
 
-/* Make room for a block. The same BEGIN again changes nothing, another one starts afresh. */
+/* Begin a parameter block. A repeated BEGIN changes nothing, another BEGIN starts a new block. */
 enum hr_status assembler_begin(struct assembler *assembler, uint16_t nonce, uint16_t length, uint32_t crc);
 
-/* Store a piece at its offset. */
+/* Store a chunk of the parameter block at its offset (bytes). */
 enum hr_status assembler_chunk(struct assembler *assembler, uint16_t nonce, size_t offset, const uint8_t *data,
                                size_t count);
 
-/* Return OK if all `length` bytes of `block` are there and their CRC fits. Unless bytes are missing, the transfer ends. */
+/* Return OK if all `length` bytes of `block` have arrived with the right CRC. The transfer ends unless bytes are
+ * missing. */
 enum hr_status assembler_commit(struct assembler *assembler, uint16_t nonce);
 
-/* The same without the CRC, which the caller must check. */
+/* Do the same as assembler_commit without the CRC, which the caller must check. */
 enum hr_status assembler_close(struct assembler *assembler, uint16_t nonce);
 
 #endif

@@ -1,4 +1,4 @@
-/* The active parameters, and how a block becomes a set of them. */
+/* The active parameters, and the check of a parameter block before it becomes active. */
 #ifndef HR_CONFIGURATION_H
 #define HR_CONFIGURATION_H
 
@@ -23,7 +23,7 @@ struct refusal {
     uint16_t detail;       /* id of a parameter, or 0 */
 };
 
-/* A set under way: what a block would make of the active parameters. */
+/* A candidate: the parameters that would be active after a block, before they are checked and activated. */
 struct candidate {
     uint32_t values[HR_PARAMETERS];
     bool given[HR_PARAMETERS]; /* by the block */
@@ -32,28 +32,29 @@ struct candidate {
     size_t index;              /* of that parameter */
 };
 
-/* What the device starts with: the table's values, inside this board's ranges. */
+/* Set the parameters with which the device starts: the table's defaults, limited to this board's ranges. */
 void configuration_initial(const struct board *board, struct candidate *candidate);
 
-/* Read a block on top of the active parameters and check it, all of it. A block with other parameters than live ones
- * that does not repeat `verified` clears it. */
+/* Set the candidate to the active parameters with the values of a block, and check all of them. A block that contains a
+ * parameter that is not live clears `verified`, unless the block sets it. */
 struct refusal configuration_read(const struct configuration *configuration, const struct board *board,
                                   const uint8_t *block, size_t count, struct candidate *candidate);
 
-/* The same piece by piece: begin, take each entry, check all. An armed device takes live parameters alone. */
+/* Do the same as configuration_read in steps: begin, take each entry of the block, check all. An armed device accepts
+ * only live parameters. */
 void configuration_begin(const struct configuration *configuration, struct candidate *candidate);
 struct refusal configuration_take(struct candidate *candidate, const uint8_t *entry);
 struct refusal configuration_check(struct candidate *candidate, const struct board *board, bool armed);
 
-/* Write the entry of a parameter, by its index. */
+/* Write the entry (id, value) of a parameter block for the parameter with an index. */
 void configuration_entry(const uint32_t *values, size_t index, uint8_t *entry);
 
-/* Activate one parameter; the CRC is left to the caller. */
+/* Activate one parameter of the candidate; the caller must update the CRC. */
 void configuration_put(struct configuration *configuration, const struct candidate *candidate, size_t index);
 
 void configuration_activate(struct configuration *configuration, const struct candidate *candidate);
 
-/* A float as the parameters hold it. */
+/* Return the float whose bits a parameter contains. */
 float value_as_float(uint32_t bits);
 
 #endif

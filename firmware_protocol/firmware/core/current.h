@@ -37,14 +37,14 @@ struct current_check {
 
 void current_configure(struct current_check *check, const struct board *board, uint32_t rate);
 
-/* Begin a window: another session. */
+/* Begin a new window of the comparison, at the start of a session. */
 void current_forget(struct current_check *check);
 
-/* Return a measured current less the sensor's zero (quanta). While the amplifier is off, the zero follows the current. */
+/* Return the measured current minus the sensor's zero (quanta). While the amplifier is `off`, the zero is adapted. */
 int16_t current_subtract_zero(struct current_check *check, int16_t measured, bool off);
 
-/* Take one tick: the count at its end, the current that was set, the one that was measured at the end (quanta). True at
- * the end of a window in which the two disagree. */
+/* Compare set (`active`) and measured current (quanta) of one tick, at the end of which the encoder has `count`.
+ * Returns true at the end of a window in which the two currents disagree. */
 bool current_disagrees(struct current_check *check, int32_t count, int16_t active, int16_t measured);
 
 #endif

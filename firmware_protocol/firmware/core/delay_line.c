@@ -32,7 +32,7 @@ void delay_line_put(struct delay_line *line, int16_t active)
         *highest = active;
 }
 
-/* The slot that is so many behind the newest. */
+/* Return the index of the slot `back` slots before the newest. */
 static uint32_t slot_behind(const struct delay_line *line, uint32_t back)
 {
     return line->newest >= back ? line->newest - back : line->newest + DELAY_LINE_SLOTS - back;

@@ -1,4 +1,4 @@
-/* Active currents that may act now, if the delay of the set-point is known to a factor of two. */
+/* The range of currents that may act now, if the delay of the set-point is known only to a factor of two. */
 #ifndef HR_DELAY_LINE_H
 #define HR_DELAY_LINE_H
 
@@ -15,14 +15,14 @@ struct delay_line {
     int16_t lowest[DELAY_LINE_SLOTS], highest[DELAY_LINE_SLOTS]; /* of each slot (quanta) */
 };
 
-/* Set up for a delay in ticks, whole or not, and fill with no current. */
+/* Set the delay (ticks, not necessarily whole), and fill the line with currents of 0. */
 void delay_line_configure(struct delay_line *line, double ticks);
 
-/* Put in the active current of a tick. */
+/* Store the active current of a tick (quanta). */
 void delay_line_put(struct delay_line *line, int16_t active);
 
-/* Find the lowest and the highest current between half the delay and twice the delay, and return the one behind the delay
- * itself, the mean of its slot's extremes; all in units of CURRENT_UNIT a quantum. */
+/* Find the lowest and the highest current between half the delay and twice the delay. Returns the current one delay ago
+ * (mean of the extremes of its slot). All in 1/CURRENT_UNIT quantum. */
 int32_t delay_line_look(const struct delay_line *line, int32_t *lowest, int32_t *highest);
 
 #endif

@@ -40,7 +40,7 @@ struct remembered {
     struct ack ack; /* names request and nonce */
 };
 
-/* What device_sample leaves for device_report. */
+/* Data of a tick from device_sample to device_report. */
 struct tick_report {
     struct fault_entry entry;
     bool logged;     /* into the fault ring: no fault was latched before it */
@@ -100,30 +100,29 @@ struct device {
     uint32_t missed_lately, lately; /* ticks missed within a second, and the sample with which that began */
 };
 
-/* After power-up, with a struct of zeroes: in BOOT, at the board's initial rate. `hal` and `board` must live as
- * long. */
+/* Start the device after power-up, in the state BOOT, at the board's initial rate. `device` must be zero before; `hal`
+ * and `board` must exist as long as it. */
 void device_start(struct device *device, const struct hal *hal, const struct board *board);
 
-/* Start again as after a reset that left the memory alone: the motor's heat and the link counters stay. */
+/* Start again as after a reset, but keep the motor's heat and the link counters. */
 void device_restart(struct device *device);
 
 /* Run one tick of a board: sample, drive, report; feed the hardware watchdog while device_poll is called. Frames are
  * sent by device_poll. Missed ticks are counted from the device time; two in succession end an armed run. */
 void device_tick(struct device *device);
 
-/* The same for a port whose set-point and sample travel in one message, which leaves when a tick is due: it calls
- * device_drive then, and this when the sample has come. The set-point acts after the sample: `active` is the current
- * before it. `missed` is the number of periods without a sample since the last call; the time of the call does not show
- * it. */
+/* Run one tick like device_tick, for a port that sends its set-point and receives its sample in one exchange. The port
+ * calls device_drive when a tick is due, and this function when the sample has arrived. The set-point acts after the
+ * sample: `active` is the current before it. `missed` is the number of periods without a sample since the last call,
+ * because the time of the call does not show it. */
 void device_tick_driven(struct device *device, int16_t active, uint32_t missed);
 
-/* The parts of a tick, for a caller that lets time pass between them, as a simulation does: it drives, lets the world
- * move, samples and reports. */
+/* The parts of a tick, for a simulation, in which the plant moves in between: drive, move the plant, sample, report. */
 void device_sample(struct device *device); /* count, time, measured current; faults; the law that runs here */
 void device_drive(struct device *device);  /* the current until the next sample */
 void device_report(struct device *device);   /* BATCH, STATE, the ring of ticks before a fault */
 
-/* Return true if a frame waits to be sent. Send all that waits, at once. */
+/* Return true if a frame waits to be sent; send all waiting frames at once. */
 bool device_is_sending(const struct device *device);
 void device_flush(struct device *device);
 
@@ -148,29 +147,30 @@ bool device_runs_law(const struct device *device);
 /* Execute a COMMAND that connection_judge has accepted. */
 void device_command(struct device *device, const uint8_t *raw);
 
-/* Use other parameters from the next tick on. False, and nothing is changed, if the timer cannot keep the rate. */
+/* Use new parameters from the next tick on. Returns false, and changes nothing, if the timer cannot have the tick
+ * rate. */
 bool device_apply(struct device *device, const struct candidate *candidate);
 
-/* Take the law that the parameters choose; checks were made. NULL: the host's. */
+/* Use the law that the parameters choose and that was checked; NULL: the law runs on the host. */
 void device_take_law(struct device *device, const law_parameters *law, const struct candidate *candidate);
 
 /* Clear all data of the last session. */
 void device_begin_session(struct device *device);
 
-/* Zero current now, regardless of the slew limit. */
+/* Set the current to zero now, regardless of the slew limit. */
 void device_cut(struct device *device);
 
-/* Set zero current and switch the amplifier on, with the short timeout of the hardware watchdog. Or off. */
+/* Set the current to zero and switch the amplifier on (with the short timeout of the hardware watchdog), or off. */
 void device_switch_on(struct device *device);
 void device_switch_off(struct device *device);
 
-/* Stop the law on the device and send the samples that BATCH still holds. */
+/* Stop the law on the device and queue the samples that were not sent yet. */
 void device_end_supervision(struct device *device);
 
-/* Send a frame that connection_begin has begun. */
+/* Send a frame that was begun by connection_begin. */
 void device_send(struct device *device, struct packet *packet);
 
-/* Pack at most `most` bytes of waiting frames, or send one; false when nothing waits. */
+/* Pack at most `most` bytes of waiting frames, or send one frame; returns false if no frame waits. */
 bool device_send_some(struct device *device, size_t most);
 
 #endif

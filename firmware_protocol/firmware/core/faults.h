@@ -34,7 +34,7 @@ struct faults {
 
 void faults_reset(struct faults *faults);
 
-/* Store a tick in the ring. Its begin must be before the fault was latched. */
+/* Store a tick in the ring. The tick must have begun before a fault was latched. */
 void faults_remember(struct faults *faults, const struct fault_entry *entry);
 
 /* Latch faults, given as bits 1 << code, at least one. If none is latched yet, the gravest becomes the first. */
@@ -43,10 +43,10 @@ void faults_latch(struct faults *faults, uint32_t bits, uint64_t time);
 /* Clear the latched fault. */
 void faults_clear(struct faults *faults);
 
-/* The ring that a host may read: of the fault that is latched, else of the last one. */
+/* Return the ring that a host may read: of the latched fault, else of the last fault. */
 const struct fault_ring *faults_log(const struct faults *faults);
 
-/* Entry `number` of a ring, 0 for the oldest, as on the wire: HR_FAULT_ENTRY_BYTES. */
+/* Copy entry `number` of a ring (0: the oldest) as on the wire, HR_FAULT_ENTRY_BYTES long. */
 void fault_ring_read(const struct fault_ring *ring, uint16_t number, uint8_t *into);
 
 #endif

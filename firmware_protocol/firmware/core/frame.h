@@ -1,4 +1,4 @@
-/* Frames: COBS, one 0x00 behind each, CRC-32 inside. */
+/* Frames: byte stuffing (COBS), a 0x00 after each frame, CRC-32 inside. */
 #ifndef HR_FRAME_H
 #define HR_FRAME_H
 
@@ -18,7 +18,8 @@ struct packet {
     uint8_t bytes[HR_RAW_AT + HR_SHORT_RAW_LIMIT + 1u];
 };
 
-/* Append the CRC, stuff, delimit. Returns the number of bytes to send, from the beginning of `packet->bytes`. */
+/* Append the CRC, apply the byte stuffing, append the delimiter. Returns the number of bytes to send from
+ * `packet->bytes`. */
 size_t frame_finish(struct packet *packet);
 
 /* A frame that is packed piece by piece: CRC and stuffing of the bytes so far. Its bytes are in the owner's memory, at
@@ -33,7 +34,7 @@ struct builder {
 void builder_begin(struct builder *builder, uint8_t *bytes);
 void builder_append(struct builder *builder, const uint8_t *raw, size_t count);
 
-/* Append the CRC and delimit. Returns the number of bytes to send. */
+/* Append CRC and delimiter. Returns the number of bytes to send. */
 size_t builder_finish(struct builder *builder);
 
 /* The frame that is being received, decoded byte by byte, so that its last byte takes no longer than the others. */
@@ -47,15 +48,16 @@ struct splitter {
 
 void splitter_reset(struct splitter *splitter);
 
-/* Take a byte. Returns the length of the raw frame (without its CRC) that it completes, or 0; defects are counted. */
+/* Process a received byte. Returns the length of the raw frame (without CRC) that the byte completes, or 0. Counts
+ * defects. */
 size_t splitter_take(struct splitter *splitter, uint8_t byte, struct counters *counters);
 
-/* The raw frame that has just been completed; good until the next byte is taken. */
+/* Return the raw frame that was just completed; it is valid until the next call of splitter_take. */
 const uint8_t *splitter_raw(const struct splitter *splitter);
 
 uint32_t crc_of(const uint8_t *bytes, size_t count);
 
-/* The same in pieces: from UINT32_MAX on, and inverted at the end. */
+/* Continue a CRC with further bytes: begin with UINT32_MAX, and invert the result at the end. */
 uint32_t crc_more(uint32_t crc, const uint8_t *bytes, size_t count);
 
 #endif

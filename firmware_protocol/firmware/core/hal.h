@@ -14,20 +14,21 @@
 struct hal {
     void *context;
 
-    /* Device time now. */
+    /* Return the device time now (1/16 µs). */
     uint64_t (*time)(void *context);
 
-    /* The encoder: its count, device time of its last edge (0 before the first), and whether an illegal
+    /* The encoder: return the count; the device time of the last edge (0 before the first); true if an illegal
      * transition occurred since the last call. The edge is read after the count, so it may be newer. */
     int32_t (*encoder_count)(void *context);
     uint64_t (*edge_time)(void *context);
     bool (*encoder_failed)(void *context);
 
-    /* The encoder's index: how many of its pulses have begun since power-up, modulo 2³², and the count where the last of
-     * them did; NULL: no index. Called between two ticks. */
+    /* The encoder's index: return how many index pulses have begun since power-up, modulo 2³², and set `*count` to the
+     * count at the last one. NULL: no index. Called between two ticks. */
     uint32_t (*index_edges)(void *context, int32_t *count);
 
-    /* The amplifier: set-point and measurement (quanta), enable. Switched on, it starts from a set-point of zero. */
+    /* The amplifier: set the current, return the measured current (quanta), switch on or off. After switching on, the
+     * set-point is zero. */
     void (*set_current)(void *context, int16_t quanta);
     int16_t (*measured_current)(void *context);
     void (*enable)(void *context, bool on);
@@ -40,28 +41,30 @@ struct hal {
      * time to prepare begins at the first call, without effort, and stops when the calls stop. NULL: always ready. */
     bool (*amplifier_ready)(void *context);
 
-    /* Bits of enum hr_input. */
+    /* Return the levels of the inputs, as bits of enum hr_input. */
     uint8_t (*inputs)(void *context);
 
-    /* Tick at another rate (Hz) from the last tick on. False, and no change, if the timer cannot generate it. */
+    /* Change the tick rate (Hz), counted from the last tick. Returns false, and changes nothing, if the timer cannot
+     * generate it. */
     bool (*set_rate)(void *context, uint32_t rate);
 
-    /* Read the available bytes of the host, at most `capacity`. Write a whole frame to the host, or drop it and return
-     * false. The core ignores the result; a port may count the dropped frames. */
+    /* Read the available bytes from the host, at most `capacity`. Write a whole frame to the host, or drop it and
+     * return false; the core ignores the result, a port may count the dropped frames. */
     size_t (*link_read)(void *context, uint8_t *into, size_t capacity);
     bool (*link_write)(void *context, const uint8_t *frame, size_t count);
 
-    /* Feed the hardware watchdog, from the tick alone: it resets the board after this timeout (µs, 50 ms at most). */
+    /* Feed the hardware watchdog, which resets the board after this timeout (µs, at most 50 ms). Only the tick calls
+     * it. */
     void (*feed_watchdog)(void *context, uint32_t bite_us);
 
-    /* Reset into the boot loader, which loads another program; NULL: no boot loader. */
+    /* Reset the board into its boot loader, which loads another program; NULL: no boot loader. */
     void (*enter_bootloader)(void *context);
 
-    /* Pins, bits of enum hr_sync: an oscilloscope shows rate, jitter and load, and what happens when. Called when they
-     * change; low before. */
+    /* Set the sync outputs (bits of enum hr_sync), on which an oscilloscope shows tick rate, jitter, load and trial.
+     * Called when they change; before the first call all are low. */
     void (*sync)(void *context, uint8_t bits);
 
-    /* Device time of the last rising edge of the sync input; 0 before the first. */
+    /* Return the device time of the last rising edge of the sync input; 0 before the first. */
     uint64_t (*sync_time)(void *context);
 };
 

@@ -1,4 +1,4 @@
-/* From the parameters on the wire to those of the law. */
+/* Convert the parameters of the protocol to those of the law. */
 #ifndef HR_LAW_SETTINGS_H
 #define HR_LAW_SETTINGS_H
 
@@ -17,12 +17,12 @@ enum law_choice {
     LAW_ON_WHAT_IS_DRIVEN = 3, /* in float32; the drive behind the board renders the wall (hal.h) */
 };
 
-/* Read and check the law of the parameters (`law` is not LAW_OF_HOST). The detail of INCONSISTENT is the parameter that
- * was rejected. */
+/* Convert and check the law of the parameters, whose value of `law` is not LAW_OF_HOST. The detail of INCONSISTENT is
+ * the id of the rejected parameter. */
 struct refusal law_settings_read(const uint32_t *values, const struct board *board, const struct hal *hal,
                                  law_parameters *law);
 
-/* Read the live parameters of a wall into a checked law, and check the result. */
+/* Copy the live parameters of a wall into a checked law, and check the result. */
 struct refusal law_settings_read_wall(const uint32_t *values, const struct hal *hal, law_parameters *law);
 
 #endif

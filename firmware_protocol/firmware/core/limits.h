@@ -29,16 +29,16 @@ struct limits_settings {
 
 void limits_configure(struct limits *limits, const struct limits_settings *settings);
 
-/* A tick has passed, and ended with this count. */
+/* Count a tick that ended with this encoder count. */
 void limits_pass(struct limits *limits, int32_t count);
 
-/* Limit a wanted current, store it as the active one, and return it. */
+/* Limit the wanted current, store the result as the active current, and return it (quanta). */
 int16_t limits_apply(struct limits *limits, const struct thermal *thermal, int16_t wanted);
 
-/* Return the wanted current, faded if the position has not been confirmed. */
+/* Return the wanted current (quanta), faded if the encoder has shown no motion for longer than `confirm`. */
 int16_t limits_fade(struct limits *limits, int16_t wanted);
 
-/* Zero at once, regardless of the slew limit. */
+/* Set the current to zero at once, regardless of the slew limit. */
 void limits_cut(struct limits *limits);
 
 #endif

@@ -13,9 +13,9 @@
 #include "renderer.h"
 
 enum live_step {
-    LIVE_NOTHING, /* none is under way */
+    LIVE_NOTHING, /* no change is in progress */
     LIVE_SUM,     /* the block is checked */
-    LIVE_ENTRIES, /* and read */
+    LIVE_ENTRIES, /* the entries of the block are read */
     LIVE_CHECK,
     LIVE_LAW, /* as its parameters will be */
     LIVE_CRC,
@@ -36,7 +36,7 @@ struct live_change {
     struct candidate candidate;
 };
 
-/* The objects that a change works on, and the state of the device between two ticks. */
+/* The parts of the device that a change reads and writes, and the device's state between two ticks. */
 struct live_change_of {
     const struct board *board;
     const struct hal *hal;
@@ -49,10 +49,10 @@ struct live_change_of {
     bool armed;
 };
 
-/* Begin, on the request of a nonce, with the block that `assembler` has. */
+/* Begin a change with the parameter block in `assembler`, for the request with this nonce. */
 void live_change_begin(struct live_change *change, struct assembler *assembler, uint16_t nonce, uint8_t session);
 
-/* Do one step; true after the last, when the change must be acknowledged. */
+/* Do one step of the change; returns true after the last step, when the change must be acknowledged. */
 bool live_change_continue(struct live_change *change, const struct live_change_of *of);
 
 #endif

@@ -35,17 +35,17 @@ struct monitor_settings {
     bool hold_to_run;
 };
 
-/* Begin to watch at `count`. */
+/* Set the monitor's limits, and begin the speed check at `count`. */
 void monitor_configure(struct monitor *monitor, const struct board *board, const struct monitor_settings *settings,
                        int32_t count);
 
-/* Restart the runaway check: another session. */
+/* Restart the runaway check, at the start of a session. */
 void monitor_forget(struct monitor *monitor);
 
 bool monitor_in_window(const struct monitor *monitor, int32_t count);
 
-/* Judge one tick: the count at its end, whether it is still one of two neighbours, active current and measured. Returns
- * the faults as bits 1 << code. */
+/* Check one tick: count at its end, true if it stayed on two neighbouring counts, active and measured current (quanta).
+ * Returns the detected faults as bits 1 << code. */
 uint32_t monitor_check(struct monitor *monitor, int32_t count, bool stood, int16_t current, int16_t measured);
 
 #endif

@@ -32,7 +32,7 @@ static inline void board_set_up(struct board *board, const struct board_setup *s
     board->current_sensor = setup->current_sensor;
 }
 
-/* Read what the host has handed in. */
+/* Read the bytes that the host has passed in. */
 static inline size_t memory_read(const uint8_t **input, size_t *there, uint8_t *into, size_t capacity)
 {
     const size_t count = *there < capacity ? *there : capacity;
@@ -43,7 +43,7 @@ static inline size_t memory_read(const uint8_t **input, size_t *there, uint8_t *
     return count;
 }
 
-/* Append a whole frame; false, and nothing is appended, if there is no room. */
+/* Append a whole frame to the output; returns false, and appends nothing, if there is no room. */
 static inline bool memory_write(uint8_t *output, size_t *there, size_t room, const uint8_t *frame, size_t count)
 {
     if (*there > room || count > room - *there)

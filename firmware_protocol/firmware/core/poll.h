@@ -12,8 +12,8 @@
 #define HR_POLL_BYTES 64u
 #define HR_POLL_COSINES 32u
 
-/* Send part of the waiting frames, or do a step of a change, or read bytes of the host and reply; then compute part of an
- * excitation that is not ready. Returns the number of bytes read. */
+/* Send part of the waiting frames, or do a step of a parameter change, or read bytes from the host and reply; then
+ * compute part of an excitation that is not ready. Returns the number of bytes read. */
 size_t device_poll(struct device *device);
 
 #endif

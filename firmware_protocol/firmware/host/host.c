@@ -239,7 +239,7 @@ void host_sample(struct host *host)
     device_sample(&host->device);
 }
 
-/* What a board's main loop does between two ticks when the host is silent. */
+/* Do what a board's main loop does between two ticks while no bytes arrive. */
 static void be_idle(struct host *host)
 {
     for (unsigned i = 0; i < HR_HOST_POLLS && device_is_preparing(&host->device); i++)

@@ -1,4 +1,5 @@
-/* The core on a computer: a library whose world the simulation sets between calls. For tests. */
+/* The core as a library of this computer: a simulation sets counts, times and inputs between the calls. Also for
+ * tests. */
 #ifndef HR_HOST_H
 #define HR_HOST_H
 
@@ -72,7 +73,8 @@ struct host_status {
 
 size_t host_bytes(void);
 
-/* `host` is memory of zeroes, `host_bytes()` of it; the dictionary must live as long. Ranges rise by parameter. */
+/* Set up `host`, which must be host_bytes() bytes of zero. The dictionary must exist as long as `host`. host_narrow
+ * must be called in ascending order of the parameters. */
 void host_setup(struct host *host, const struct board_setup *setup);
 void host_narrow(struct host *host, uint8_t parameter, uint32_t minimum, uint32_t maximum);
 void host_set_excitation(struct host *host, uint32_t length); /* memory for a table; HR_HOST_EXCITATION at first */
@@ -89,7 +91,7 @@ void host_set_index(struct host *host, uint32_t edges, int32_t count);
 void host_set_room(struct host *host, size_t bytes); /* of the output: what does not fit is dropped */
 void host_refuse_rate(struct host *host, uint32_t rate);
 
-/* A tick in its parts: the world moves behind the first; or in one, as a board has it. */
+/* A tick in parts (the plant moves after host_drive), or as a whole, as on a board. */
 int16_t host_drive(struct host *host);
 void host_sample(struct host *host);
 void host_report(struct host *host);
@@ -99,12 +101,12 @@ void host_fault(struct host *host, uint8_t fault);
 void host_was_reset(struct host *host, uint32_t stopped_at);
 void host_let_leave(struct host *host); /* it has a boot loader */
 
-/* Hand all bytes in; take what the device has sent. */
+/* Pass in bytes from the host; take out the bytes that the device has sent. */
 void host_receive(struct host *host, const uint8_t *bytes, size_t count);
 size_t host_poll(struct host *host, const uint8_t *bytes, size_t count); /* one device_poll; returns bytes taken */
 size_t host_take(struct host *host, uint8_t *into, size_t capacity);
 
-/* The law that it runs, as it read it from its parameters; false when it runs none. */
+/* Copy the parameters of the law that the device runs; returns false if it runs no law. */
 bool host_law(const struct host *host, law_parameters *into);
 
 void host_status(const struct host *host, struct host_status *status);

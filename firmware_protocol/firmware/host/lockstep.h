@@ -1,5 +1,5 @@
-/* A tick in two calls, and bytes of the host in a third. All data that a compiled simulation and the device exchange are
- * in one block of memory. */
+/* A tick in two calls, and a third call for bytes from the host. All data that a compiled simulation and the device
+ * exchange are in one block of memory. */
 #ifndef HR_LOCKSTEP_H
 #define HR_LOCKSTEP_H
 
@@ -7,19 +7,19 @@
 
 #include "host.h"
 
-/* 64-bit words alone: an array of them for the simulation. */
+/* Only 64-bit words, so that the simulation can use it as an array. */
 struct lockstep {
-    /* The world at the sample. */
+    /* Encoder, current sensor and inputs at the sample. */
     int64_t count, edge_age, measured, inputs;
 
-    /* What the device did in the call, and where it is. */
+    /* Results of the call, and the device's time and state. */
     int64_t cuts;         /* times that the current was taken away besides the tick's own */
     int64_t due;          /* device time of the next sample */
     int64_t sample_index; /* of the last */
     int64_t session;
     int64_t time; /* device time of the last */
 
-    /* Bytes of the host, by address, when they came (device time), and what they changed. */
+    /* Bytes from the host: address, number, device time of arrival, and their effects. */
     int64_t bytes, byte_count, received_at;
     int64_t rate_changed, switched_on;
 
@@ -27,13 +27,14 @@ struct lockstep {
     int64_t index_edges, index_count;
 };
 
-/* First half: the current for the coming tick. */
+/* First half of a tick: return the current for the coming period (quanta). */
 int lockstep_drive(struct host *host, struct lockstep *lockstep);
 
-/* Second half, when the world has moved: the sample that is due. The bytes that wait for the host. */
+/* Second half of a tick, after the plant has moved: process the sample. Returns the number of bytes that wait for the
+ * host. */
 int lockstep_sample(struct host *host, struct lockstep *lockstep);
 
-/* Between two ticks: hand all bytes in. The bytes that wait for the host. */
+/* Between two ticks: process the bytes from the host. Returns the number of bytes that wait for the host. */
 int lockstep_receive(struct host *host, struct lockstep *lockstep);
 
 #endif

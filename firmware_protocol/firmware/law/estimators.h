@@ -9,7 +9,7 @@
 
 #include "law.h"
 
-enum { LAW_LONGEST_GAP = 1000 }; /* periods, after which nothing that was before counts */
+enum { LAW_LONGEST_GAP = 1000 }; /* velocity periods, after which earlier samples are ignored */
 
 void law_biquad_reset(law_biquad_state *s, const law_biquad *p);
 int32_t law_biquad_run(law_biquad_state *s, const law_biquad *p, int32_t moved, uint32_t elapsed);

@@ -26,15 +26,16 @@ typedef struct {
     int64_t sum;                /* of the lines before this one: cosines * 2^LAW_COSINE_BITS */
 } law_excitation_work;
 
-/* Begin a table of p->period numbers, for parameters that law_check has passed. Without lines it is complete at once. */
+/* Begin a table of p->period numbers, for parameters that law_check has accepted. Without lines the table is complete
+ * at once. */
 void law_excitation_begin(law_excitation_work *w, const law_excitation *p, int16_t *table);
 
-/* Compute at most this many cosines (lines * period in all). Returns true when the table is complete. */
+/* Compute at most `cosines` of the table's lines * period cosines. Returns true when the table is complete. */
 bool law_excitation_continue(law_excitation_work *w, uint32_t cosines);
 
 void law_excitation_reset(law_excitation_state *s, const law_excitation *p, const int16_t *table);
 
-/* Effort along the position in quanta * 2^LAW_LINE_BITS, for the ticks since the previous call. */
+/* Return the effort along the position (quanta * 2^LAW_LINE_BITS), `elapsed` ticks after the previous call. */
 int32_t law_excitation_run(law_excitation_state *s, const law_excitation *p, uint32_t elapsed);
 
 /* Phase of a line at tick 0, in 2^-32 turns. Hashed: with z = seed + 0x9E3779B9 * (line + 1),

@@ -84,7 +84,7 @@ static uint64_t look(void)
     return now;
 }
 
-/* 0 where time has stepped back. */
+/* Return the time that has passed; 0 if the clock has stepped back. */
 static uint64_t since(uint64_t begun)
 {
     const uint64_t now = look();
@@ -130,7 +130,7 @@ static bool answer(const uint32_t *numbers, size_t count)
 }
 #define ANSWER(...) answer((const uint32_t[]){__VA_ARGS__}, sizeof((const uint32_t[]){__VA_ARGS__}) / 4u)
 
-/* A frame of COUNTED_BYTES, with a number. */
+/* Send a frame of COUNTED_BYTES that contains a number. */
 static bool send_counted(uint32_t number, uint32_t *longest)
 {
     struct packet packet;
@@ -163,7 +163,7 @@ static uint32_t law_maximum(void)
     return hr_parameters[HR_PARAMETER_LAW].maximum;
 }
 
-/* Until a current that is set flows: delay and lag (s). */
+/* Return the time until a set current flows: delay and lag (s). */
 static double late_s(void)
 {
     return check.board->current_sensor.delay_s + check.board->current_sensor.lag_s;
@@ -411,7 +411,7 @@ static uint8_t gray(uint32_t step)
     return bits[step % 4u];
 }
 
-/* How far outside of a stretch of time a moment lies. */
+/* Return by how much a time lies outside of an interval. */
 static uint32_t outside(uint64_t moment, uint64_t from, uint64_t to)
 {
     return moment < from ? at_most(from - moment) : moment > to ? at_most(moment - to) : 0u;

@@ -1,8 +1,8 @@
-/* What the files of this port share. */
+/* Declarations that the files of this port use together. */
 #ifndef HR_MPS2_H
 #define HR_MPS2_H
 
-/* Of the processor after reset. */
+/* Clock frequency of the processor after reset (Hz). */
 void start(void);
 
 /* The SysTick exception. */

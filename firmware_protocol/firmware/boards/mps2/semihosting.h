@@ -1,6 +1,5 @@
-/* What a debugger, here the emulator, does for a program: files, and the end with an exit code.
- *
- * Arm, Semihosting for AArch32 and AArch64 (version 3.0), chapter 7. */
+/* Services of a debugger, here the emulator, for a program: files, and an exit code. Source: Arm, Semihosting for
+ * AArch32 and AArch64 (version 3.0), chapter 7. */
 #ifndef HR_SEMIHOSTING_H
 #define HR_SEMIHOSTING_H
 
@@ -15,10 +14,10 @@ int32_t semihosting_open_to_write(const char *name);
 /* Read exactly `count` bytes, waiting for them; false at the end of the file. Time stands still meanwhile. */
 bool semihosting_read(int32_t file, uint8_t *into, size_t count);
 
-/* Write them all, or return false. */
+/* Write all bytes, or return false. */
 bool semihosting_write(int32_t file, const uint8_t *bytes, size_t count);
 
-/* End the emulator with this code. */
+/* End the emulator with this exit code. */
 void semihosting_exit(uint32_t code);
 
 #endif

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Set-point of no current, amplifier off. */
+/* Start with a set-point of zero and the amplifier off. */
 void amplifier_start(void);
 
 void amplifier_set_current(int16_t quanta);

@@ -1,4 +1,4 @@
-/* Where the board's time comes from: one crystal of 12 MHz. */
+/* Clocks of the board, all from one crystal of 12 MHz. */
 #ifndef RP2040_CLOCKS_H
 #define RP2040_CLOCKS_H
 
@@ -7,7 +7,7 @@
 #include "board_config.h"
 #include "registers.h"
 
-/* Of the processor and all that hangs on its bus. */
+/* Clock frequency of the processor and of the peripherals on its bus (Hz). */
 #ifdef BOARD_CLOCK_200MHZ
 #define CLOCK_HZ 200000000u
 #else
@@ -17,7 +17,7 @@
 /* Start the crystal, the processor's clock, 48 MHz for USB and ADC, 1 MHz for timer and watchdog. Runs from the flash. */
 void clocks_start(void);
 
-/* Take blocks (RESET_… bits) out of reset. For callers in flash and in RAM alike. */
+/* Take peripherals (RESET_… bits) out of reset. Callers may be in flash or in RAM. */
 static inline __attribute__((always_inline)) void clocks_release(uint32_t blocks)
 {
     CLEAR_BITS(RESETS) = blocks;

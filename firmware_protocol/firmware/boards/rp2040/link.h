@@ -10,10 +10,11 @@ void link_start(uint64_t serial);
 
 size_t link_read(uint8_t *into, size_t capacity, bool armed);
 
-/* Take a whole frame or nothing. `lasts`: its bytes stay where they are until the next tick. */
+/* Accept a whole frame for sending, or nothing (return false). `lasts`: the frame's bytes stay unchanged until the next
+ * tick. */
 bool link_write(const uint8_t *frame, size_t count, bool lasts);
 
-/* At every tick. */
+/* Called at every tick. */
 void link_pump(void);
 
 #endif

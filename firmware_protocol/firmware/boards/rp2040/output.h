@@ -7,20 +7,20 @@
 
 #include "board_config.h"
 
-/* Quanta at full scale, as far as a set-point goes. */
+/* Largest set-point (quanta), the full scale of the output. */
 #define MOST_QUANTA (BOARD_FULL_SCALE / BOARD_CURRENT_QUANTUM_A)
 #define MOST ((uint32_t)(MOST_QUANTA < 32768.0 ? MOST_QUANTA : 32768.0))
 
-/* No current. */
+/* Set-point of zero current. */
 void output_start(void);
 
 void output_set(int16_t quanta);
 
-/* What was set last. */
+/* Return the set-point that was set last. */
 int16_t output_active(void);
 
 #ifdef BOARD_OUTPUT_DAC
-/* Start the transfers: enable, which held the converter in reset, is high now. */
+/* Start the transfers to the converter; the wire enable, which holds it in reset while low, is high now. */
 void output_begin(void);
 
 /* Return true if no set-point was transferred since the last call. Called before each tick, it detects a stalled

@@ -36,10 +36,10 @@ struct usb_control {
     uint8_t room[USB_STRING_ROOM];
 };
 
-/* What a request did that concerns the pipes. */
+/* Effect of a request on the pipes. */
 enum usb_effect { USB_NOTHING, USB_CONFIGURED, USB_DECONFIGURED, USB_PIPES_RESET };
 
-/* After a reset of the bus. */
+/* Reset endpoint 0 after a reset of the bus. */
 void control_reset(struct usb_control *control);
 
 /* Handle a SETUP packet. Its effect on the pipes must be applied before control_acknowledge, after which the host uses
@@ -47,7 +47,7 @@ void control_reset(struct usb_control *control);
 enum usb_effect control_setup(struct usb_control *control);
 void control_acknowledge(struct usb_control *control);
 
-/* The controller has completed a buffer of endpoint 0. */
+/* Continue after the controller has completed a buffer of endpoint 0. */
 void control_sent(struct usb_control *control);
 void control_received(struct usb_control *control);
 

@@ -27,13 +27,13 @@ struct usb_endpoint {
 /* Enable the endpoint in the controller, from DATA0. */
 void endpoint_open(struct usb_endpoint *endpoint, enum usb_type type);
 
-/* Take back what is armed, and begin with DATA0: what SET_CONFIGURATION, SET_INTERFACE and CLEAR_FEATURE ask for. */
+/* Take back the armed buffers, and begin with DATA0, as SET_CONFIGURATION, SET_INTERFACE and CLEAR_FEATURE require. */
 void endpoint_reset(struct usb_endpoint *endpoint);
 
-/* As endpoint_reset, and answer STALL until endpoint_reset. */
+/* Reset the endpoint like endpoint_reset, and reply STALL until endpoint_reset is called. */
 void endpoint_halt(struct usb_endpoint *endpoint);
 
-/* After a reset of the bus: nothing is armed, the controller does not serve it. */
+/* Reset after a reset of the bus: no buffer is armed, and the controller does not serve the endpoint. */
 void endpoint_forget(struct usb_endpoint *endpoint);
 
 static inline bool endpoint_is_free(const struct usb_endpoint *endpoint)
@@ -41,10 +41,10 @@ static inline bool endpoint_is_free(const struct usb_endpoint *endpoint)
     return !endpoint->halted && endpoint->armed < 2u;
 }
 
-/* Where the bytes of the buffer lie that is armed next. */
+/* Return the address of the buffer that is armed next. */
 size_t endpoint_next(const struct usb_endpoint *endpoint);
 
-/* Hand that buffer to the controller: `count` bytes to send, or room for as many. */
+/* Arm that buffer: the controller sends its `count` bytes, or receives up to as many. */
 void endpoint_arm(struct usb_endpoint *endpoint, uint32_t count);
 
 /* Return the oldest buffer that the controller has completed. */

@@ -1,4 +1,4 @@
-/* A ring of bytes between one that writes and one that reads, of which either may interrupt the other. */
+/* A ring buffer of bytes between one writer and one reader; either may interrupt the other. */
 #ifndef HR_RP2040_USB_RING_H
 #define HR_RP2040_USB_RING_H
 
@@ -26,10 +26,10 @@ static inline uint32_t ring_room(const struct ring *ring)
     return ring->size - ring_count(ring);
 }
 
-/* Whole words, `count` bytes and zeroes up to a word; there must be room. */
+/* Write `count` bytes, filled with zeros up to a whole word; the ring must have room for them. */
 void ring_put_words(struct ring *ring, const uint8_t *bytes, uint32_t count);
 
-/* The next word; there must be one. */
+/* Read the next word; the ring must contain one. */
 static inline uint32_t ring_take_word(struct ring *ring)
 {
     return ring->words[(ring->read & (ring->size - 1u)) / 4u];
@@ -41,7 +41,7 @@ static inline void ring_step(struct ring *ring, uint32_t count)
     ring->read += count;
 }
 
-/* Single bytes. */
+/* Read single bytes. */
 void ring_put(struct ring *ring, uint8_t byte);
 uint32_t ring_take(struct ring *ring, uint8_t *into, uint32_t capacity);
 

@@ -22,20 +22,20 @@ struct simulated_board {
     uint8_t line[4u * HR_HOST_OUTPUT_BYTES]; /* what has left, for a host that reads now and then */
 };
 
-/* Power up, with a port that `spoil` has changed; NULL: as it is. */
+/* Power up the board with a port that `spoil` changes; NULL: an unchanged port. */
 void simulated_board_start(struct simulated_board *board, void (*spoil)(struct simulated_board *board));
 
-/* Hand the port some bytes, let time pass (µs), and take what came; returns how many. */
+/* Pass bytes to the port, let time pass (µs), and take the bytes that it sent; returns their number. */
 size_t simulated_board_run(struct simulated_board *board, uint32_t us, const uint8_t *bytes, size_t count, uint8_t *into,
                            size_t capacity);
 
-/* As time passes; a port's clock calls it. */
+/* Update the board as time passes; a port's clock calls it. */
 uint64_t simulated_board_time(void *context);
 
-/* A tick, if one is due. */
+/* Run a tick, if one is due. */
 void simulated_board_tick(struct simulated_board *board);
 
-/* A poll. */
+/* Run a poll of the link. */
 void simulated_board_poll(struct simulated_board *board);
 
 size_t simulated_board_bytes(void);
