@@ -11,13 +11,15 @@ import click
 
 from rig.realtime import compiling
 
-SIGN_OF_LIFE_S = 0.2  # on a terminal
-LINE_S = 5.0  # in a log
+# Interval of the notice on a terminal (s).
+SIGN_OF_LIFE_S = 0.2
+# Interval of the lines in a log (s).
+LINE_S = 5.0
 EXPECTED = {"hit": 120}  # kernels that a command compiles first; tests/benchmarks/test_startup.py counts them
 
 
 class CompilingNotice:
-    """A notice with the number of kernels (compiled functions) so far, and the remaining time if it is known.
+    """A notice with the number of kernels (compiled functions) so far, and the remaining time if known.
 
     `expected` is the number of kernels that the command compiles with an empty cache; 0 if unknown.
     """

@@ -14,7 +14,7 @@ from rig.config import Experiment, describe, push_s
 from rig.core.sample import phase_name, unit_of
 
 # key → beginning of the keys that are listed with it
-_BRINGS = {"operator.grip": "operator.", "controller.estimator": "controller.parameters"}
+_CHANGED_TOGETHER = {"operator.grip": "operator.", "controller.estimator": "controller.parameters"}
 
 
 def push_text(experiment: Experiment) -> str:
@@ -44,13 +44,13 @@ class ProgressBars:
         self.stop()
 
     def stop(self) -> None:
-        """Remove the bar, so that other output can be printed."""
+        """Remove the progress bar, so that other output can be printed."""
         if self._bars is not None:
             self._bars.stop()
             self._bars = None
 
     def watch(self, repeat: int, experiment: Experiment) -> Callable[[int, int], None] | None:
-        """Show a bar for a repeat; return a function of ticks and phase that updates it, or None without a terminal."""
+        """Show a progress bar for one repeat of a hit; return the function that updates it; None without a terminal."""
         if self._quiet:
             return None
         phase = TextColumn("{task.fields[phase]:<8}")
@@ -88,7 +88,7 @@ def differences(asked: Experiment, effective: Experiment, meant: Collection[str]
     `asked` is the requested experiment, `effective` the one that ran. Keys in `meant` were changed on purpose and are
     left out; with a grip also all keys of the operator, with an estimator also its settings.
     """
-    brought = tuple(prefix for key, prefix in _BRINGS.items() if key in meant)
+    brought = tuple(prefix for key, prefix in _CHANGED_TOGETHER.items() if key in meant)
     before = {line.key: line.value for line in describe(asked)}
     return [
         f"{line.key} = {line.value} instead of {before[line.key]}"

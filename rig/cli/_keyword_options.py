@@ -17,7 +17,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def keyword_options(request: type, *names: str) -> Callable[[F], F]:
-    """Return a decorator that adds an option for each keyword in `names` (default: each keyword with a help text)."""
+    """Return a decorator that adds a command-line option for each keyword in `names` of a request dataclass.
+
+    Without names, it adds an option for each keyword that has a help text.
+    """
 
     def add(function: F) -> F:
         for one in reversed(_chosen(request, names)):
@@ -28,7 +31,10 @@ def keyword_options(request: type, *names: str) -> Callable[[F], F]:
 
 
 def gathered_options(request: type, name: str, *fields: str) -> Callable[[F], F]:
-    """Return a decorator that adds options for `fields` of a dataclass and passes an instance as argument `name`."""
+    """Return a decorator that adds options for the keywords `fields` of a request dataclass.
+
+    The command receives an instance of the dataclass, built from the options, as the argument `name`.
+    """
     chosen = [one.name for one in _chosen(request, fields)]
 
     def add(function: F) -> F:
@@ -59,7 +65,6 @@ def _option(one: Keyword) -> Callable[[F], F]:
 
 
 def _type(one: Keyword, kind: Any) -> Any:
-    """Return the click type that converts the text of one value of a keyword."""
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if one.values:

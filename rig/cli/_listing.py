@@ -23,7 +23,7 @@ def listing() -> dict[str, Any]:
 
 @cache
 def commands() -> dict[str, Any]:
-    """Return the row of ``completion.json`` (help line, options) of each command, extras included, by its words."""
+    """Return help line and options of each command, extras included, by the words that call the command."""
     found = dict(listing()["commands"])
     for table in extras.tables():
         if "commands" in table.rows:
@@ -36,5 +36,5 @@ def commands() -> dict[str, Any]:
 
 
 def help_line(words: str) -> str:
-    """Return the first sentence of the help of the command with these words; "" if its extra's file is unreadable."""
+    """Return the first sentence of the help of the command with these words; "" if no help can be read."""
     return str(commands().get(words, {}).get("help", ""))

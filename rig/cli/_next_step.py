@@ -23,7 +23,7 @@ NEXT: Mapping[str, str] = {
 
 
 def name_next() -> None:
-    """Print the command that usually follows to standard error, unless this command prints JSON or has ``-q``."""
+    """Print to standard error which command usually follows, unless this command prints JSON or has ``-q``."""
     context = click.get_current_context()
     given = context.params
     if given.get("as_json"):

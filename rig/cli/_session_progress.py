@@ -10,7 +10,8 @@ import click
 
 from rig.session.conducting import DeskView, Event, line_of_event
 
-_SURE = 2  # trials that are timed before the remaining time is shown
+# So many trials are timed before the remaining time is shown.
+_SURE = 2
 
 
 class Rehearsed:
@@ -30,8 +31,10 @@ class Rehearsed:
         self._quiet = quiet
         self._line = sys.stderr is not None and sys.stderr.isatty()
         self._clock = clock
-        self._seen = 0  # the trial that this began with, which may have compiled the loop
-        self._first: tuple[int, float] | None = None  # the one after it, and when that was ready
+        # First trial of this process: it may have compiled the loop, so its time is not representative.
+        self._seen = 0
+        # The next trial, and the time at which it was ready: the remaining time is extrapolated from it.
+        self._first: tuple[int, float] | None = None
         self._shown = False
 
     def __enter__(self) -> Rehearsed:
@@ -42,7 +45,7 @@ class Rehearsed:
             click.echo("\r\033[K", nl=False, err=True)
 
     def on_event(self, event: Event) -> None:
-        """Print the event as a line, unless ``-q`` is given or a terminal shows the progress line."""
+        """Print an event of the session as a line, unless ``-q`` is given or a terminal shows the progress line."""
         if not self._line and not self._quiet:
             click.echo(f"  {line_of_event(event)}", err=True)
 

@@ -87,7 +87,7 @@ class Dialogue:
         if self._confirm == "no":
             _print_message(f"  {text}")
         elif not _ask(f"  {text}   Enter: continue, q: end "):
-            raise StoppedError("ended before the torque pulse; the motor did not move")
+            raise StoppedError("the operator ended the map before the torque pulse; the motor did not move")
 
     def _report(self, asked: Next, done: Measured, valid: bool) -> None:
         kind = done.kind if valid else Kind.INVALID
@@ -113,9 +113,10 @@ def refuse_without_device(verified: bool, confirm: str | None) -> None:
     """Raise `ConfigError` if an option for a device (--verified, --confirm) is given without --url."""
     given = [name for name, value in (("--verified", verified), ("--confirm", confirm)) if value]
     if given:
+        option = given[0]
         raise ConfigError(
-            f"{given[0]} needs a device, but --url is missing",
-            remedy=f"give the device with --url, or drop {given[0]}",
+            f"{option} needs a device, but --url is missing",
+            remedy=f"give the device with --url, or drop {option}",
         )
 
 

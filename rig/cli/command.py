@@ -36,7 +36,7 @@ def quiet() -> bool:
     return context is not None and bool(context.meta.get(_QUIET))
 
 
-def _be_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+def _store_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     context.meta[_QUIET] = value
 
 
@@ -58,7 +58,7 @@ class GroupedCommand(click.Command):
                     group=RESULT,
                     is_flag=True,
                     expose_value=False,
-                    callback=_be_quiet,
+                    callback=_store_quiet,
                     help="Print warnings and errors only (and JSON, with --json); the exit code gives "
                     "the result.",
                 )

@@ -45,12 +45,12 @@ complete -o nosort -F %(complete_func)s %(prog_name)s
 
 
 class Bash(BashComplete):
-    """Completion for bash that receives the whole command line."""
+    """Completion of ``rig`` commands for bash, from the whole command line."""
 
     source_template = _BASH
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """Return the words before the last word, and the typed part of the last word."""
+        """Return the words before the last word of the command line, and the typed part of the last word."""
         line = os.environ["COMP_WORDS"]
         words = split_arg_string(line)[1:]
         return (words, "") if line.endswith(" ") else (words[:-1], words[-1] if words else "")

@@ -22,7 +22,7 @@ from rig.experiments.estimation.interface import SIGNALS
 
 
 def made() -> dict[Path, str]:
-    """Return the up-to-date text of each file ``completion.json``, by its path, with a line for each command."""
+    """Return the up-to-date text of each file ``completion.json`` (names and options of all commands), by path."""
     added = extras.added("commands")
     rows = dict(command_rows())
     core = {name: row for name, row in rows.items() if name not in added}
@@ -38,7 +38,7 @@ def made() -> dict[Path, str]:
 
 
 def command_rows() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the words and the row (help line, options) of each command, in the order of ``--help``."""
+    """Yield words, help line and options of each command, in the order of ``--help``."""
     yield from _rows(cli.rig, "")
 
 
@@ -51,7 +51,6 @@ def _json(part: Any) -> str:
 
 
 def _rows(group: click.Group, above: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the words and the row of each command below a group; a row without options is a group."""
     context = click.Context(group)
     for last in group.list_commands(context):
         one, name = group.get_command(context, last), f"{above} {last}".strip()

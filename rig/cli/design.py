@@ -40,7 +40,8 @@ from rig.recording.files import whole_file
 
 WISHES, ALLOWED = "Wishes", "What is allowed"
 SUMMARY, SECTION = "design.json", "controller.toml"
-ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06  # of the map on a rig: dampings, and stiffnesses of its bisection
+# Number of dampings of the map on a rig, and ratio of neighbouring stiffnesses of its bisection.
+ON_RIG_COLUMNS, ON_RIG_RATIO = 3, 1.06
 
 
 @command("design")
@@ -239,7 +240,6 @@ def _ticks(request: DesignRequest, board: str) -> list[str]:
 
 
 def _limits(asked: dict[str, Any]) -> list[str]:
-    """Return the options --felt, --heard and --moved as changes KEY=VALUE of the experiment."""
     keys = {"felt": "verdict.felt_velocity", "heard": "verdict.heard_force", "moved": "verdict.moved"}
     return [f"{key}={asked[name]!r}" for name, key in keys.items() if asked[name] is not None]
 
@@ -280,9 +280,10 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
         )
     given = [f"--{name.replace('_', '-')}" for name in names if asked[name] is not None]
     if given:
+        option_name = given[0]
         raise ConfigError(
-            f"{given[0]} is given together with --url: the device at the URL reports this limit itself",
-            remedy=f"drop {given[0]}, or drop --url",
+            f"{option_name} is given together with --url: the device at the URL reports this limit itself",
+            remedy=f"drop {option_name}, or drop --url",
         )
     load_device(url)
     allowed = {place.loop: place for place in places_of(url, experiment, asked["board"])}

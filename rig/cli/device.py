@@ -16,7 +16,7 @@ from rig.doctor.here import here
 @command("list")
 @options.json_option
 def list_(as_json: bool) -> None:
-    """List the backends, serial ports and USB rigs of this computer; opens none of them."""
+    """List the backends, serial ports and USB rigs of this computer without opening any."""
     found = here()
     if as_json:
         output.print_json(found)

@@ -19,7 +19,8 @@ from rig.views.site import build_site
 def docs(opened: bool, strict: bool, directory: Path, as_json: bool) -> None:
     """Build the documents of this version as a site, and open it: tutorials, how-tos, reference, gallery.
 
-    Needs haptic-rig[docs] and no network. The gallery is executed, which takes a minute; what did not change is kept.
+    Needs haptic-rig[docs] and no network. The gallery is executed, which takes a minute; unchanged examples are not
+    executed again.
     """
     output.note("building the documents …")
     built = build_site(directory, strict=strict)

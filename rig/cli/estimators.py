@@ -173,7 +173,9 @@ def tune(
     variant = Variant.parse(estimator)
     path = target or Path(f"{variant.estimator}-tuned.toml")
     if path.exists() and not overwrite:
-        raise ConfigError(f"{path} exists", remedy="choose another file with -o, or add --overwrite")
+        raise ConfigError(
+            f"the file {path} exists already", remedy="choose another file with -o, or add --overwrite"
+        )
     if recording is None:
         case = _signal_case(signal, _rate(rate or DEFAULT_RATE), resolution)
     else:
@@ -310,7 +312,9 @@ def _cells(score: Score) -> list[str]:
 def _rate(text: str) -> int:
     rates = _rates(text)
     if len(rates) != 1:
-        raise ConfigError(f"--rate {text}: expected a single rate", remedy="write 2k or 2000")
+        raise ConfigError(
+            f"--rate {text}: expected a single rate, but {len(rates)} are given", remedy="write 2k or 2000"
+        )
     return rates[0]
 
 

@@ -98,7 +98,8 @@ class Artist:
                 stderr=subprocess.PIPE,
                 text=True,
                 encoding="utf-8",
-                start_new_session=True,  # Ctrl-C is for the trial
+                # In its own session, so that Ctrl-C reaches only the trial and not the drawing process.
+                start_new_session=True,
             )
         return self
 
@@ -142,7 +143,6 @@ def _print_gate(gate: Gate) -> None:
 
 
 def _show_what_was_recorded(error: RigError, artist: Artist, *, quiet: bool) -> None:
-    """Print and draw the recorded part of a run that ended early."""
     try:
         left = hits.left_by(error)
     except RigError as unreadable:

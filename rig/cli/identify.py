@@ -119,7 +119,6 @@ def _weigh(request: WeighRequest, as_json: bool) -> None:
 
 
 def _ask(text: str) -> None:
-    """Ask the person to do something, and wait for Enter; raise `ConfigError` at the end of the input."""
     click.echo(f"  {text}; then press Enter", err=True)
     if not sys.stdin.readline():
         raise ConfigError("standard input ended before Enter was pressed", remedy="run it in a terminal")

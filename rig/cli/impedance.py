@@ -143,7 +143,7 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     if len(k) != len(b) and 1 not in (len(k), len(b)):
         raise ConfigError(
             f"{len(k)} stiffnesses and {len(b)} dampings cannot be paired",
-            remedy="give equally many of both, or a single value of one",
+            remedy="give the same number of stiffnesses and dampings, or a single value of one of them",
         )
     n = max(len(k), len(b))
     walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
@@ -151,7 +151,6 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
 
 
 def _progress(quiet: bool) -> Any:
-    """Return a function that shows the number of finished runs; None without a terminal."""
     if quiet or not output.on_terminal():
         return None
 
@@ -196,7 +195,7 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
     pairs = [
         ("passivity", f"{verdict} over {passivity.tested} lines, {low:g} to {high:g} Hz"),
         *(("", reason) for reason in judgement.reasons),
-        *_no_port(result),
+        *_note_untested(result),
         (
             "worst line",
             f"{passivity.worst_hz:g} Hz: Re Z = {passivity.worst_real:.4g} {damping}, tolerance "
@@ -224,7 +223,6 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
 
 
 def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[str, str]]:
-    """Return label and text of effective stiffness and damping, with the number and band of their lines."""
     low, high = fidelity.effective_band_hz
     if fidelity.effective_lines < EFFECTIVE_LINES:
         text = (
@@ -242,8 +240,7 @@ def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[s
     ]
 
 
-def _no_port(result: ImpedanceResult) -> list[tuple[str, str]]:
-    """Return a note that passivity was not tested, if encoder and handle are on different masses."""
+def _note_untested(result: ImpedanceResult) -> list[tuple[str, str]]:
     if result.experiment.rig.mechanics.structure == "rigid" or result.signal == "truth":
         return []
     return [

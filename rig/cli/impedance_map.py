@@ -220,5 +220,4 @@ def _spread(spread: Spread) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number as text with four significant digits and without an exponent."""
     return "–" if math.isnan(value) else f"{float(f'{value:.4g}'):.9g}"

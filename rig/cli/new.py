@@ -20,7 +20,6 @@ from rig.experiments.new_rig import DataSheetQuestion, questions, questions_for
 
 
 def _answer_options(function: options.F) -> options.F:
-    """Add a command-line option for each question about the data sheets of motor and encoder."""
     return reduce(
         lambda decorated, add: add(decorated),
         reversed([_option(*one) for one in questions().items()]),
@@ -56,7 +55,9 @@ def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None
     asks = not as_json and sys.stdin is not None and sys.stdin.isatty() and not _is_complete(given)
     if file.exists() and not overwrite:
         if not asks or not click.confirm(f"{file} exists. Overwrite it?"):
-            raise ConfigError(f"{file} exists", remedy="give another name, or add --overwrite")
+            raise ConfigError(
+                f"the file {file} exists already", remedy="give another name, or add --overwrite"
+            )
         overwrite = True
     known = questions()
     answers = {name: known[name].read(_flag(name), text) for name, text in given.items() if text is not None}
@@ -71,13 +72,11 @@ def new(file: Path, overwrite: bool, as_json: bool, **given: str | None) -> None
 
 
 def _is_complete(given: dict[str, str | None]) -> bool:
-    """Return True if the options answer all questions that need an answer."""
     asked = questions_for(given["mechanism"] or "")
     return bool(asked) and all(question.assumed or given[name] for name, question in asked.items())
 
 
 def _ask(answers: dict[str, Any]) -> None:
-    """Ask all questions that have no answer yet and store the answers in `answers`; repeat after an invalid answer."""
     click.echo(
         "From the data sheets of motor and encoder. Numbers in SI units, or with a unit: 38.5mNm/A, 110gcm2, 8cm."
     )
@@ -89,7 +88,6 @@ def _ask(answers: dict[str, Any]) -> None:
 
 
 def _prompt(name: str, question: DataSheetQuestion) -> Any:
-    """Ask a question and return the answer; None if an optional question is left empty."""
 
     def read(text: str) -> Any:
         if not text.strip() and question.assumed:

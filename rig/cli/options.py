@@ -53,7 +53,10 @@ file_argument = click.argument("file", required=False, type=values.EXPERIMENT_FI
 
 
 def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callable[[F], F]:
-    """Return a decorator that adds --rig (built-in rig or TOML file); with `given`, `default` is its default value."""
+    """Return a decorator that adds the option --rig, a built-in rig or a TOML file.
+
+    Without the option, the command receives `default` if `given` is True, otherwise None.
+    """
     more: dict[str, Any] = {"default": default, "show_default": True} if given else {}
     help = "Built-in rig or TOML file." + ("" if given or not default else f" [{default}]")
     return option(
@@ -130,7 +133,10 @@ cutoff_option = keyword_options(CommandSettings, "cutoff")
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Return a decorator that adds --scheme (sampling schemes to compare; `default` describes them) and --cutoff."""
+    """Return a decorator that adds --scheme, the sampling schemes to compare, and --cutoff, their common cut-off.
+
+    `default` describes the default schemes in the help text.
+    """
     return added(
         option(
             "--scheme",
@@ -303,7 +309,10 @@ class PictureOption:
     failure: RigError | None = None
 
     def draw(self, stem: Path, draw: Callable[[Path], Path]) -> None:
-        """Draw the picture, if wanted, by the function `draw` into its file (beside `stem`); report a failure."""
+        """Draw the picture if the user wants one; report a failure without raising an error.
+
+        The function `draw` writes the picture to the path that it receives: the user's file, or a file beside `stem`.
+        """
         if not self.wanted:
             return
         try:
@@ -368,7 +377,10 @@ free_rig_options = added(file_argument, rig_option(), set_option)
 
 
 def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
-    """Return a decorator that adds the options in `which` and those of a `RigRequest`, which the command receives."""
+    """Return a decorator that adds the options in `which` and an option for each keyword of a request dataclass.
+
+    The command receives the request, built from the options, as the argument `request`.
+    """
 
     def add(function: F) -> F:
         @wraps(function)
@@ -393,7 +405,10 @@ def excited_experiment(
     cutoff: str | None,
     **named: Any,
 ) -> Experiment:
-    """Return the experiment of a rig that is excited; `named` are `ExcitationSettings` (None: not changed)."""
+    """Return the experiment of a rig that is excited, from the options of a command.
+
+    `named` are `ExcitationSettings`; a value of None leaves the experiment's value.
+    """
     given = {name: value for name, value in named.items() if value is not None}
     if url is not None:
         given.setdefault("channel", "motor")
@@ -457,6 +472,7 @@ def parse_rate(text: str) -> tuple[int, int]:
     try:
         return parse_rates(text)
     except ConfigError as error:
+        # The message of `parse_rates` begins with the word rate, which becomes the option's name.
         raise ConfigError(f"--{error.message}", remedy=error.remedy) from None
 
 

@@ -80,7 +80,7 @@ class SweepBar(_Bar):
         self._reported_damage = False
 
     def watch(self, progress: Progress) -> None:
-        """Show the number of finished tasks and the remaining time."""
+        """Show the number of finished tasks of a sweep, and the remaining time."""
         if progress.damaged and not self._reported_damage:
             self._reported_damage = True
             click.echo(

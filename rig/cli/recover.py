@@ -44,7 +44,6 @@ def recover(paths: tuple[Path, ...], as_json: bool) -> None:
 
 @contextmanager
 def _bar(*, quiet: bool) -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Yield a function that shows which capture is recovered and how many there are; None without a terminal."""
     if quiet or not output.on_terminal():
         yield None
         return

@@ -30,8 +30,10 @@ from rig.session.protocols import (
 )
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("!!", "yellow"), "refused": ("no", "red")}
-DEVICE_CHECKS = "rig.session.conducting:device_checks"  # a check without --url does not import the loop
-MOST_ORDERS = 24  # participants whose order is printed; --json has all
+# Named as a text, because importing it imports the loop, which a check without --url does not need.
+DEVICE_CHECKS = "rig.session.conducting:device_checks"
+# Participants whose order is printed; --json has the order of all.
+MOST_ORDERS = 24
 
 
 @command()
@@ -138,7 +140,7 @@ def _print(plan: StudyPlan, *, unblind: bool) -> None:
             ("time", f"{_minutes(plan.session_s)} min"),
             *((f"  {name}", f"{_minutes(part)} min") for name, part in plan.duration_s.items()),
             ("one trial", _trial(plan)),
-            *_taken(plan),
+            *_measured_times(plan),
             (
                 "on disk",
                 f"{format_size(plan.trial_bytes)} a trial, {format_size(plan.disk_bytes.likely)} a participant",
@@ -240,7 +242,7 @@ def _trial(plan: StudyPlan) -> str:
     )
 
 
-def _taken(plan: StudyPlan) -> Iterator[tuple[str, str]]:
+def _measured_times(plan: StudyPlan) -> Iterator[tuple[str, str]]:
     if plan.taken is not None:
         sessions = f"{plan.taken.sessions} finished session{'s' if plan.taken.sessions > 1 else ''}"
         yield (

@@ -42,7 +42,8 @@ from rig.session.protocols import load_walls
 if sys.platform != "win32":
     from rig.session.terminal.desk import at_console
 
-_VIRTUAL_S = 1e8  # since 1970: no participant sat then
+# Events before this time (s since 1970) are from a rehearsal, whose simulated time begins at 0.
+_VIRTUAL_S = 1e8
 
 
 _device_options = options.added(
@@ -287,7 +288,7 @@ def show(directory: Path, with_log: bool, unblind: bool, as_json: bool) -> None:
 
 
 def _when(at_s: float) -> tuple[str, str]:
-    """Return date and time of day (local) of an event at `at_s` (s since 1970), as two texts.
+    """Return date and local time of day of an event at `at_s` (s since 1970), as two texts.
 
     For an event in simulated time, which begins at 0, return the time since the start instead.
     """
@@ -329,7 +330,7 @@ def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, 
 def _agrees_to_other_protocol(
     protocol: Path, code: str, study: Path | None, person: Person | None, *, as_json: bool
 ) -> bool:
-    """Return True if the protocol differs from earlier sessions and the operator agrees at a terminal to use it."""
+    """Return True if the protocol differs from the study's earlier sessions and the operator agrees to use it."""
     if as_json or not _is_interactive():
         return False
     try:
@@ -345,7 +346,6 @@ def _is_interactive() -> bool:
 
 
 def _desk(person: Person | None, seen: Rehearsed, *, hand: str) -> DeskFor:
-    """Return a function that creates the session's console: the operator's, or that of a simulated person."""
     return _console(hand) if person is None else rehearsal_desk(person, looks=seen.looks)
 
 
@@ -358,10 +358,7 @@ def _runner(
 
 
 def _console(hand: str) -> DeskFor:
-    """Return a function that creates the operator's console at this terminal.
-
-    The function raises `ConfigError` on a system without such terminals.
-    """
+    """Return a function that creates the operator's console, or raises `ConfigError` where terminals are missing."""
 
     def desk(*about: Any) -> Desk:  # made when the session begins: an invalid code is reported first
         if sys.platform == "win32":

@@ -140,7 +140,6 @@ def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
 
 
 def _where(header: dict[str, Any]) -> str:
-    """Return a text about where the law ran (host or device), and on a device about the wall that it rendered."""
     extra = header["extra"]
     if "wall" not in extra:
         return "the host"

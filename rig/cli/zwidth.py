@@ -181,7 +181,7 @@ def _notes(found: ZWidth) -> list[str]:
 
 
 def _holes(found: ZWidth) -> list[str]:
-    """Return a note for each scheme that has dampings without a stable wall below a damping with one."""
+    """Return a note for each scheme with dampings at which no wall passed although walls passed at a larger damping."""
     notes = []
     for number, scheme in enumerate(found.plan.schemes):
         holes = {name: found.width(number, name).holes for name in CRITERIA}

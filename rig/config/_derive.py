@@ -20,15 +20,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-ABOVE_COULOMB = 10.0  # rms of an excitation over the Coulomb friction
-SHARE_OF_LIMIT = 0.02  # and at least this share of the effort limit
+# Rms of an excitation over the Coulomb friction, so that friction hardly distorts the motion.
+ABOVE_COULOMB = 10.0
+# On a rig with little friction the rms is at least this share of the effort limit.
+SHARE_OF_LIMIT = 0.02
 
 
 def rig_model(described: Experiment | Rig) -> RigModel:
     """Return the physical model of a rig, for simulation and theory.
 
-    If a person performs the experiment's trial, it includes the hand and its movement, but not the mass at the link's
-    end.
+    If a person performs the experiment's trial, the model includes the hand and its movement to the wall, but not the
+    mass at the end of the link.
     """
     rig = described.rig if isinstance(described, Experiment) else described
     model = RigModel(
@@ -76,7 +78,7 @@ def push_s(experiment: Experiment) -> float:
 
 
 def push_at_rest(experiment: Experiment) -> float:
-    """Return the effort (N·m or N, at least 0) of motor or hand that presses the resting handle into the wall."""
+    """Return the effort (N·m or N, at least 0) by which the motor or the hand presses a resting handle on the wall."""
     wall = experiment.wall
     if experiment.trial.kind != "human":
         return max(0.0, wall.side * motor_push(experiment))
@@ -126,7 +128,7 @@ def excitation_s(experiment: Experiment) -> tuple[float, float]:
 
 
 def excited(experiment: Experiment) -> Experiment:
-    """Return the experiment changed into a run with excitation, which starts at the wall and has no push."""
+    """Return a copy of the experiment with a trial that excites the handle at the wall instead of pushing it."""
     trial = replace(
         experiment.trial,
         kind="excitation",
@@ -162,7 +164,7 @@ def verdict_thresholds(experiment: Experiment) -> Thresholds:
 def check_plugins(experiment: Experiment, source: str) -> None:
     """Check the names of estimator and law and the estimator's settings, which `load_experiment` does not check.
 
-    It imports the estimator, and with it numba; code that plans or runs an experiment calls it first.
+    The function imports the estimator, and with it numba; code that plans or runs an experiment calls it first.
 
     Raises
     ------

@@ -19,9 +19,12 @@ from rig.core.errors import ConfigError
 from rig.core.regular_file import read_regular
 
 Table = dict[str, Any]
-LEAVES = {type(None), bool, int, float, str}  # most of what stands in a table: known at a glance
-_QUOTED = re.compile(r"""\"[^"]*\"|'[^']*'|#.*""")  # where any character may stand
-DEPTH = 8  # no section lies deeper; what does is refused by name, not by a stack overflow
+# Types of most values in a file: a lookup of the type suffices to recognise them.
+LEAVES = {type(None), bool, int, float, str}
+# Quoted text and comments, in which any character is allowed.
+_QUOTED = re.compile(r"""\"[^"]*\"|'[^']*'|#.*""")
+# No section is nested deeper; a deeper table is refused by name instead of by a stack overflow.
+DEPTH = 8
 
 
 def read_toml(path: Path, kind: str = "an experiment") -> Table:
@@ -36,7 +39,9 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
         remedy = did_you_mean(path.name, nearby, f"give the path of {kind} file")
         raise ConfigError(f"{path}: no such file", remedy=remedy) from None
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", remedy="save it as UTF-8") from None
+        raise ConfigError(
+            f"{path}: not UTF-8 text (at byte {error.start})", remedy="save it as UTF-8"
+        ) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(
@@ -46,22 +51,25 @@ def read_toml(path: Path, kind: str = "an experiment") -> Table:
 
 
 def parse_toml(text: str, source: str) -> Table:
-    """Return TOML text as nested dicts; raise `ConfigError` with `source` and the line of a syntax error."""
+    """Return TOML text as nested dicts; raise `ConfigError` for a syntax error. `source` names the text in messages."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, ValueError) else "the tables are nested too deeply"
-        names = _misleading(text, reason)
+        characters = _misleading(text, reason)
         raise ConfigError(
-            f"{source}: not valid TOML: {reason}{names and f'; that line contains {names}'}",
+            f"{source}: not valid TOML: {reason}{characters and f'; that line contains {characters}'}",
             remedy="retype these characters, or put them in quotes"
-            if names
-            else "correct the file at this place",
+            if characters
+            else "correct the file at this line and column",
         ) from None
 
 
 def _misleading(text: str, reason: str) -> str:
-    """Return the names of invisible or non-ASCII characters outside quotes in the line of a syntax error, or ""."""
+    """Return the names of invisible or non-ASCII characters outside quotes in the line of a syntax error, or "".
+
+    `reason` is the message of the TOML parser, which contains the line number.
+    """
     place = re.search(r"at line (\d+)", reason)
     if place is None:
         return ""
@@ -92,7 +100,7 @@ def preset_table(name: str) -> Table:
 
 
 def tidy(value: Any, depth: int = 0) -> Any:
-    """Copy nested mappings and sequences into dicts and lists, cut off below `DEPTH` levels; keep other values."""
+    """Return nested mappings and sequences as dicts and lists, cut off below `DEPTH` levels; other values unchanged."""
     if type(value) in LEAVES or not isinstance(value, Mapping | list | tuple):
         return value
     if depth == DEPTH:

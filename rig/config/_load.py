@@ -23,7 +23,8 @@ from rig.core.sample import UNITS, Motion
 DEFAULT_PRESET = "koul-compliant"
 DEFAULT_GRIP = "normal"
 LOOP = "controller.loop"
-FREE = "controller.parameters"  # the one table whose keys the estimator defines
+# The only table with free keys: the estimator defines them.
+FREE = "controller.parameters"
 
 EXPERIMENT = FileKind(
     Experiment,
@@ -68,17 +69,18 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
     if "preset" in table:
         name = table.pop("preset")
         preset = _preset(name, source)
-        table = _stack(preset, top)
+        table = _overlay_preset(preset, top)
         source = f"{source} (on preset {name})"
     table = _with_defaults(table)
-    with _computable(source):
+    with _refuse_arithmetic_errors(source):
         parsed = parse_table(EXPERIMENT, table, _motion(table))
-        experiment, problems = parsed  # mypy infers None for the kind when unpacked at once
+        # Unpacked in a second step: mypy infers None for the experiment when it is unpacked at once.
+        experiment, problems = parsed
         problems += _wrong_realtime(table.get("realtime", {}))
         if experiment is not None and not problems:
             if preset is not None:
                 experiment = with_human_limits(
-                    _with_servo(experiment, _own_servo(preset, top)), _keys_of(top)
+                    _with_servo(experiment, _servo_keys_to_compute(preset, top)), _keys_of(top)
                 )
             problems = broken_rules(experiment)
     if problems or experiment is None:
@@ -118,13 +120,13 @@ def override(
         False skips the rules between keys, for an experiment that further changes will complete.
     """
     wanted = nest(tidy(changes))
-    start, meant = _without_what_goes(experiment, wanted), _keys_of(wanted)
+    start, meant = _without_replaced_settings(experiment, wanted), _keys_of(wanted)
     if isinstance(wanted.get("realtime", {}), dict):
         kept = {key: value for key, value in start.realtime.items() if key not in meant}
         start = replace(start, realtime=kept)
         if "realtime" in wanted:
             wanted["realtime"] = dict(flatten(wanted["realtime"]))
-    with _computable(source):
+    with _refuse_arithmetic_errors(source):
         other, problems = apply_changes(EXPERIMENT, start, wanted, _motion(wanted, experiment.rig.motion))
         problems += _wrong_realtime(wanted.get("realtime", {}))
         if not problems:
@@ -140,7 +142,7 @@ def _keys_of(table: Table) -> set[str]:
     return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
-def _without_what_goes(experiment: Experiment, wanted: Table) -> Experiment:
+def _without_replaced_settings(experiment: Experiment, wanted: Table) -> Experiment:
     """Return the experiment without the settings of its estimator or grip, if `wanted` names a different one."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
@@ -189,7 +191,7 @@ def _preset(name: Any, source: str) -> Table:
     return preset_table(name)
 
 
-def _stack(base: Table, top: Table) -> Table:
+def _overlay_preset(base: Table, top: Table) -> Table:
     """Return the table `base` with the keys of `top` replaced or added, also inside ``[realtime]``.
 
     A key that `top` sets applies in real time too: its value in ``[realtime]`` of `base` is dropped.
@@ -204,8 +206,8 @@ def _stack(base: Table, top: Table) -> Table:
     return merged
 
 
-def _own_servo(preset: Table, table: Table) -> frozenset[str]:
-    """Return the keys of ``[homing]`` to compute: those that `table` lacks, if its rig is not the preset's rig."""
+def _servo_keys_to_compute(preset: Table, table: Table) -> frozenset[str]:
+    """Return the keys of ``[homing]`` to compute for a rig that is not the preset's rig: those missing in `table`."""
     name, given = value_at(table, ("rig", "name")), table.get("homing", {})
     if name in (None, value_at(preset, ("rig", "name"))) or not isinstance(given, dict):
         return frozenset()
@@ -213,7 +215,7 @@ def _own_servo(preset: Table, table: Table) -> frozenset[str]:
 
 
 def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
-    """Return the experiment with the keys `names` of ``[homing]`` computed for its rig, also for real time."""
+    """Return the experiment with the keys `names` of ``[homing]`` computed from its rig, also for ``[realtime]``."""
     if not names:
         return x
     servo = asdict(homing.stable_servo(x))
@@ -226,7 +228,7 @@ def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
 
 
 @contextmanager
-def _computable(source: str) -> Iterator[None]:
+def _refuse_arithmetic_errors(source: str) -> Iterator[None]:
     try:
         yield
     except ArithmeticError as error:

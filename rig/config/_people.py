@@ -13,7 +13,8 @@ from rig.config._sections import OSCILLATIONS, Experiment
 
 # of the effort limit: a press swells by a fifth, and a count deeper must not reach the limit
 PRESS_SHARE = 0.6
-HARD = 1e12  # N·m/rad or N/m: nothing gives but the hand, so the press holds for every wall
+# Stiffness of a wall (N·m/rad or N/m) that hardly yields: a press computed for it is safe for every softer wall.
+HARD = 1e12
 
 
 def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experiment:
@@ -43,7 +44,7 @@ def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experim
 
 
 def human_limits_exceeded(experiment: Experiment) -> list[str]:
-    """Return ``key = value`` for each key that exceeds the limits for people; a real rig refuses such a trial."""
+    """Return a text ``key = value`` for each key that exceeds the limits for people; a real rig refuses the trial."""
     limits = experiment.rig.limits
     if experiment.trial.kind != "human":
         return []

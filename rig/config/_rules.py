@@ -18,8 +18,10 @@ from rig.config._table import parameters, shown
 from rig.core.present import plain
 from rig.core.sample import Motion, unit_of
 
-LARGEST_CURRENT = 32767  # quanta; a command carries the current as i16
-SHORTEST_HEARTBEAT_S = 0.1  # five times `rig.loop._run.POLL_S`
+# In current quanta: a command contains the current as i16.
+LARGEST_CURRENT = 32767
+# Five times `rig.loop._run.POLL_S`, the period of the supervising thread.
+SHORTEST_HEARTBEAT_S = 0.1
 # between two indices: fewer, and one count is too large a share to judge where one lies
 LEAST_INDEX_COUNTS = 16
 # Magnitudes of any quantity in SI units; a place may be what rounding left, such as 0.1 + 0.2 - 0.3.
@@ -355,7 +357,8 @@ def window(x: Experiment) -> Iterator[Problem]:
 def approach(x: Experiment) -> Iterator[Problem]:
     """Yield problems if a trial starts inside the wall, or if its constant push points away from the wall."""
     side, wall, unit = x.wall.side, x.wall.position, _unit(x, "position")
-    if x.trial.kind == "excitation":  # it begins inside a wall that has no free side
+    # An excitation begins inside a wall that acts on both sides, so it has no free side.
+    if x.trial.kind == "excitation":
         return
     if side * (x.trial.start - wall) >= 0:
         where = "below" if side > 0 else "above"
@@ -390,7 +393,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem if the push comes to rest only a few counts deep in the wall, which tests the encoder only."""
+    """Yield a problem if the push comes to rest so few counts deep that the encoder decides the result."""
     if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
@@ -425,7 +428,10 @@ def press(x: Experiment) -> Iterator[Problem]:
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem if the person's reach ends after the judged part begins, or after the wait for a contact."""
+    """Yield a problem if the person's movement to the wall ends too late for the judged last part of the trial.
+
+    With a hold time, the movement must end within `trial.duration_s`, the longest wait for a contact.
+    """
     end = x.operator.begin_s + x.operator.reach_s
     if x.trial.hold_s > 0.0:
         if x.trial.kind == "human" and end > x.trial.duration_s:
@@ -480,7 +486,7 @@ def times(x: Experiment) -> Iterator[Problem]:
 
 
 def excitation(x: Experiment) -> Iterator[Problem]:
-    """Yield problems of the multisine excitation: no line in its band, too high a frequency, two sizes."""
+    """Yield problems of the multisine excitation: no frequency in its band, too high a frequency, two sizes."""
     e, rate = x.excitation, x.controller.position_rate
     if e.low_hz > e.high_hz:
         yield _problem(

@@ -32,7 +32,7 @@ Setting = bool | int | float | str
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Section ``[rig.limits]``: limits that the guard (safety check in each tick) enforces against the law."""
+    """Section ``[rig.limits]``: limits of effort, speed, position and energy, checked in each tick."""
 
     nominal_effort: Annotated[
         float, Gt(0), Quantity("effort", "continuous effort of the motor, without overheating")
@@ -282,7 +282,7 @@ class Wall:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Homing:
-    """Section ``[homing]``: the soft servo that moves the handle to the start of a trial."""
+    """Section ``[homing]``: the soft position servo that moves the handle to the start of a trial."""
 
     speed: Annotated[float, Gt(0), Quantity("velocity", "speed of the set point")]
     stiffness: Annotated[float, Gt(0), Quantity("stiffness", "stiffness of the servo to the set point")]
@@ -387,7 +387,7 @@ class Trial:
 class Excitation:
     """Section ``[excitation]``: a multisine effort at the handle, in whole periods, to measure mechanical impedance.
 
-    Its frequencies are all multiples of 1/period_s from low_hz to high_hz. The wall then acts on both sides of
+    The frequencies are all multiples of 1/period_s from low_hz to high_hz. The wall then acts on both sides of
     wall.position.
     """
 

@@ -81,7 +81,10 @@ def parameters() -> Mapping[str, ConfigKey]:
 
 @cache
 def parameters_of(root: type) -> Mapping[str, ConfigKey]:
-    """Return the description of each key of a dataclass by its dotted name (``a[].b``: key b in a list of tables a)."""
+    """Return the description of each key of the dataclass `root`, by the key's dotted name.
+
+    The name ``condition[].name`` is the key `name` in a list of tables `condition`.
+    """
     return {parameter.key: parameter for parameter in _walk(root, "")}
 
 
@@ -127,7 +130,9 @@ def _sole(hint: Any) -> Any:
 
 def _parameter(section: type, key: str, hint: Any) -> ConfigKey:
     if get_origin(hint) is not Annotated:
-        raise TypeError(f"{section.__name__}: field {key} has no Quantity")
+        raise TypeError(
+            f"{section.__name__}: field {key} has no unit and meaning; annotate it with a Quantity"
+        )
     _, *metadata = get_args(hint)
     kind = _sole(hint)
     quantity = next(m for m in metadata if isinstance(m, Quantity))

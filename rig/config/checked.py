@@ -80,17 +80,17 @@ class FileKind(Generic[T]):
     otherwise: str = ""
 
     def parameters(self) -> Mapping[str, ConfigKey]:
-        """Return the description of each key of such a file, by the key's dotted name."""
+        """Return the description of each key of a file of this kind, by the key's dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
 
     def sections(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the names of the keys in each table of such a file, by the table's dotted name."""
+        """Return the names of the keys in each table of a file of this kind, by the table's dotted name."""
         root: Any = self.root
         return sections_of(root, self.also)
 
     def known_instead(self, section: str, leaf: str) -> str:
-        """Return a remedy for the unknown key `leaf`: the closest key of its section, or the same name elsewhere."""
+        """Return the remedy for an unknown key `leaf`: a close key of its section, or this key in other sections."""
         siblings = self.sections().get(section, ())
         elsewhere = [key.replace("[]", "") for key in self.parameters() if key.rpartition(".")[2] == leaf]
         otherwise = (
@@ -146,7 +146,7 @@ def apply_changes(
 
 
 class _Changing:
-    """A conversion that copies dataclasses with changed fields and collects pydantic's errors with the wrong tables."""
+    """A changed copy of nested dataclasses in progress: it collects pydantic's errors, each with the invalid values."""
 
     def __init__(self, whole: Table) -> None:
         self._whole = whole
@@ -208,7 +208,7 @@ def plain(value: Any) -> Any:
 
 
 def value_at(table: Any, path: Iterable[str]) -> Any:
-    """Return the value in nested dicts and lists at a path of keys and list indices (from 0), or None."""
+    """Return the value in nested dicts and lists at a path of keys and list indices; None if there is no value."""
     value: Any = table
     for part in path:
         if isinstance(value, list) and part.isdecimal():
@@ -243,7 +243,7 @@ def _adapter_of_key(section: type, name: str) -> Any:
 
 
 def _jsonable(value: Any) -> Any:
-    """Return `value` with whatever JSON cannot represent replaced by infinity or [], which no key accepts."""
+    """Return a copy of `value` for JSON: what JSON cannot represent becomes infinity or [], which no key accepts."""
     if isinstance(value, dict):
         return {key: _jsonable(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -254,7 +254,6 @@ def _jsonable(value: Any) -> Any:
 
 
 def _problem_of(error: ErrorDetails, kind: FileKind[Any], table: Table, motion: Motion | None) -> Problem:
-    """Return an error of pydantic as a `Problem` with key, value, allowed values and remedy."""
     path, pattern = _within_leaf([str(part) for part in error["loc"]], kind)
     key, section, leaf = ".".join(pattern), ".".join(pattern[:-1]), path[-1] if path else ""
     where, value = place(path), value_at(table, path)
@@ -335,7 +334,7 @@ def better(value: Any, parameter: ConfigKey) -> str:
 
 
 def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
-    """Yield a problem for true or 1.0 in place of the choice 1, which the validator accepts because they are equal."""
+    """Yield a problem for each key with true or 1.0 in place of the allowed integer 1, which Python considers equal."""
     root: Any = kind.root
     for key, parameter in _numbered_keys(root):
         value = value_at(table, key.split("."))

@@ -33,7 +33,8 @@ LIFETIME_PERIODS = 5
 # Beyond the duration of a trial, a person may hold the handle so long without an encoder edge.
 CONFIRM_S = 1.0
 SHORTEST_LIFETIME_S, LONGEST_LIFETIME_S = 0.003, 0.02
-SUPERVISE_LIFETIME_S = 0.02  # of a command to a law on the device; the host repeats it every 5 ms
+# Lifetime of a command to a law on the device (s); the host repeats the command every 5 ms.
+SUPERVISE_LIFETIME_S = 0.02
 # A command holds for at least so many ticks, however slow the loop. A loop for which these exceed the longest lifetime
 # is too slow, and refused.
 FEWEST_PERIODS = 2
@@ -175,7 +176,10 @@ def _position_state(estimator: Estimator) -> int:
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:
-    """Return the handle's range (rad or m) before the cue, up to halfway to the wall, by field name in `CONTROL`."""
+    """Return the range of the handle before the cue (rad or m), by the name of its limit in `CONTROL`.
+
+    With free time before the cue, the range ends halfway to the wall; otherwise it is the whole position window.
+    """
     limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
     free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
     if free_s(experiment) > 0.0:

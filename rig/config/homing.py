@@ -19,10 +19,13 @@ from rig.config._sections import Experiment
 ABOVE_FRICTION = 1.25
 # Share of the way to the wall that may separate start and home: at most, and as designed.
 LARGEST_SHARE, USUAL_SHARE = 0.75, 0.25
-USUAL_CUTOFF = 0.1  # of a velocity filter without a described cut-off, over its rate
-FILTER_DELAY = 0.225  # of a second-order Butterworth filter: its delay times its cut-off, √2/(2π)
+# Cut-off over velocity rate, for a velocity filter whose cut-off is not described.
+USUAL_CUTOFF = 0.1
+# Delay times cut-off of a second-order Butterworth filter: √2/(2π).
+FILTER_DELAY = 0.225
 USUAL_TOLERANCE = 4.0  # counts
-SPARE_TICKS = 2  # of delay that a designed servo bears besides: what a link may need
+# A designed servo is stable with this many more ticks of delay, which a link may cause.
+SPARE_TICKS = 2
 # Of a designed servo: B/I times the delay of its loop (rad). 0.6 leaves about 27° of phase margin; in a hand, whose
 # mass and spring come besides, 0.6 is unstable on koul-rigid at 20 kHz (spectral radius 1.02), and 0.45 stable on all
 # presets.
@@ -51,7 +54,7 @@ class Servo:
 
 
 def holding_effort(x: Experiment) -> float:
-    """Return the effort (N·m or N) below which the handle may stay at rest: friction, cogging, end mass's weight."""
+    """Return the effort (N·m or N) up to which a handle may stay at rest: sum of friction, cogging and weight."""
     mechanics = x.rig.mechanics
     weight = 0.0 if x.trial.kind == "human" else abs(mechanics.gravity_effort)
     return mechanics.motor_coulomb + mechanics.link_coulomb + x.rig.cogging.crest + weight
@@ -65,19 +68,19 @@ def resting_offset(x: Experiment) -> float:
 def home_tolerance(x: Experiment) -> float:
     """Return the distance (rad or m) from the trial's start within which homing is complete.
 
-    It is `homing.tolerance_counts`, or more if friction can hold the handle farther away: homing would never end.
+    The distance is `homing.tolerance_counts`, or more if friction can hold the handle farther away.
     """
     described = x.homing.tolerance_counts * x.rig.encoder.resolution
     return max(described, ABOVE_FRICTION * resting_offset(x))
 
 
 def largest_offset(x: Experiment) -> float:
-    """Return the largest accepted distance (rad or m) from the start after homing: 3/4 of the way to the wall."""
+    """Return the largest accepted distance (rad or m) from trial.start, `LARGEST_SHARE` of the way to the wall."""
     return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
 
 
 def usual_offset(x: Experiment) -> float:
-    """Return the distance (rad or m) from the start that a designed servo may leave: 1/4 of the way to the wall."""
+    """Return the distance (rad or m) that a designed servo may leave, `USUAL_SHARE` of the way to the wall."""
     return USUAL_SHARE * abs(x.wall.position - x.trial.start)
 
 
@@ -102,14 +105,20 @@ def _cutoff_hz(x: Experiment) -> float:
 
 
 def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
-    """Return the delay (s) from position to effort, with `ticks` more, and the velocity's additional delay (s)."""
+    """Return the delay (s) from a position to its effort, and the additional delay (s) of the velocity.
+
+    `ticks` is an additional delay of the loop; the lag of the amplifier is not included.
+    """
     c = x.controller
     set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
     return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate
 
 
 def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
-    """Return the stiffness (SI) at which one count changes the effort by share · effort + 2 · holding effort."""
+    """Return the stiffness (N·m/rad or N/m) for which one encoder count changes the effort by the largest allowed step.
+
+    This step is share · effort + 2 · holding effort (N·m or N).
+    """
     return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
 
 
@@ -160,5 +169,4 @@ def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
 
 
 def _round(value: float) -> float:
-    """Return a value rounded to three significant digits."""
     return float(f"{value:.3g}")

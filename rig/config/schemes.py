@@ -28,9 +28,11 @@ from rig.control import estimators
 from rig.core.errors import ConfigError
 
 _KINDS = ("uniform", "dual")
-_OWN = ("prediction", "slow_velocity_rate", "slow_below")  # keys of [controller] that a scheme may set
+# Keys of [controller] besides rates and estimator that a scheme may set.
+_OWN = ("prediction", "slow_velocity_rate", "slow_below")
 _CUTOFF = "cutoff_hz"
-_USUAL_SHARE = 0.1  # of the velocity rate: the cut-off of a filter that the experiment does not have yet
+# Cut-off over velocity rate, for a filter that the experiment does not use.
+_USUAL_SHARE = 0.1
 _SUFFIXES = {"k": 1e3, "M": 1e6, "": 1.0}
 _FORM = "write dual:20k/2k or uniform:20k, then settings like ,estimator=kalman,cutoff_hz=200"
 
@@ -143,7 +145,7 @@ class Scheme:
         return text
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with the rates and the estimator of this scheme, fully checked.
+        """Return the experiment with the rates and the estimator of this scheme; check all values and rules.
 
         Raises
         ------
@@ -173,7 +175,10 @@ class Scheme:
         return override(bare, changes, f"scheme {self.text}", check_rules=check_rules)
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
-        """Return the estimator's settings: the scheme's, else the experiment's with the cut-off scaled to the rate."""
+        """Return the estimator's settings in this scheme: its own settings, completed by those of the experiment.
+
+        The experiment's cut-off is scaled with the velocity rate, unless `controller.scheme_cutoff` is "same".
+        """
         own = experiment.controller
         inherits = self.estimator in (None, own.estimator)
         settings = (
@@ -189,7 +194,7 @@ class Scheme:
 
 
 def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
-    """Return a sentence if schemes without a cut-off of their own get different ones by their rates, else None."""
+    """Return a sentence that lists the cut-offs by velocity rate, if schemes inherit different ones; else None."""
     own = experiment.controller
     unstated = [
         own,
@@ -218,7 +223,7 @@ def parse_rates(text: str) -> tuple[int, int]:
 
 
 def usual_settings(estimator: str, velocity_rate: int) -> dict[str, float | str]:
-    """Return the default settings of an estimator: a cut-off (Hz) at a tenth of the velocity rate, if it has one."""
+    """Return the default settings of an estimator: ``cutoff_hz`` at a tenth of the velocity rate, or no setting."""
     return {_CUTOFF: _USUAL_SHARE * velocity_rate} if _has_cutoff(estimator) else {}
 
 
@@ -264,7 +269,8 @@ def _check_types(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
 
 
 def _has_cutoff(estimator: str) -> bool:
-    known = estimator in estimators.names()  # an unknown one is refused later, with every other problem
+    # An unknown estimator is refused later, together with all other problems.
+    known = estimator in estimators.names()
     return known and any(setting.name == _CUTOFF for setting in estimators.get(estimator).settings)
 
 

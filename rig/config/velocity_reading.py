@@ -51,9 +51,9 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
-    """Return the highest cut-off (Hz), up to the present one, at which one count is estimated as at most `most`.
+    """Return the highest cut-off (Hz) at which one encoder count is estimated as a speed of at most `most`.
 
-    `most` is in rad/s or m/s. Return None for an estimator without a cut-off.
+    `most` is in rad/s or m/s. The result is not above the present cut-off, and None for an estimator without a cut-off.
     """
     own = x.controller
     cutoff = own.parameters.get(CUTOFF)
@@ -76,7 +76,7 @@ def _settings(x: Experiment) -> Settings:
 
 @lru_cache(maxsize=4096)
 def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
-    """Return the highest estimated speed (SI) for one count and at a steady velocity, `ahead` ticks extrapolated."""
+    """Return the highest estimated speed (rad/s or m/s) for a single count and for a steady velocity."""
     read = [_pulse(name, settings, rate, delta)]
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))

@@ -26,7 +26,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Check that this user may open each connected serial port, or if none is connected, belongs to their group."""
+    """Check that this user may open each serial port; without a port, that the user is in the group of ports."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:
@@ -56,7 +56,6 @@ def _group_missing(machine: Machine, group: str, text: str) -> Check:
 
 
 def _groups(machine: Machine) -> dict[str, list[str]]:
-    """Return the names of the members of each group in /etc/group, by the group's name."""
     lines = (line.split(":") for line in text_of(machine.root / "etc/group").splitlines())
     return {parts[0]: parts[3].split(",") for parts in lines if len(parts) > 3}
 

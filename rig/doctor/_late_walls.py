@@ -32,7 +32,10 @@ class LateWall:
 
 
 def late_wall(experiment: Experiment, delay: int) -> LateWall:
-    """Compute stability and passivity of an experiment's wall whose commands act `delay` ticks late."""
+    """Compute stability and passivity of an experiment's wall whose commands act `delay` ticks late.
+
+    If theory does not cover the law or the delay, the result has one skipped check and no numbers.
+    """
     wall = experiment.wall
     try:
         loops = LateLoops.of(experiment, delay)
@@ -57,7 +60,10 @@ def _not_computed(error: ConfigError) -> Check:
 def stability(
     experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
 ) -> Check:
-    """Return a check that refuses a wall that is unstable with any hand; `limits` is the largest K for each hand."""
+    """Return a check that refuses a wall that is unstable with at least one hand.
+
+    `radius` is the spectral radius and `limits` the largest stable stiffness (N/m or N·m/rad) for each hand.
+    """
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
     what = f"K = {wall.stiffness:g} {unit} with B = {wall.damping:g}"
@@ -75,7 +81,6 @@ def stability(
 
 
 def _rounded_down(value: float) -> str:
-    """Return a value above 0, rounded down to two significant digits, as text."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.floor(value / scale) * scale:.12g}"
 

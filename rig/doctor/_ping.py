@@ -21,13 +21,16 @@ from rig.realtime.groups import Bytes, Ints, group, type_of
 from rig.realtime.kernel import kernel
 
 RECEIVE_BYTES = 4096
-RETRY_FULL_NS = 1_000_000  # pause when the line takes no more bytes
-MOST_READS = 16  # of a full buffer before the clock is looked at again
+# Pause (ns) after the line has accepted only a part of a request.
+RETRY_FULL_NS = 1_000_000
+# Reads of a full buffer before the function checks the clock again.
+MOST_READS = 16
 
 # Places in the tally.
 _NAMES = (
     "filled",  # bytes of an unfinished frame at the front of the receive buffer
-    "session",  # of the headers that are sent
+    # Session number in the headers of all requests.
+    "session",
     "sequence",
     "nonce",
     "last_sent",  # host time (ns), 0 before the first
@@ -82,7 +85,7 @@ _BUFFERS_TYPE = type_of(PingBuffers)
 
 @kernel(types.int64(_BUFFERS_TYPE, types.int64, _INTS))
 def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
-    """Decode `buffers.raw`; return 1 if it is the reply to the newest request (in `buffers.values`), else 0."""
+    """Decode a received frame; return 1 if it is the reply to the newest request (in `buffers.values`), else 0."""
     raw, header, values = buffers.raw, buffers.header, buffers.values
     if codec.decode_time(raw, length, header, values) == 0:
         if values[TIME.nonce] == tally[TALLY.nonce] and values[TIME.host_sent] == tally[TALLY.last_sent]:
@@ -96,7 +99,7 @@ def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
 def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
-    """Read and decode the received frames; return 1 if the reply is among them (in `buffers.answer`), 0, or -errno."""
+    """Read and decode received frames; return 1 if the reply is among them (in `buffers.answer`), 0, or -errno."""
     received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
@@ -131,7 +134,10 @@ def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
 def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
-    """Receive until `until_ns` (ns) or, if `for_answer` is 1, until the reply; return 1 for a reply, 0, or -errno."""
+    """Receive frames until `until_ns` (ns), or until the reply if `for_answer` is 1.
+
+    Return 1 if the reply has arrived and `for_answer` is 1, 0 if the time has passed, or -errno of a broken link.
+    """
     while port.now(port.clock_handle) < until_ns:
         ready = port.wait(port.handle, until_ns)
         if ready > 0:

@@ -24,12 +24,15 @@ class Port:
 
 
 def ports_here() -> tuple[list[Port], list[Check]]:
-    """Return all connected ports and USB rigs, and a check for each problem of a port (`NO_PORTS` if none)."""
+    """Return all connected serial ports and USB rigs, and a check for each known problem of a port.
+
+    If nothing is connected, one of the checks warns of it, with the name `NO_PORTS`.
+    """
     ports = [serial_port(name, description) for name, description in available_ports()]
     checks = [problem for _, facts in ports for problem in facts.problems()]
     rigs = [Port(device.url, device.product, device) for device in available_devices() if device.is_rig]
     if not ports and not rigs:
-        checks.append(_nothing_here())
+        checks.append(_warn_without_port())
     return [*(port for port, _ in ports), *rigs], checks
 
 
@@ -40,7 +43,7 @@ def serial_port(name: str, description: str = "") -> tuple[Port, PortFacts]:
 
 
 @question(NO_PORTS, "without a rig only simulations can run")
-def _nothing_here() -> Check:
+def _warn_without_port() -> Check:
     return warning("no serial port and no USB rig is connected", "connect the rig, then run: rig device list")
 
 

@@ -26,14 +26,20 @@ from rig.realtime.handlers import take_no_signals
 from rig.realtime.scheduling import Realtime
 from rig.recording.quantiles import Distribution, Quantile, values_needed
 
-ENOUGH = values_needed(0.999)  # exchanges that bound p99.9
-TIMEOUT_S = 0.05  # silence that ends a run of the loop (`rig.experiments.trials._trial`)
-SLICE_S = 0.05  # the compiled function comes back this often, to be stopped
+# Number of exchanges that give p99.9 an upper bound.
+ENOUGH = values_needed(0.999)
+# Silence (s) that ends a run of the loop (`rig.experiments.trials._trial`).
+TIMEOUT_S = 0.05
+# The compiled function returns this often, so that Python can stop it.
+SLICE_S = 0.05
 POLL_S = 0.05
-WARM_UP = 8  # first exchanges, which touch memory and code for the first time and are not counted
+# The first exchanges touch memory and code for the first time, so these are not counted.
+WARM_UP = 8
 LARGEST_TABLE = 200_000
-FASTEST_HZ = 50_000.0  # of questions, when no rate is asked: nothing on a wire is faster
-# a device cannot keep a question longer than the whole trip, but for its clock's drift and steps
+# Highest rate of requests if no rate is given: no link is faster.
+FASTEST_HZ = 50_000.0
+# Largest plausible time between the device's two stamps, over the round trip that contains it. It may exceed 1 a little
+# because the device's clock drifts and has steps.
 HONEST = 1.01
 
 Progress = Callable[[float], None]
@@ -111,20 +117,23 @@ class LinkMeasurement:
 
     @property
     def sample_delay_s(self) -> float:
-        """Return the time (s) from a bridge's tick to the drive's sample that 99.9 % do not exceed; 0 for a board."""
+        """Return the time (s) from a bridge's tick to the drive's sample in 99.9 % of ticks; 0 without a bridge."""
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property
     def late_s(self) -> float:
-        """Return the time (s) from a tick of the device to its command that 99.9 % of the ticks do not exceed."""
+        """Return the time (s) from a device's tick to the arrival of its command, not exceeded in 99.9 % of ticks."""
         return self.travel_s.almost_all + self.sample_delay_s
 
     def delay_ticks(self, rate: float, pacing: str = "device") -> int:
-        """Return the delay from a sample to its command (ticks of `rate` in Hz) that 99.9 % do not exceed."""
+        """Return the delay from a sample to its command in ticks of `rate` (Hz), not exceeded in 99.9 % of ticks.
+
+        `pacing` is ``device`` or ``host``: the side whose clock starts each tick. The delay is 0 in virtual time.
+        """
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
-        """Return the measurement as rows (name, text, note) for printing."""
+        """Return the measurement of a link as rows (name, text, note) for printing."""
         asked = (
             "as fast as the device replies" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
         )
@@ -160,7 +169,6 @@ def _drive(facts: Mapping[str, float]) -> str:
 
 
 def _times(times: Distribution) -> str:
-    """Return the quantiles p50, p99 and p99.9 with their confidence bounds, and the maximum, as text in ms."""
     named = (("p50", times.p50), ("p99", times.p99), ("p99.9", times.p999))
     return f"{', '.join(f'{name} {_time(q)}' for name, q in named)}, longest {1e3 * times.maximum:.3g} ms"
 
@@ -198,7 +206,8 @@ def measure_link(
     LinkLostError
         The device does not reply, or the link is lost.
     """
-    dictionary = device.dictionary  # a device that has just started answers IDENTIFY only
+    # Read it first: a device that has just started replies to IDENTIFY only.
+    dictionary = device.dictionary
     run = _Run(device, seconds, rate)
     run.warm_up()
     run.perform(realtime, progress)
@@ -206,8 +215,6 @@ def measure_link(
 
 
 class _Run:
-    """One measurement of a link, with its buffers, its thread and its counters."""
-
     def __init__(self, device: FramedDevice, seconds: float, rate: float | None) -> None:
         self._device = device
         self._port = device.link.port()
@@ -242,7 +249,7 @@ class _Run:
             self._tally[place] = 0
 
     def perform(self, realtime: Realtime | None, progress: Progress | None) -> None:
-        """Measure in a separate thread, as the loop would run, wait for its end, and return the link to Python."""
+        """Measure the link in a separate thread, as the loop would run, and wait for the end of the measurement."""
         thread = threading.Thread(target=self._body, args=(realtime,), name="rig-ping", daemon=True)
         self._begun_ns = self._clock.now_ns()
         thread.start()
@@ -252,9 +259,10 @@ class _Run:
                     progress(min(1.0, (self._clock.now_ns() - self._begun_ns) / self._duration_ns))
         finally:
             self._stop.set()
-            self._done.wait()  # a slice and a time-out at most
+            # Takes one slice and one timeout at most, after which the compiled function has returned.
+            self._done.wait()
             thread.join()
-            self._give_back()
+            self._return_link()
         if self._error is not None:
             raise self._error
         if progress is not None:
@@ -291,8 +299,8 @@ class _Run:
                 statistics=self._device.connection.statistics,
             ) from failure
 
-    def _give_back(self) -> None:
-        """Store the number of the newest State message, so that messages read by `ping` are not counted as lost."""
+    def _return_link(self) -> None:
+        """Store the number of the newest State message in the connection, which else counts messages as lost."""
         connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
         if newest >= 0:
             self._device.take_back(

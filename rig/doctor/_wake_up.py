@@ -24,12 +24,16 @@ if sys.platform == "linux":
 assert sys.platform == "linux"
 
 RATE_HZ = 1000
-LATE_S = 0.0002  # a fifth of the period
+# Largest p99 of the wake-up latency without a warning (s): a fifth of the period at `RATE_HZ`.
+LATE_S = 0.0002
 
 
 @kernel(types.int64(types.int64, types.int64[::1]))
 def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
-    """Sleep until deadlines `period_ns` apart; write each lateness (ns) to `late_ns`; return the missed periods."""
+    """Sleep until each of a series of deadlines `period_ns` (ns) apart, and measure how late each wake-up is.
+
+    Write each lateness (ns) into the array `late_ns`; return the number of whole periods that were missed.
+    """
     skipped = 0
     deadline = monotonic_now(0) + period_ns
     for index in range(late_ns.size):
@@ -44,7 +48,7 @@ def wake_ups(period_ns: int, late_ns: NDArray[np.int64]) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WakeUps:
-    """Measured lateness of wake-ups: median, 99 % quantile, maximum (s), missed periods, scheduling of the thread."""
+    """Measured lateness of wake-ups: median, 99 % quantile and maximum (s), and number of missed periods."""
 
     rate_hz: int
     count: int
@@ -57,7 +61,7 @@ class WakeUps:
 
 
 @dataclass(frozen=True, slots=True)
-class _Trying:
+class _BestEffortRequest:
     """Request for real-time scheduling that is best effort: a refusal by the kernel is accepted."""
 
     priority: int
@@ -70,7 +74,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
     asked = "try" if request.realtime == "enforce" else request.realtime
     late = np.zeros(max(round(seconds * rate_hz), 2), np.int64)
     ran: list[tuple[ThreadState, int]] = []
-    with obtained(_Trying(request.priority, request.cpu, asked)) as realtime:
+    with obtained(_BestEffortRequest(request.priority, request.cpu, asked)) as realtime:
         realtime.prefault(late)
 
         def body() -> None:
@@ -97,7 +101,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
 
 @question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
 def judge(woken: WakeUps) -> Check:
-    """Return a check of the measured wake-up latency: a warning if p99 is above `LATE_S` or if a period was missed."""
+    """Return a check of the measured wake-up latency: a warning if p99 exceeds `LATE_S` or a period was missed."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
     p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))

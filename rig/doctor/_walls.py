@@ -21,7 +21,8 @@ from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.doctor._round_trip import LinkMeasurement
 from rig.doctor.late_loops import LateLoops, loop_delay_ticks
 
-DIVIDER = 10  # position samples for one of velocity, where the experiment is uniform
+# Position samples for each velocity sample in the dual-rate scheme, if the experiment's scheme is uniform.
+DIVIDER = 10
 LOWEST_HZ, HIGHEST_HZ = 100, 200_000
 
 Progress = Callable[[float], None]
@@ -80,7 +81,7 @@ class Supported:
 
 
 def wall_items(experiment: Experiment, rows: Sequence[Supported]) -> list[Item]:
-    """Return the table of stable walls for printing, followed by one line for each distinct `reason` of its rows."""
+    """Return the table of stable walls for printing, followed by the reasons why theory does not cover some rows."""
     motion = experiment.rig.motion
     dampings = dampings_of(experiment)
     units = unit_of("stiffness", motion), unit_of("damping", motion)

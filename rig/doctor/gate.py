@@ -38,9 +38,12 @@ from rig.realtime.scheduling import obtained
 
 # Share of a command's lifetime for both ways of the link: a slower one would drop the wall during a contact.
 LIFETIME_SHARE = 0.5
-LOST_SHARE = 0.001  # of the requests: a loop loses one command in a thousand without effect
-SHORTEST_S, LONGEST_S = 1.0, 4.0  # of a measurement before arming; as long as bounding p99.9 takes
-SIMULATED_S = 0.2  # on a simulated device, which is never refused
+# Allowed share of lost requests: a loop loses one command in a thousand without effect.
+LOST_SHARE = 0.001
+# A measurement before arming lasts as long as a bound of p99.9 needs, within these limits (s).
+SHORTEST_S, LONGEST_S = 1.0, 4.0
+# A simulated device is never refused, so a short measurement is enough.
+SIMULATED_S = 0.2
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
@@ -76,7 +79,7 @@ def refused_among(
 ) -> tuple[float, ...]:
     """Return those of the stiffnesses (N/m or N·m/rad) that `gate` would refuse at the experiment's damping.
 
-    It returns all if the gate refuses link or homing, and none if theory does not cover the law or the delay.
+    All are refused if the gate refuses the link or homing; none if theory does not cover the law or the delay.
     """
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
@@ -116,7 +119,7 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     radius = loops.radius(wall.stiffness, wall.damping)
     if unstable_hands(radius, wall.stiffness):
         found = stability(experiment, delay, radius, loops.k_max([wall.damping])[0])
-        raise PlanError(f"this wall must not be rendered here: {found.text}", remedy=found.remedy)
+        raise PlanError(f"the running loop must not render this wall: {found.text}", remedy=found.remedy)
 
 
 def _lifetime_s(experiment: Experiment) -> float:
@@ -125,7 +128,6 @@ def _lifetime_s(experiment: Experiment) -> float:
 
 
 def _link_checks(experiment: Experiment, measurement: LinkMeasurement) -> list[Check]:
-    """Return the checks of the link alone, without the wall: delay, lost requests, duration of the measurement."""
     found = [_delay(experiment, measurement), _losses(measurement)]
     times = measurement.travel_s
     if times.p999.high is None and not measurement.virtual:
@@ -252,5 +254,5 @@ def check_armable(
         return found
     raise PlanError(
         f"this wall must not be armed: {found.text}",
-        remedy=f"{found.remedy}; or accept the risk: `arm_anyway`",
+        remedy=f"{found.remedy}; or accept the risk with `arm_anyway`",
     )

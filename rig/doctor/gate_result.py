@@ -17,9 +17,10 @@ from rig.core.present import Item, Row, reported
 
 
 def ticks_late(late_s: float, rate: float, pacing: str = "device") -> int:
-    """Return the ticks (at least 1) after which a sample's command acts, for a delay `late_s` (s) at `rate` (Hz).
+    """Return the number of ticks (at least 1) from a sample to the tick in which its command acts.
 
-    `pacing` is the side whose clock starts each tick, ``device`` or ``host``.
+    `late_s` is the delay of the link (s), `rate` the loop rate (Hz), and `pacing` the side whose clock starts each
+    tick, ``device`` or ``host``.
     """
     return max(1, math.ceil(late_s * rate - 1e-9)) + (1 if pacing == "host" else 0)
 

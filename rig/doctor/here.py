@@ -37,7 +37,7 @@ class Here:
     simulated: tuple[str, ...]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the four lists of this object as plain values for JSON, by name of the list."""
+        """Return the lists of backends, ports, USB devices and simulated rigs as plain values for JSON, by name."""
         return {
             "backends": [{**asdict(one), "broken": broken} for one, broken in self.backends],
             "ports": self.ports,

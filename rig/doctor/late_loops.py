@@ -25,11 +25,13 @@ from rig.core.operators import GRIPS, NO_OPERATOR
 if TYPE_CHECKING:
     from rig.doctor._round_trip import LinkMeasurement
 
-LARGEST_DELAY = 40  # ticks: at a longer delay a command's lifetime has ended
+# In ticks: after a longer delay a command's lifetime has ended, so the device has dropped the command.
+LARGEST_DELAY = 40
 # In place of an estimator that is not linear: without damping an estimator has no effect, and with damping an adaptive
 # one has at best a little less lag than this filter, which was designed for the same noise.
 STAND_IN = "fdm-butterworth"
-SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")  # laws whose wall is K and B, excitation aside
+# Laws whose wall is the spring K and the damper B that linear theory covers; an excitation is added to them.
+SPRING_AND_DAMPER = ("spring-damper", "bilateral", "excited")
 
 
 def hands_of(experiment: Experiment) -> dict[str, str | Operator]:
@@ -48,7 +50,7 @@ def late_by(experiment: Experiment, ticks: int) -> Experiment:
 
 
 def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
-    """Return the delay from sample to effort in ticks of `rate` (Hz): the link's, or 0 if the device runs the law."""
+    """Return the delay from a sample to its effort in ticks of `rate` (Hz); 0 if the law runs on the device."""
     if experiment.controller.loop == "device":
         return 0
     return measurement.delay_ticks(rate, experiment.host.pacing)
@@ -68,7 +70,8 @@ class LateLoops:
 
     experiment: Experiment
     stand_in: str
-    _free: tuple[tuple[Scheme, LinearLoop], ...]  # in no hand, for each velocity rate
+    # One loop without a hand for each velocity rate: it holds the estimator's realisation, which all hands share.
+    _free: tuple[tuple[Scheme, LinearLoop], ...]
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
@@ -90,7 +93,7 @@ class LateLoops:
             )
         if delay_ticks > LARGEST_DELAY:
             raise ConfigError(
-                f"stability with a delay of {delay_ticks} ticks cannot be computed (at most {LARGEST_DELAY})",
+                f"stability cannot be computed for a delay of {delay_ticks} ticks; allowed are {LARGEST_DELAY} at most",
                 remedy=f"choose a rate of {experiment.controller.position_rate * LARGEST_DELAY // delay_ticks} Hz or "
                 "less, or a faster link",
             )
@@ -121,7 +124,7 @@ class LateLoops:
         }
 
     def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
-        """Return for each damping (N·s/m or N·m·s/rad) the largest stable stiffness (N/m or N·m/rad), by hand."""
+        """Return for each damping (N·s/m or N·m·s/rad) the largest stable stiffness (N/m or N·m/rad) with each hand."""
         curves = {
             hand: [k_max_curve(loop, None, dampings) for loop in loops]
             for hand, loops in self.by_hand.items()
@@ -139,7 +142,10 @@ def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
-    """Return a scheme for each velocity rate, and a sentence if a filter replaces the estimator (else "")."""
+    """Return the schemes to compute, one for each velocity rate, and a sentence on a replaced estimator, or "".
+
+    A nonlinear estimator is replaced by the filter `STAND_IN`; the sentence says why.
+    """
     own = replace(Scheme.of(experiment), slow_velocity_rate=None, slow_below=0.0)
     slow = experiment.controller.slow_velocity_rate if experiment.controller.slow_below else None
     rates = [own.velocity_rate] if slow in (None, own.velocity_rate) else [own.velocity_rate, slow]

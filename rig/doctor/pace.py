@@ -37,7 +37,8 @@ __all__ = [
 SECONDS = 2.0
 # Judged by the losses in each quarter of the measurement: one bad moment is not a slow machine.
 QUARTERS = 4
-SLOWEST_HZ = 100  # below this rate no wall feels stiff
+# Below this rate (Hz) no wall feels stiff, so a lower rate is not offered.
+SLOWEST_HZ = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,12 +37,16 @@ __all__ = [
     "speed_reading",
 ]
 
-SPARE = 1.1  # of a named value over the least or below the largest one that works
-SETTLES = 10.0  # time constants after which the homing servo is at rest
+# A named value exceeds the least value that works, or stays below the largest one, by this factor.
+SPARE = 1.1
+# The homing servo is considered at rest after this many of its time constants.
+SETTLES = 10.0
 # Least phase margin of homing: with 1.5° single counts kept the handle of a randomly generated rig moving.
 LEAST_MARGIN = math.radians(2.0)
-COUNT_SPEED_SHARE = 0.5  # of the speed limit, as which one count may read where a change is named
-QUIET_SHARE = 0.9  # of a window's ticks in which a current must be above the noise to be compared
+# With a named change, one count is estimated as at most this share of the speed limit.
+COUNT_SPEED_SHARE = 0.5
+# A current must be above the noise in this share of a window's ticks, or it is not compared.
+QUIET_SHARE = 0.9
 
 
 def predict_checks(x: Experiment, ticks: int) -> list[Check]:
@@ -51,7 +55,7 @@ def predict_checks(x: Experiment, ticks: int) -> list[Check]:
 
 
 def homing_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return the checks that homing, with commands `ticks` late, is strong, stable, fast and exact enough."""
+    """Return the checks that homing, with commands `ticks` late, is strong, stable, fast and accurate enough."""
     return [
         _homing_effort(x),
         _homing_stability(x, ticks),
@@ -78,9 +82,10 @@ def speed_reading(x: Experiment) -> Check:
 
 
 def quieter_changes(x: Experiment) -> dict[str, float]:
-    """Return a cut-off (Hz, by its key) at which one count is estimated as at most half of the speed limit.
+    """Return a lower cut-off (Hz) of the velocity filter, as a mapping from its key.
 
-    The mapping is empty if the present cut-off fulfils this condition, or if no cut-off does.
+    With this cut-off, one encoder count is estimated as at most half of the speed limit. The mapping is empty if the
+    present cut-off is low enough, or if no cut-off is.
     """
     most = COUNT_SPEED_SHARE * x.rig.limits.speed
     if highest_reading(x) <= most or (cutoff := quiet_cutoff(x, most)) is None:
@@ -96,7 +101,10 @@ def finding(
     remedy: str = "",
     otherwise: Outcome = Outcome.REFUSED,
 ) -> Check:
-    """Return a passed check if `holds`, else a check with the outcome `otherwise`, whose remedy lists the changes."""
+    """Return a passed check if `holds` is True, otherwise a failed check with the outcome `otherwise`.
+
+    The remedy of a failed check lists `changes` (key: value) with which it would pass, or is the text `remedy`.
+    """
     if holds:
         return Check(name, Outcome.OK, text)
     changes = changes or {}
@@ -110,7 +118,6 @@ def round_up(value: float) -> float:
 
 
 def _down(value: float) -> float:
-    """Return a value rounded down to three significant digits."""
     return _round(value, math.floor)
 
 
@@ -272,7 +279,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """Check that the push is slower than the speed at which an unchanged encoder count would end the run as a fault."""
+    """Check that the push is slower than the speed at which a constant count would be taken for a dead encoder."""
     inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)

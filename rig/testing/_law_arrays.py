@@ -37,6 +37,6 @@ def run_all(
     parameters: Floats,
     found: Floats,
 ) -> None:
-    """Call the law once for each tick and write its force or torque (N or N·m) to `found`; `state` is its memory."""
+    """Call a law once for each tick and write the law's force or torque (N or N·m) to the array `found`."""
     for k in range(len(penetration)):
         found[k] = law(penetration[k], velocity[k], elapsed[k], state, parameters)

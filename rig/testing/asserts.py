@@ -16,7 +16,8 @@ from rig.core.sample import Phase, phase_name
 from rig.experiments.trials.judgement import Judgement, judge
 from rig.recording.data import Recording
 
-NEVER = 0xFFFF  # age of a command that never came (PROTOCOL.md, STATE)
+# Age of the newest command if no command has arrived (PROTOCOL.md, STATE).
+NEVER = 0xFFFF
 Subject = Any  # a Hit, a HitResult, a Recorded, or a Recording
 
 
@@ -95,7 +96,9 @@ def assert_passive(subject: Subject) -> None:
     recording = recording_of(subject)
     rows = recording.rows[np.isin(recording.rows["phase"], (Phase.TRIAL, Phase.RELEASE))]
     if len(rows) < 2:
-        raise AssertionError(f"nothing to observe: the recording has no trial\n{_where(recording)}")
+        raise AssertionError(
+            f"passivity cannot be observed: the recording has no rows of a trial\n{_where(recording)}"
+        )
     excess = _energy_given(rows, _experiment_of(recording), recording.header["identity"]["current_quantum_a"])
     worst = int(excess.argmax())
     if excess[worst] > 0.0:
@@ -106,13 +109,14 @@ def assert_passive(subject: Subject) -> None:
 
 
 def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: float) -> NDArray[np.float64]:
-    """Return for each row the least energy (J) that the wall can have given to the handle; negative: dissipated."""
+    """Return for each row a lower bound of the energy (J) that the wall has given to the handle (< 0: dissipated)."""
     count, quantum = x.rig.encoder.resolution, current_quantum_a * x.rig.amplifier.effort_per_ampere
     push = rows["effort_wanted"] + x.wall.side * rows["effort_wall"]
     reaction, free = np.zeros(len(rows)), np.ones(len(rows), bool)
     reaction[1:] = rows["effort_applied"][1:] - push[:-1]
     free[1:] = rows["penetration"][:-1] <= 0.0
-    reaction[free & (np.abs(reaction) <= quantum)] = 0.0  # the push as it was rounded
+    # In free space only the rounding of the push to whole quanta remains, which is not a reaction of the wall.
+    reaction[free & (np.abs(reaction) <= quantum)] = 0.0
     travel = np.diff(rows["position"], prepend=rows["position"][0])
     unknown = 0.5 * count * np.abs(np.diff(reaction, prepend=0.0))
     excess, given, known = np.zeros(len(rows)), 0.0, 0.0
@@ -158,7 +162,10 @@ def _check_rows(recording: Recording, within_ms: float) -> None:
 
 
 def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within_ms: float) -> None:
-    """Raise `AssertionError` if an effort is active more than `within_ms` after `what`; `since_ns` is by row."""
+    """Raise `AssertionError` if an effort is active more than `within_ms` (ms) after an event.
+
+    `since_ns` is the time since the event in each row (ns), and `what` names the event in the message.
+    """
     wrong = (recording.rows["effort_applied"] != 0.0) & (since_ns > within_ms * 1e6)
     if wrong.any():
         row = int(wrong.argmax())
@@ -171,7 +178,8 @@ def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within
 
 def _beyond(recording: Recording, name: str, bound: float) -> str:
     values = np.abs(recording.column(name))
-    wrong = ~(values <= bound)  # what is not finite is beyond any bound
+    # Not `values > bound`: NaN exceeds every bound, too.
+    wrong = ~(values <= bound)
     if not wrong.any():
         return ""
     first, worst = int(wrong.argmax()), int(np.nan_to_num(values, nan=np.inf).argmax())
@@ -187,7 +195,6 @@ def _value(recording: Recording, name: str, row: int) -> str:
 
 
 def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
-    """Return tick, time since the recording's start, and phase of a row as text."""
     passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
     return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
 

@@ -20,7 +20,8 @@ from rig.testing._compiled import allocations, guarded
 Make = Callable[[float, float], Prepared]
 Floats = NDArray[np.float64]
 
-RESOLUTION_SI, PERIOD_S = 1.5708e-4, 5e-4  # Koul et al.: 1000 lines, x4, 10:1, velocity at 2 kHz
+# Encoder and velocity period of Koul et al.: 1000 lines, fourfold decoding, transmission 10:1, 2 kHz.
+RESOLUTION_SI, PERIOD_S = 1.5708e-4, 5e-4
 ONE_COUNT = RESOLUTION_SI / PERIOD_S  # velocity of one count in one period
 NO_SETTINGS: Mapping[str, float | str] = {}
 SETTLED = 400  # velocity periods after which every estimator has forgotten its start
@@ -105,7 +106,7 @@ def check_estimator(
 
 
 def check_layout(make: Make) -> None:
-    """Check the estimator's arrays: flat, of the right type, memory zero, first parameters resolution and period."""
+    """Check the arrays of an estimator: flat, of the right type, zeroed memory, resolution and period as parameters."""
     p = make(RESOLUTION_SI, PERIOD_S)
     assert p.parameters[RESOLUTION] == RESOLUTION_SI, "parameters[0] is not the resolution"
     assert p.parameters[PERIOD] == PERIOD_S, "parameters[1] is not the velocity period"
@@ -155,7 +156,10 @@ def check_ramp(make: Make, tolerance: float) -> None:
 
 
 def check_ramp_over_gaps(make: Make, tolerance: float) -> None:
-    """Check the velocity at constant speed if samples are lost and the estimator receives the number of periods."""
+    """Check the velocity at constant speed if samples are lost and the estimator receives the number of lost periods.
+
+    `tolerance` is half the allowed relative error.
+    """
     elapsed = [1] * SETTLED + [2, 1, 5, 1, 17, 3, 1]
     counts = 7 * np.cumsum(elapsed)
     v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed)[SETTLED:]
@@ -193,7 +197,8 @@ def check_finite(make: Make) -> None:
     for _ in range(5):
         counts = random.integers(-(2**31), 2**31, 300)
         counts[random.integers(0, 300, 60)] = random.choice(EXTREMES, 60)
-        elapsed = (5000.0 ** random.random(300)).astype(int)  # of every size, most of them short
+        # Numbers of lost periods of every order of magnitude, most of them small.
+        elapsed = (5000.0 ** random.random(300)).astype(int)
         v = velocities(make(RESOLUTION_SI, PERIOD_S), counts.tolist(), elapsed.tolist())
         assert np.isfinite(v).all(), "a count sequence gives a velocity that is not finite"
 
@@ -230,7 +235,6 @@ def check_scale(make: Make) -> None:
 
 
 def _lively_counts() -> list[int]:
-    """Return the rounded encoder counts of a simulated hit: approach, impact, ringing."""
     t = np.arange(300) * PERIOD_S
     motion = np.where(t < 0.05, t * 1.2, 0.06 + 0.01 * np.exp(-(t - 0.05) / 0.02) * np.sin(600 * (t - 0.05)))
     return [int(c) for c in np.floor(motion / RESOLUTION_SI + 0.5)]

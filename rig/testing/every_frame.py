@@ -12,7 +12,8 @@ from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.testing.fault_words import DIRECTIONS, KINDS, direction_of, kind_of
 from rig.testing.hits import Hits
 
-MOST_FRAMES = 1000  # each way: the run is not a short one beyond
+# In each direction: a run with more frames is not a short one (`rig_experiment.short()`).
+MOST_FRAMES = 1000
 
 
 def with_every_frame(
@@ -78,7 +79,7 @@ def _struck(hits: Hits) -> bool:
 
 
 def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
-    """Yield a fault of frame 0, 1, …, until a run has no frame of this number; fail the test beyond `MOST_FRAMES`."""
+    """Yield a fault of frame 0, 1, …, until a run has no frame with this number; fail the test beyond `MOST_FRAMES`."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
         if not _struck(hits):

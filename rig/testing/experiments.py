@@ -23,7 +23,7 @@ SHORT: Mapping[str, Any] = {
 
 
 class Experiments:
-    """A function that creates the experiments of a test (the fixture ``rig_experiment``).
+    """Callable that creates the experiments of a test (the fixture ``rig_experiment``).
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Experiments:
         self._directory = directory
 
     def __call__(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
-        """Return an experiment with changed values.
+        """Return the experiment of a preset, a file or an object, with changed values.
 
         Parameters
         ----------

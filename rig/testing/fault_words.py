@@ -1,4 +1,4 @@
-"""Script faults of frames on the link and of the simulated device, for a test."""
+"""Script faults of frames and of the simulated device, for a test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direc
 
 
 class FaultWords:
-    """Script of faults for a test: each later hit injects them at the scripted ticks or frames from its start on.
+    """Script of faults for a test; each later hit applies these faults, counted from the start of the hit.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ DIRECTORY = "golden"
 
 
 class Golden:
-    """A function that compares the hits of a test with its golden recordings (the fixture ``rig_golden``).
+    """Callable that compares the hits of a test with its golden recordings (the fixture ``rig_golden``).
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ class Golden:
 
 
 def difference(golden: Recording, today: Recording, tolerance: Mapping[str, float]) -> str:
-    """Return a text about the first row in which two recordings differ, with all different columns; "" if none.
+    """Return a text about the first row in which two recordings differ, with all different columns; "" if they agree.
 
-    `tolerance` is the allowed difference by column. Raise `RecordingError` if it names an unknown column.
+    `tolerance` is the allowed difference by column. Raise `RecordingError` for a tolerance of an unknown column.
     """
     names = [name for name in golden.names if name in today.names]
     unknown = [name for name in tolerance if name not in names]

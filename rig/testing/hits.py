@@ -30,9 +30,11 @@ from rig.recording.data import Recording
 from rig.testing.experiments import Experiments, Source
 from rig.testing.fault_words import FaultWords
 
-WATCH_S = 1.0  # after a hit, for a current that does not go to zero; the longest watchdog bites before (PROTOCOL.md)
+# Time after a hit in which the current must become zero (s); the longest watchdog acts before (PROTOCOL.md).
+WATCH_S = 1.0
 STEP_S = 0.0005
-LOOK_S = 0.01  # an unarmed device sends a hundred STATE a second
+# An unarmed device sends a hundred State messages per second.
+LOOK_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +97,15 @@ class Hit:
 
     @property
     def path(self) -> Path:
-        """Return the path of the recording; ``--rig-record`` selects which recordings are kept after the test."""
+        """Return the path of the recording of a hit; ``--rig-record`` selects which recordings remain after a test."""
         return self._left.path
 
     @property
     def _left(self) -> Recorded:
         if self.recorded is None:
-            raise AssertionError(f"nothing was recorded: {self.error}")
+            raise AssertionError(
+                f"the hit has no recording, because the run failed before it moved: {self.error}"
+            )
         return self.recorded
 
 
@@ -177,7 +181,7 @@ class Rigs:
 
 
 class Hits:
-    """A function that runs the hits of a test (the fixture ``rig_hit``).
+    """Callable that runs the hits of a test (the fixture ``rig_hit``).
 
     Parameters
     ----------
@@ -298,7 +302,10 @@ def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -
 
 
 def _watch(link: WatchedLink) -> DeviceAfterwards:
-    """Let simulated time pass until the current is zero and an armed device's watchdog has acted; return the state."""
+    """Let simulated time pass until the current is zero and an armed device's watchdog has acted.
+
+    Return the time until the current was zero (s) and whether the device is armed.
+    """
     steps = 0
     while link.current != 0 and steps * STEP_S < WATCH_S:
         link.elapse(STEP_S)
@@ -309,7 +316,7 @@ def _watch(link: WatchedLink) -> DeviceAfterwards:
 
 
 def _read_state(device: FramedDevice) -> DeviceAfterwards | None:
-    """Return the state from the State messages that an unarmed device sends without a request; None if none arrives."""
+    """Return current and state of a device from the State messages that it sends while unarmed; None without any."""
     began_ns = device.link.clock.now_ns()
     rest: DeviceAfterwards | None = None
     while (waited_s := (device.link.clock.now_ns() - began_ns) * 1e-9) < WATCH_S:

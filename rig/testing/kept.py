@@ -32,7 +32,8 @@ class Kept:
     def __init__(self, root: Path, test: str, mode: str) -> None:
         self.place = root / DIRECTORY / re.sub(r"[^\w.=-]+", "_", test).strip("_")[-LONGEST_NAME:]
         self._mode = mode
-        self._wanted = mode != "none"  # stays so if a person stops the test, whose end is not reported
+        # Remains so if a person stops the test, because pytest then reports no end of it.
+        self._wanted = mode != "none"
         shutil.rmtree(self.place, ignore_errors=True)
 
     def ended(self, *, failed: bool) -> bool:

@@ -25,11 +25,13 @@ Floats = NDArray[np.float64]
 
 WALL: Mapping[str, Any] = asdict(Wall(stiffness=300.0, damping=0.5))
 TICK_S = 1.0 / 20_000
-DEPTH, SPEED = 0.01, 0.5  # of the motions: rad and rad/s, or m and m/s
+# Amplitudes of the tested motions: rad and rad/s, or m and m/s.
+DEPTH, SPEED = 0.01, 0.5
 # 5e-324 is the smallest subnormal double: its square and its ratio to 1e6 are exactly 0.
 EXTREMES = (0.0, 5e-324, 1e-12, 1.0, 1e3, 1e6)
 TICKS = 400
-_CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2  # into the wall and out again
+# Penetration of one press into the wall and out again, relative to its depth.
+_CYCLE = np.sin(np.pi * np.arange(TICKS + 1) / TICKS) ** 2
 
 
 def reactions(
@@ -82,7 +84,7 @@ def check_law(
 
 
 def check_memory(law: Law | str, wall: Mapping[str, Any]) -> None:
-    """Check that a law's arrays are flat and finite, and that it writes only to its memory and allocates nothing."""
+    """Check that the arrays of a law are flat and finite, and that a run writes only to its memory."""
     fresh = _prepare(law, wall)
     for array in (fresh.parameters, fresh.state):
         assert array.dtype == "float64", "wrong type of array"

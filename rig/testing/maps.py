@@ -16,7 +16,7 @@ from rig.testing.hits import Rigs, end_all
 
 
 class Maps:
-    """A function that computes the map of stable walls for a test (the fixture ``rig_zwidth``)."""
+    """Callable that computes the map of stable walls for a test (the fixture ``rig_zwidth``)."""
 
     def __init__(self, rigs: Rigs, experiments: Experiments, directory: Path) -> None:
         self._rigs, self._experiments, self._directory = rigs, experiments, directory

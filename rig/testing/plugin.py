@@ -79,7 +79,8 @@ def _simulated(config: pytest.Config) -> bool:
 
 def _check_consent(config: pytest.Config) -> None:
     url = config.getoption("rig_url")
-    if getattr(config.option, "tx", None):  # of pytest-xdist
+    # The option tx of pytest-xdist lists its processes.
+    if getattr(config.option, "tx", None):
         raise pytest.UsageError(
             f"{url} is one rig, and pytest-xdist would run its tests in several processes: add -n0"
         )
@@ -177,7 +178,10 @@ def rig_golden(request: pytest.FixtureRequest) -> testing.Golden:
 
 @pytest.fixture
 def rig_serial(rig_experiment: testing.Experiments) -> Iterator[testing.SerialRig]:
-    """Yield a simulated rig on a serial port (`path`) for a program under test; `did()` returns the state it left."""
+    """Yield a simulated rig on a serial port (`path`) for a program under test.
+
+    The method `did()` of the rig returns the state in which the program left the device.
+    """
     with testing.serve_rig(rig_experiment()) as served:
         yield served
 
@@ -244,7 +248,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def _asker(config: pytest.Config) -> Callable[[str], bool]:
-    """Return a function that asks a person at the terminal, past pytest's capture, and returns True for consent."""
     capture = config.pluginmanager.getplugin("capturemanager")
 
     def ask(text: str) -> bool:

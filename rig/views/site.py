@@ -63,7 +63,7 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise ConfigError(
-            f"the documents need {', '.join(missing)}, not installed here",
+            f"the documents need {', '.join(missing)}, which are not installed",
             remedy="pip install 'haptic-rig[docs]'",
         )
     began = time.monotonic()

@@ -25,11 +25,16 @@ from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
-BLOCKS = 64  # in a wave of the highest order: their means are the points of a fit
-SETTLE_S = 0.3  # of a sweep, at both of its ends
-CERTAIN = 2.0  # an order is kept where its amplitude is this many times its interval
-SHARE = 0.02  # and this share of the largest
-LEAST_PERIODS = 1.0  # in the range; with fewer, harmonics cannot be separated
+# Points of a fit in one wave of the highest order; each point is the mean of a block of samples.
+BLOCKS = 64
+# Time left out at both ends of a sweep (s), in which the servo changes its speed.
+SETTLE_S = 0.3
+# An order is significant if its amplitude is this many times its interval …
+CERTAIN = 2.0
+# … and this share of the largest amplitude.
+SHARE = 0.02
+# With fewer periods of cogging in the range, harmonics cannot be separated.
+LEAST_PERIODS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +75,7 @@ class CoggingMap:
 
     @property
     def cogging(self) -> Cogging:
-        """Return the fitted harmonics as the section `Cogging` of a rig's description."""
+        """Return the fitted harmonics of cogging in the form of a rig's description (`rig.core.model.Cogging`)."""
         return Cogging(
             period=self.period,
             orders=self.orders,
@@ -137,7 +142,7 @@ def fit_cogging(
     each = np.array([fitted_pair(pair, period, orders) for pair in pairs])
     every = [from_scatter(float(column.mean()), column) for column in each.T]
     levels, n = each[:, -2:] @ [[0.5, -0.5], [0.5, 0.5]], len(orders)  # bias, friction
-    at, up, down = _both_ways(pairs, low, high, wave)
+    at, up, down = _mean_efforts(pairs, low, high, wave)
     maps = np.array([basis(at, period, orders) @ row[: 2 * n] for row in each])
     factor = quantile(len(pairs) - 1) / math.sqrt(len(pairs))
     return CoggingMap(
@@ -170,10 +175,10 @@ def pairs_of(
     inertia: float,
     damping: float,
 ) -> list[Pair]:
-    """Return for each pair of sweeps (up, down) positions (rad or m) and efforts (N·m or N, cogging minus friction).
+    """Return for each pair of sweeps (up, down) arrays of position (rad or m) and effort (N·m or N).
 
-    `wave` is the shortest period of a harmonic (rad or m); `fit_cogging` describes the other arguments. Raise
-    `IdentificationError` if the handle moved in fewer than two pairs.
+    The effort is cogging minus friction. `wave` is the shortest period of a harmonic (rad or m); `fit_cogging`
+    describes the other arguments. Raise `IdentificationError` if the handle moved in fewer than two pairs.
     """
     ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
     if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
@@ -229,7 +234,7 @@ def _points(
 
 
 def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
-    """Return cosine and sine of each harmonic at the positions `x`, shape (n, 2·len(orders)): first all cosines."""
+    """Return the cosine and the sine of each harmonic at the positions `x` (rad or m), shape (n, 2·len(orders))."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
@@ -259,7 +264,9 @@ def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int,
     return tuple(int(n) for n in np.flatnonzero(sure) + 1), float(needed[~sure].max(initial=0.0))
 
 
-def _both_ways(pairs: Sequence[Pair], low: float, high: float, wave: float) -> tuple[Floats, Floats, Floats]:
+def _mean_efforts(
+    pairs: Sequence[Pair], low: float, high: float, wave: float
+) -> tuple[Floats, Floats, Floats]:
     """Return the centres of position bins, and the mean effort in each bin over all sweeps up and all sweeps down."""
     edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
     means = []

@@ -43,11 +43,15 @@ from rig.core.deferred import optimize
 from rig.core.present import reported
 
 IMAGES = (-2, -1, 0, 1, 2)
-NEIGHBOURS = 5  # lines over which a variance is averaged
+# Number of lines over which a variance is averaged.
+NEIGHBOURS = 5
 ROUNDS = 3  # of fit and weights
-MODE_GAIN = 1.5  # factor by which a mode must reduce the weighted error to be accepted
-LEAST_SPLIT = 1.05  # resonance over anti-resonance: below it the two cancel
-LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
+# A mode is accepted if it reduces the weighted error by this factor.
+MODE_GAIN = 1.5
+# Resonance over anti-resonance; below this ratio the two cancel each other.
+LEAST_SPLIT = 1.05
+# Largest damping ratio of a mode; more damping is no vibration.
+LARGEST_RATIO = 0.5
 # Friction of a handle that stops is less than its level, and the link behind an elastic drive reverses at other times
 # than the motor: with an effort six times the friction the first costs some 0.2 % of the inertia, in every realisation.
 # Share of Coulomb friction over effort (rms) by which removing it may miss the inertia: chosen on 100 simulated runs
@@ -55,12 +59,15 @@ LARGEST_RATIO = 0.5  # damping ratio of what is still a mode
 # of rigid and 12 of 18 of elastic ones; in five of the six no mode was found: `rig.experiments.identification.identify`
 # warns.
 FRICTION_BIAS = 0.05
-SHORTER = 0.75  # of the lines: what is tried next where no model explains the whole band
+# If no model explains the whole band, this share of its lines is tried next.
+SHORTER = 0.75
 WHOLE_TICKS = 4  # of delay that are tried beyond those that the first fit suggests: none more
 
 M, B, LAG, F_A, ZETA_A, F_R, ZETA_R = range(7)  # parameters
-COMPLIANCE = 3  # of a rigid body with a mode above the band: 1/ω², in the place of the mode
-RIGID, COMPLIANT, TWO_MASS = 3, 4, 7  # how many
+# Parameter c = 1/ω² of a rigid body with a mode above the band, in the place of the mode's parameters.
+COMPLIANCE = 3
+# Number of parameters of each model, by which `compliance` distinguishes them.
+RIGID, COMPLIANT, TWO_MASS = 3, 4, 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +160,7 @@ class Dynamics:
 
     @reported
     def coherence_median(self) -> float:
-        """Return the median over the lines of the coherence γ² of motion and excitation."""
+        """Return the median coherence γ² of motion and excitation over the excited frequencies."""
         return float(np.median(self.coherence))
 
 
@@ -216,16 +223,19 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Spectra of all realisations at the excited lines, shape (runs, lines), with the constants of the fitted model."""
+    """Spectra of all realisations at the excited frequencies, shape (runs, lines), with the constants of the model."""
 
     lines: Floats
     rate: float
-    images: Floats  # the lines and what sampling folds onto them, shape (images, lines)
-    held: Complexes  # what a held sample of the effort has of itself at each of them
+    # The lines and the frequencies that sampling folds onto them, shape (images, lines).
+    images: Floats
+    # Gain of the hold from an effort's samples to each of these frequencies.
+    held: Complexes
     position: Complexes
     effort: Complexes
     friction: Complexes
-    floor: float  # the encoder's noise in a line of the position
+    # Noise of the encoder in a line of the position.
+    floor: float
     back_emf: float
 
     @classmethod
@@ -245,13 +255,14 @@ class _Problem:
             position=np.array([one[0] for one in spectra]),
             effort=np.array([one[1] for one in spectra]),
             friction=np.array([one[2] for one in spectra]),
-            floor=resolution / math.sqrt(3.0 * samples),  # Δ/√12 of each sample, in a bin of amplitude 2/n
+            # The quantisation noise of a sample is Δ/√12, and a bin is scaled by 2/n.
+            floor=resolution / math.sqrt(3.0 * samples),
             back_emf=back_emf,
         )
 
     def gain(self, parameters: Floats, ticks: int) -> Complexes:
-        """Return the model's position over effort at the lines (rad/(N·m) or m/N), with delay, hold and images."""
-        late = _late(self.images, parameters, ticks / self.rate)
+        """Return the model's position over effort (rad/(N·m) or m/N) at the excited frequencies, delay included."""
+        late = _delay_response(self.images, parameters, ticks / self.rate)
         return np.asarray((self.held * late * self.answer(self.images, parameters)).sum(axis=0))
 
     def answer(self, frequency_hz: Floats, parameters: Floats) -> Complexes:
@@ -260,7 +271,9 @@ class _Problem:
         if self.back_emf == 0.0:
             return free
         s = 2j * np.pi * frequency_hz
-        return np.asarray(1.0 / (1.0 / free + self.back_emf * s * _late(frequency_hz, parameters, 0.0)))
+        return np.asarray(
+            1.0 / (1.0 / free + self.back_emf * s * _delay_response(frequency_hz, parameters, 0.0))
+        )
 
     def error(self, parameters: Floats, ticks: int, which: slice = slice(None)) -> Complexes:
         predicted = self.gain(parameters, ticks) * self.effort[which]
@@ -297,10 +310,10 @@ class _Problem:
         weights, parameters = first, start
         for _ in range(ROUNDS):
             parameters = self.solve(parameters, free, ticks, weights)
-            left = np.mean(np.abs(self.error(parameters, ticks)) ** 2, axis=0)
-            weights = np.sqrt(_smooth(left) + (0.3 * self.floor) ** 2)
+            residual_power = np.mean(np.abs(self.error(parameters, ticks)) ** 2, axis=0)
+            weights = np.sqrt(_smooth(residual_power) + (0.3 * self.floor) ** 2)
         unexplained = self._unexplained(self.error(parameters, ticks), power)
-        cost = float(np.mean(left / first**2))
+        cost = float(np.mean(residual_power / first**2))
         return _Fit(parameters, ticks, weights, cost, unexplained)
 
     def _unexplained(self, error: Complexes, power: Floats) -> float:
@@ -333,7 +346,7 @@ class _Problem:
         if mode_start is not None:
             freed = [*free, F_A, ZETA_A, F_R, ZETA_R]
             two = self.with_delay(mode_start, freed)
-            if _believable(two, rigid, self.lines):
+            if _is_plausible_mode(two, rigid, self.lines):
                 return two, freed
         freed = [*free, COMPLIANCE]
         above = self.with_delay(np.array([*rigid.parameters, 0.0]), freed)
@@ -364,7 +377,7 @@ class _Problem:
         return found
 
     def mode_start(self, rigid: Floats) -> Floats | None:
-        """Return start values with a mode at the deepest notch and the highest peak above it; None without a notch."""
+        """Return start values for a fit with a structural mode: deepest notch, and highest peak above it; or None."""
         level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
         flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
         flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
@@ -378,7 +391,7 @@ class _Problem:
 
 
 def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
-    """Return position over effort (rad/(N·m) or m/N), P in the module's docstring, at each frequency."""
+    """Return position over effort (rad/(N·m) or m/N), P in the module's docstring, at each frequency (Hz)."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
     if len(parameters) == COMPLIANT:
@@ -389,7 +402,7 @@ def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
     return np.asarray(p)
 
 
-def _late(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes:
+def _delay_response(frequency_hz: Floats, parameters: Floats, delay_s: float) -> Complexes:
     s = 2j * np.pi * frequency_hz
     return np.asarray(np.exp(-s * delay_s) / (1.0 + s * parameters[LAG]))
 
@@ -419,7 +432,7 @@ def _smooth(values: Floats, width: int = NEIGHBOURS) -> Floats:
     return np.convolve(np.pad(values, ends, mode="edge"), np.full(width, 1.0 / width), "valid")
 
 
-def _believable(two: _Fit, rigid: _Fit, lines_hz: Floats) -> bool:
+def _is_plausible_mode(two: _Fit, rigid: _Fit, lines_hz: Floats) -> bool:
     _, _, _, f_a, zeta_a, f_r, zeta_r = two.parameters
     inside = lines_hz[0] < f_a and LEAST_SPLIT * f_a < f_r < lines_hz[-1]
     swings = 0.0 < zeta_a < LARGEST_RATIO and 0.0 < zeta_r < LARGEST_RATIO

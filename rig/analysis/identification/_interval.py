@@ -54,7 +54,10 @@ def quantile(degrees_of_freedom: float) -> float:
 
 
 def from_scatter(value: float, samples: ArrayLike) -> Interval:
-    """Return the interval of a value fitted to all realisations, from the values fitted to each realisation."""
+    """Return the 95 % interval of a value that is fitted to several realisations of an experiment.
+
+    `value` is fitted to all realisations together, each of `samples` to one realisation.
+    """
     each = np.asarray(samples, dtype=np.float64)
     if len(each) < 2:
         return Interval(value, math.inf)

@@ -15,10 +15,14 @@ from rig.core.errors import RigError
 
 Floats = NDArray[np.float64]
 
-LEAST_COHERENCE = 0.8  # of the lines that are fitted: a signal of twice its noise (amplitudes)
-NEAR_LINES = 7  # whose median ends the band: three lines in a notch do not
-BRIDGED_LINES = 16  # an octave
-LEAST_LINES = 12  # of a fit: a rigid body's mass, damping and delay, and room to see a misfit
+# Lowest coherence of a fitted line: the signal has twice the amplitude of its noise.
+LEAST_COHERENCE = 0.8
+# The median of so many lines ends the band, so that three lines in a notch do not end it.
+NEAR_LINES = 7
+# Longest gap in a band: about an octave.
+BRIDGED_LINES = 16
+# Fewest lines of a fit: mass, damping and delay of a rigid body, and enough more to detect a misfit.
+LEAST_LINES = 12
 # Rms; below it the handle stands still. Of 169 simulated identifications (presets, a paddle and 54 random rigs, with
 # encoders down to a 64th; 2026-11-29) 38 moved by 1 to 5 counts: the interval held the inertia in 35, 1.5 times the
 # interval in all; the worst was off by 7 %, at 1.2 counts. A least of 5 would refuse them all.
@@ -65,22 +69,22 @@ class Band:
 
     @property
     def text(self) -> str:
-        """Return the ends of the band (Hz), its number of lines and the reasons why it ends, as text."""
+        """Return the ends of a band of frequencies (Hz), its number of lines and the reasons why it ends, as text."""
         why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 
     def shorter(self, lines_hz: Floats, lines: int, why: str) -> Band:
-        """Return the band of this band's lowest `lines` lines, out of `lines_hz`; `why` is the reason to shorten it."""
+        """Return a band of the lowest `lines` lines; `lines_hz` are all excited lines (Hz), and `why` is the reason."""
         return replace(self, lines=lines, high_hz=float(lines_hz[self.first + lines - 1]), above=why)
 
 
 def coherence(runs: Sequence[ExcitedRun]) -> Floats:
-    """Return the coherence γ² of motion and excitation at each line, over all periods of all realisations."""
+    """Return the coherence γ² of motion and excitation at each excited frequency, over all periods of all runs."""
     return periodic(runs).coherence_motion
 
 
 def find_band(lines_hz: Floats, found: Floats) -> Band:
-    """Return the lowest band of lines whose coherence `found` (median over neighbours) is high enough.
+    """Return the lowest band of frequencies at which the coherence `found` (median over neighbours) is high enough.
 
     A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the band if
     enough lines for a fit follow. The fit weights lines in the gap by their scatter.
@@ -179,7 +183,7 @@ def _check_drift(run: ExcitedRun, band: Band) -> None:
     change = period_change(run, band.chosen)
     if change > MOST_DRIFT:
         raise IdentificationError(
-            f"the motion at the median line changes by {100 * change:.0f} % from one period to the "
+            f"the motion at the median excited frequency changes by {100 * change:.0f} % from one period to the "
             f"next; at most {100 * MOST_DRIFT:.0f} % are allowed",
             remedy="keep hands off the handle, and allow more effort (rig.limits.effort)",
         )

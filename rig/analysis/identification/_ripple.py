@@ -24,7 +24,8 @@ from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
-ROUNDS = 3  # of the fit; each leaves the ripple's share of what the one before has left
+# In each round the fit finds the ripple that the previous round has left.
+ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Ripple:
 
     @reported
     def amplitude(self) -> tuple[Interval, ...]:
-        """Return the amplitude of each identified harmonic, as a share of the effort."""
+        """Return the amplitude of each identified harmonic of the torque ripple, as a share of the effort."""
         return tuple(
             Interval(size, math.hypot(c.value * c.ci95, s.value * s.ci95) / size)
             for c, s, size in self._harmonics
@@ -60,7 +61,7 @@ class Ripple:
 
     @reported
     def phase(self) -> tuple[Interval, ...]:
-        """Return the phase (rad) of each identified harmonic: its crest lies phase/2π periods after position zero."""
+        """Return the phase (rad) of each identified harmonic of the torque ripple: its crest is at phase/2π periods."""
         return tuple(
             Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
             for c, s, size in self._harmonics
@@ -93,15 +94,15 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     every = range(1, most_order + 1)
     each = np.array(
         [
-            _shares(within(without, low, high), within(with_, low, high), period, every)
+            _fit_shares(within(without, low, high), within(with_, low, high), period, every)
             for without, with_ in zip(free, loaded, strict=True)
         ]
     )
     load = from_scatter(float(each[:, -1].mean()), each[:, -1])
     if not abs(load.value) > load.ci95:
         raise IdentificationError(
-            f"the load was measured as {load.text()} N·m or N: it must be larger than its interval, otherwise "
-            "friction masks the ripple",
+            f"the load was measured as {load.text()} N·m or N: it must be larger than its 95 % interval, "
+            "otherwise friction masks the ripple",
             remedy="hang a larger mass, or use a longer arm",
         )
     intervals = [from_scatter(float(column.mean()), column) for column in each.T]
@@ -119,12 +120,12 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     )
 
 
-def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Return amplitudes of r's cosines and sines, then the load (N·m or N), of a pair without and one with load."""
+def _fit_shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
+    """Return the ripple's cosine, then sine amplitudes (shares of the effort), then the load, from a pair of sweeps."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
         with_, without = (
-            fitted_pair(_made_even(pair, shares, period, orders), period, orders) for pair in (loaded, free)
+            fitted_pair(_undo_ripple(pair, shares, period, orders), period, orders) for pair in (loaded, free)
         )
         found = with_ - without
         load = -0.5 * (found[-2] + found[-1])
@@ -132,6 +133,6 @@ def _shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> F
     return np.array([*shares, load])
 
 
-def _made_even(pair: Pair, shares: Floats, period: float, orders: Sequence[int]) -> Pair:
+def _undo_ripple(pair: Pair, shares: Floats, period: float, orders: Sequence[int]) -> Pair:
     up, down = ((x, y * (1.0 + basis(x, period, orders) @ shares)) for x, y in pair)
     return up, down

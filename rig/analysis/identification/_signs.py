@@ -21,13 +21,17 @@ from rig.core.present import reported
 
 Floats = NDArray[np.float64]
 
-LEAST_COUNTS = 2.0  # a way below that may be noise
-SETTLED_SHARE = 0.25  # of a push's way: before it, an inertia would be read off single counts
+# A shorter travel may be noise.
+LEAST_COUNTS = 2.0
+# The fit begins after this share of a push's travel: earlier the inertia would depend on single counts.
+SETTLED_SHARE = 0.25
 SAME_SCALE = 3.0  # inertia within this factor of the expected one is as expected
 FRICTIONS = 40  # that are tried, before the best of them is refined
 ALIKE = 2.0  # squared misfit over that of the best friction, or of the counts' steps, up to which another fits as well
-STICKS = 1.5  # breakaway over sliding friction from which stiction is worth a warning
-LOOSE = 0.5  # inertia right after a reversal over that of a second push from which backlash is
+# Breakaway effort over sliding friction, from which stiction deserves a warning.
+STICKS = 1.5
+# Inertia right after a reversal over that of a second push in one direction, below which backlash is likely.
+LOOSE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ class SignCheck:
 
     @reported
     def ok(self) -> bool:
-        """Return True if the sign is positive and the inertia is at most `SAME_SCALE` times off the expected one."""
+        """Return True if positive effort raises the position and the inertia is right to a factor of `SAME_SCALE`."""
         return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
 
 
@@ -107,7 +111,7 @@ def check_signs(
         Friction in the rig's description (N·m or N), used if the pushes do not determine it; None for the best fit.
     """
     pushes: list[Push] = []
-    for first, last in _spans(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
+    for first, last in _find_pushes(effort, max(1, round(rest_s / (time_s[1] - time_s[0])))):
         before = pushes[-1].direction if pushes else 0
         push = slice(first, last)
         pushes.append(
@@ -149,7 +153,7 @@ def stiction_warning(breakaway: float, sliding: float) -> str | None:
     )
 
 
-def _spans(effort: Floats, rest: int) -> list[tuple[int, int]]:
+def _find_pushes(effort: Floats, rest: int) -> list[tuple[int, int]]:
     """Return first and end index of each push; `rest` is the number of zero samples that separates two pushes."""
     busy = np.flatnonzero(effort != 0.0)
     if not len(busy):
@@ -171,7 +175,8 @@ def _push(
 ) -> Push:
     direction: Literal[-1, 1] = 1 if effort[0] > 0.0 else -1
     push = direction * effort
-    top = int(np.argmax(push)) + 1  # the brake that follows never gives more
+    # A brake follows the push; its effort is never larger than that of the push.
+    top = int(np.argmax(push)) + 1
     top += int(np.argmax(np.append(push[top:], -np.inf) < push[top - 1]))  # its last step, in coarse quanta
     way = position[:top] - position[0]
     away = np.flatnonzero(np.abs(way) >= LEAST_COUNTS * resolution)

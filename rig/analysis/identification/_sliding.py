@@ -29,8 +29,10 @@ Floats = NDArray[np.float64]
 SETTLE_S, SETTLE_SHARE = 0.2, 0.6
 END_S = 0.01  # so is its end
 PIECES = 3  # of each stroke
-LEAST_COUNTS = 10.0  # of way in a piece
-LARGEST_SCATTER = 0.3  # of the mean level
+# Shortest travel in a piece of a stroke (counts).
+LEAST_COUNTS = 10.0
+# Largest scatter about the fitted line, over the largest effort.
+LARGEST_SCATTER = 0.3
 # By how much of its way a piece may differ from the stroke that was asked for, one count aside. With this, and pieces
 # of a stroke that count as one, the interval held the Coulomb friction of 106 simulated rigs of 106 and the damping of
 # 104 (9 presets with coarser encoders, 52 random data sheets, rates of 1 to 4 kHz; 2026-11-29). Before it held 100 and
@@ -126,9 +128,9 @@ def fit_sliding(
         )
     matrix = np.column_stack([rising, -(~rising).astype(np.float64), velocity])
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]
-    left = level - matrix @ solution
+    residual = level - matrix @ solution
     freedom = len(level) - matrix.shape[1]
-    covariance = PIECES * float(left @ left) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
+    covariance = PIECES * float(residual @ residual) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
     factor = quantile(freedom)
 
     def interval(weights: Sequence[float]) -> Interval:
@@ -143,7 +145,7 @@ def fit_sliding(
         bias=interval((0.5, -0.5, 0.0)),
         velocity=velocity,
         effort=level,
-        scatter=float(np.sqrt(np.mean(left**2))),
+        scatter=float(np.sqrt(np.mean(residual**2))),
     )
     largest = float(np.abs(level).max())
     if fit.scatter > LARGEST_SCATTER * largest:

@@ -32,7 +32,7 @@ VarianceFrom = Literal["realisations", "periods", "segments", "nothing"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Measured (or ideal) impedance at the excited lines (frequencies): effort over velocity at the handle.
+    """Measured (or ideal) impedance at the excited frequencies ("lines"): effort over velocity at the handle.
 
     Attributes
     ----------
@@ -83,23 +83,24 @@ class Impedance:
 
     @property
     def magnitude(self) -> Floats:
-        """Return |Z| at each line (N·s/m or N·m·s/rad), shape (n,)."""
+        """Return the magnitude |Z| of the impedance at each excited frequency (N·s/m or N·m·s/rad), shape (n,)."""
         return np.abs(self.z)
 
     @property
     def phase_deg(self) -> Floats:
-        """Return the phase of z at each line (degrees), from −180 to 180, not unwrapped, shape (n,)."""
+        """Return the phase of the impedance at each excited frequency (degrees, −180 to 180), shape (n,)."""
         return np.asarray(np.degrees(np.angle(self.z)))
 
     @property
     def deviation(self) -> Floats:
-        """Return the standard deviation of real part, imaginary part and magnitude at each line, in the unit of z."""
+        """Return the standard deviation of real part, imaginary part or magnitude at each line (N·s/m or N·m·s/rad)."""
         return np.sqrt(0.5 * self.variance)
 
     def spread(self, z_score: float) -> Floats:
-        """Return the one-sided uncertainty of the real part (or |Z|) at each line (N·s/m or N·m·s/rad), shape (n,).
+        """Return the one-sided uncertainty of the real part (or magnitude) at each excited frequency, shape (n,).
 
-        `z_score` gives the confidence, in standard deviations of a normal distribution: 2 means 97.7 %.
+        The unit is N·s/m or N·m·s/rad. `z_score` gives the confidence, in standard deviations of a normal distribution:
+        2 means 97.7 %.
         """
         # With few realisations the variance is uncertain itself: Student's distribution in place of the normal one asks
         # for 2.5 deviations with four realisations instead of 2.
@@ -108,9 +109,9 @@ class Impedance:
         return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
-        """Return the impedance at the lines from band[0] to band[1] (Hz), ends included; at all lines for None.
+        """Return the impedance at the excited frequencies from band[0] to band[1] (Hz, ends included); None: at all.
 
-        Raise `ConfigError` if no line lies in the band.
+        Raise `ConfigError` if no excited frequency lies in the band.
         """
         if band is None:
             return self
@@ -199,7 +200,7 @@ def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> flo
 
 @dataclass(frozen=True)
 class _Lines:
-    """Complex amplitudes at the lines, all at the same instant (delays removed), of shape (periods, lines)."""
+    """Complex amplitudes of excitation, effort and velocity at the excited frequencies, shape (periods, lines)."""
 
     reference: Complexes
     effort: Complexes
@@ -222,7 +223,10 @@ def _transform(run: ExcitedRun, channel: Floats) -> Complexes:
 def _with_instrument(
     lines: Sequence[_Lines], channel: Literal["effort", "velocity"], of: VarianceFrom
 ) -> Complexes:
-    """Return channel · conj(excitation) at the lines: a row for each realisation, or each period of a single one."""
+    """Return effort or velocity (`channel`) times the conjugate excitation at the excited frequencies.
+
+    The result has a row for each realisation, or for each period if there is a single realisation.
+    """
     # Coulomb friction's distortion repeats in every period: periods agree with each other while all are wrong alike.
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]
     return np.stack([p.mean(axis=0) for p in products]) if of == "realisations" else products[0]

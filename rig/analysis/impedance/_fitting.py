@@ -26,7 +26,10 @@ Term = Literal["inertia", "damping", "stiffness"]
 
 @dataclass(frozen=True, slots=True)
 class RigidRig:
-    """A rigid rig: inertia, viscous damping, and damping by back-EMF (SI) behind a lag with time constant `lag_s`."""
+    """A rigid rig: inertia (kg or kg·m²), viscous damping and damping by back-EMF (N·s/m or N·m·s/rad).
+
+    The back-EMF acts behind a first-order lag with the time constant `lag_s` (s).
+    """
 
     inertia: float
     damping: float
@@ -71,7 +74,7 @@ def fit(
     band: tuple[float, float] | None = None,
     subtract: Complexes | RigidRig | None = None,
 ) -> Fit:
-    """Fit m·jω + b + K/(jω) to an impedance by weighted least squares.
+    """Fit inertia m, damping b and stiffness K of the model m·jω + b + K/(jω) to an impedance by least squares.
 
     Parameters
     ----------
@@ -92,16 +95,16 @@ def fit(
     names = tuple(dict.fromkeys(terms))
     if not names or set(names) - {"inertia", "damping", "stiffness"}:
         raise ConfigError(
-            f"the terms to fit are {', '.join(names) or '(empty)'}",
+            f"the terms to fit are {', '.join(names) or 'missing'}; only three terms are known",
             remedy="give one or more of: inertia, damping, stiffness",
         )
     part = impedance.within(band)
-    z = part.z - _at(part, impedance, subtract)
+    z = part.z - _values_at_lines(part, impedance, subtract)
     weights = _weights(part.variance)
     sound = np.isfinite(z) & np.isfinite(weights)
     if 2 * int(sound.sum()) < len(names):
         raise ConfigError(
-            f"only {int(sound.sum())} lines are usable to fit {len(names)} numbers (two numbers need one line)",
+            f"only {int(sound.sum())} lines are usable to fit {len(names)} parameters (two parameters need one line)",
             remedy="measure more lines, or widen the band",
         )
     s: Complexes = np.asarray(2j * np.pi * part.lines_hz[sound], dtype=np.complex128)
@@ -115,9 +118,9 @@ def fit(
     size[size == 0.0] = 1.0
     wanted = _real(z[sound] * weights[sound])
     scaled, *_ = np.linalg.lstsq(rows / size, wanted, rcond=None)
-    left = wanted - (rows / size) @ scaled
+    residual = wanted - (rows / size) @ scaled
     free = len(wanted) - len(names)
-    misfit = math.sqrt(float(left @ left) / free) if free > 0 else math.nan
+    misfit = math.sqrt(float(residual @ residual) / free) if free > 0 else math.nan
     weighted = _has_variance(part.variance)
     covariance = np.linalg.pinv((rows / size).T @ (rows / size)) / np.outer(size, size)
     deviations = np.sqrt(np.diag(covariance)) * (max(1.0, misfit) if weighted and free > 0 else misfit)
@@ -128,7 +131,7 @@ def fit(
     )
 
 
-def _at(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None) -> Complexes:
+def _values_at_lines(part: Impedance, whole: Impedance, subtract: Complexes | RigidRig | None) -> Complexes:
     if subtract is None:
         return np.zeros(len(part.z), np.complex128)
     if isinstance(subtract, RigidRig):

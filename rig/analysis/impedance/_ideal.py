@@ -56,7 +56,7 @@ def bare(
     scheme: SchemeLike | None = None,
     seen: Literal["handle", "sensed"] = "handle",
 ) -> Complexes:
-    """Return the impedance of the rig without a wall and without friction: m·s + b if it is rigid.
+    """Return the impedance of a rig without a wall and without friction: m·s + b if the rig is rigid.
 
     The result has the unit N·m·s/rad or N·s/m and the shape of `lines_hz` (Hz). `rendered_impedance` describes the
     arguments.
@@ -203,7 +203,6 @@ def _sample_loop(loop: LinearLoop, plant: _Plant, lines: Floats, images: bool) -
 
 
 def _transfer(s: Complexes, a: Matrix, b: Floats, row: int) -> Complexes:
-    """Return element `row` of (s·1 − A)⁻¹·b for each s, shape (n,)."""
     resolvent = s[:, None, None] * np.eye(len(b)) - a
     states = np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(s), len(b), 1)))
     return np.asarray(states[:, row, 0])

@@ -17,7 +17,8 @@ from rig.core.errors import ConfigError
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-ON_GRID = 1e-6  # of a line spacing
+# A line may differ from a multiple of the line spacing by this share of the spacing.
+ON_GRID = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class ExcitedRun:
 
     @property
     def bins(self) -> NDArray[np.int64]:
-        """Return the index of each line in the Fourier transform of one period, shape (lines,)."""
+        """Return the index of each excited frequency in the Fourier transform of one period, shape (lines,)."""
         return np.rint(self.lines_hz * self.period_samples / self.rate_hz).astype(np.int64)
 
     def effort_gain(self, frequency_hz: Floats) -> Complexes:

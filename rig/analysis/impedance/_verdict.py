@@ -32,13 +32,15 @@ RESIDUAL = 0.1
 # Up to here, where hands act, effective stiffness and damping are averaged: as the frequency rises, delays and filters
 # turn stiffness into negative damping, and damping into stiffness.
 EFFECTIVE_HZ = 20.0
-EFFECTIVE_LINES = 3  # fewer say nothing about a misfit
-COHERENCE = 0.5  # γ² of the motion below which a line says nothing
+# With fewer lines a misfit of stiffness and damping could not be seen.
+EFFECTIVE_LINES = 3
+# A line with a lower coherence γ² of the motion says nothing about passivity.
+COHERENCE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Passivity:
-    """Result of the test Re Z ≥ −tolerance, with the line that has the smallest (or most negative) margin.
+    """Result of the passivity test Re Z ≥ −tolerance at each excited frequency ("line"), with the worst line.
 
     Attributes
     ----------
@@ -183,9 +185,9 @@ def judge(
     residual_threshold: float = RESIDUAL,
     least_coherence: float = COHERENCE,
 ) -> PassivityJudgement:
-    """Judge from its impedance whether a wall is passive.
+    """Judge from its measured impedance whether a wall is passive; return the judgement with its reasons.
 
-    It is not passive if the real part of the impedance is too low, the residual power too high or the coherence too
+    A wall is not passive if the real part of the impedance is too low, the residual power too high or the coherence too
     low. A residual or coherence that cannot be computed from the record (NaN) is ignored.
     """
     found = passive(impedance, band, z_score)

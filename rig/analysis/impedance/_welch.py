@@ -30,7 +30,7 @@ SMALLEST_TRANSFORM = 256  # of tfestimate
 
 @dataclass(frozen=True, slots=True)
 class WelchSettings:
-    """Settings of the averaged spectra: window, segments, transform and estimator.
+    """Settings of Welch's averaged spectra: window, segments, transform and estimator.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class WelchSettings:
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Return the length of a transform (samples): as configured, or the next power of two, at least 256."""
+        """Return the length of a Fourier transform (samples): as configured, or the next power of two, at least 256."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 

@@ -39,12 +39,17 @@ Complex = NDArray[np.complex128]
 
 # Grid of frequencies, in equal ratios up to half the position rate.
 LOWEST_HZ, POINTS = 1.0, 6000
-ITERATIONS, SETTLED = 300, 1e-6  # of the amplitude, and its relative change at the end
-TURNS = 12  # of the phase of the second mass's friction
-LARGEST = 1e3  # counts: beyond that it is no matter of the quantum
+# The amplitude has converged if its relative change is below `SETTLED`.
+ITERATIONS, SETTLED = 300, 1e-6
+# Iterations of the phase of the second mass's friction.
+TURNS = 12
+# In counts: a larger oscillation is not caused by the quantum.
+LARGEST = 1e3
 BISECTIONS = 60
-EDGES = 2000  # crossed at most
-NOTHING = (0.0, 0.0)  # amplitude and frequency where nothing balances
+# Largest number of edges that the motion crosses on each side.
+EDGES = 2000
+# Amplitude and frequency if the loop balances at no frequency.
+NOTHING = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +186,7 @@ class _Open:
         )
 
     def motion(self, read: float) -> Complex:
-        """Return the complex motion of the encoder's side (counts) at each frequency, to a reading of `read` counts."""
+        """Return the complex motion of the encoder's side (counts) at each frequency, by a reading of `read` counts."""
         x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
         if not any(self.rubs[1:]):
             return np.asarray(x)
@@ -236,6 +241,5 @@ def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Comp
 
 
 def _states(at: Complex, a: Vector, b: Vector) -> Complex:
-    """Return (s·1 − A)⁻¹·b for each s (or z) in `at`, shape (n, states)."""
     resolvent = at[:, None, None] * np.eye(len(b)) - a
     return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b[:, None], (len(at), len(b), 1)))[..., 0])

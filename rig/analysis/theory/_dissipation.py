@@ -41,12 +41,16 @@ Vector = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
-SLOWEST = 1e-3  # θ/π of a scan; slower motions have a formula
-LOW, EVEN = 200, 500  # phases of a scan: in equal ratios from the slowest up, and in equal steps
-NEARER, REFINEMENTS = 60, 3  # phases around the worst one, and how often it is looked for anew
+# Lowest phase of a scan, θ/π; for slower motions there is a formula.
+SLOWEST = 1e-3
+# Numbers of phases of a scan: first in equal ratios from the slowest one, then in equal steps.
+LOW, EVEN = 200, 500
+# Phases around the worst one, and number of times that the search is repeated with these.
+NEARER, REFINEMENTS = 60, 3
 BISECTIONS = 40
 NO_SPRING = np.zeros(1)
-SINGULAR = 1e-12  # a determinant this small is that of rounding
+# A smaller determinant is a rounding error.
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,10 @@ class Waves:
 
     @classmethod
     def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
-        """Return the waves at the phases `theta` (rad); without `late`, lag and delay of the effort are left out."""
+        """Return the effect of spring and damper on each wave (sinusoidal motion) at the phases `theta` (rad).
+
+        Without `late`, lag and delay of the effort are left out.
+        """
         n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
         lag = lag_s / loop.tick_s
@@ -120,7 +127,7 @@ class Waves:
         )
 
     def at(self, which: NDArray[np.intp]) -> Waves:
-        """Return the waves of the phases with the indices `which`."""
+        """Return the waves (sinusoidal motions) at the phases with the indices `which`."""
         return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def needed(self, sign: float) -> Vector:
@@ -131,7 +138,10 @@ class Waves:
         return np.asarray(0.5 * (np.sqrt(np.maximum(reading * heard - both.imag**2, 0.0)) - both.real))
 
     def passive(self, stiffness: Vector, damping: Vector) -> Flags:
-        """Return True at each phase at which rig and wall are passive; K and B have one value, or one per phase."""
+        """Return True at each phase at which rig and wall are passive, as a boolean array of shape (phases,).
+
+        `stiffness` and `damping` of the wall (SI) have one value for each phase, or one for all phases.
+        """
         k = 0.5 * stiffness[:, None]
         det = 1.0 + 2.0 * k * self.along.real - k**2 * self.aside
         failing = (det < 0.0).sum(axis=1)
@@ -163,7 +173,10 @@ def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, neg
 
 
 def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping) -> list[float]:
-    """Return for each B the largest K with which the wall is passive on a rigid rig; 0 if B alone is not passive."""
+    """Return for each damping B of a wall the largest stiffness K with which the wall is passive on a rigid rig.
+
+    The units are SI. The result is 0 if the wall is not passive even without stiffness.
+    """
     if not rig.passive(loop):
         return [0.0] * len(dampings)
     b, phases = np.asarray(dampings, float), _phases()

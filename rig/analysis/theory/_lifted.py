@@ -33,9 +33,12 @@ Flags = NDArray[np.bool_]
 
 # Numbers in a stack of matrices: half a megabyte, which a processor's cache holds, however many walls there are.
 BLOCK = 1 << 16
-POWERS = 4  # of Φ that are looked at before its eigenvalues, each the 16th of the one before
-CLEAR = 2.0  # how far from 1 a power must be to tell
-HOPELESS = np.finfo(np.float64).max ** 0.25  # stands for what overflowed within a period
+# Powers of Φ that are tried before its eigenvalues; each is the 16th power of the previous one.
+POWERS = 4
+# A power decides about stability only if its bound differs from 1 by this factor.
+CLEAR = 2.0
+# Replaces matrix elements that overflowed within a period: such a wall is unstable.
+HOPELESS = np.finfo(np.float64).max ** 0.25
 
 
 @dataclass(frozen=True)
@@ -101,26 +104,32 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """Return the matrices P·V of the first tick and P·E of each other tick, for each wall, shape (…, n, n)."""
+        """Return the transition matrices of the first tick (P·V) and of each other tick (P·E) in a velocity period.
+
+        Stiffness and damping (SI) may have any shapes that broadcast; the matrices have shape (…, n, n).
+        """
         k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
         law = (k[..., None] - self.loop.compensated) * self.position + b[..., None] * self.velocity
         closed = self.tick - self.into[:, None] * law[..., None, :]
         return closed @ self.first, closed @ self.other
 
     def period(self, stiffness: ArrayLike, damping: ArrayLike) -> Matrix:
-        """Return the transition matrix Φ over one velocity period for each wall, shape (…, n, n)."""
+        """Return the transition matrix Φ of the loop over one velocity period for each wall, shape (…, n, n)."""
         first, other = self.ticks(stiffness, damping)
         return (
             first if self.loop.divider == 1 else np.linalg.matrix_power(other, self.loop.divider - 1) @ first
         )
 
     def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
-        """Return the spectral radius of Φ for each wall: the final growth of the motion per velocity period."""
-        return _at_the_worse_place(self, np.maximum, _radius, stiffness, damping)
+        """Return the spectral radius of the loop over one velocity period for each wall; below 1 the wall is stable.
+
+        Stiffness is in N·m/rad or N/m, damping in N·m·s/rad or N·s/m, of any shapes that broadcast.
+        """
+        return _worse_measure(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
         """Return True for each wall whose spectral radius is below 1; usually at a fifth of the cost of `radius`."""
-        return _at_the_worse_place(self, np.logical_and, _decays, stiffness, damping)
+        return _worse_measure(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
         """Return the frequency (Hz) of the mode with the largest eigenvalue; the velocity rate does not alias it.
@@ -149,14 +158,14 @@ class Lifted:
         return abs(turns - n * round(turns / n)) / period_s
 
 
-def _at_the_worse_place(
+def _worse_measure(
     lifted: Lifted,
     worse: np.ufunc,
     measure: Callable[[Matrix], NDArray[Any]],
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
-    """Return the `measure` of Φ of each wall; with cogging, the worse value of stiffest and softest position."""
+    """Return the `measure` of the transition matrix Φ of each wall; with cogging, the worse of two positions."""
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
@@ -168,7 +177,7 @@ def _at_the_worse_place(
         return own
     # A wall softer than the cogging there lets the handle slide to the next detent, which is no oscillation.
     rests = k + softest.loop.cogging - softest.loop.compensated > 0.0
-    return np.where(rests, worse(own, _at_the_worse_place(softest, worse, measure, k, b)), own)
+    return np.where(rests, worse(own, _worse_measure(softest, worse, measure, k, b)), own)
 
 
 def _radius(phi: Matrix) -> Vector:
@@ -183,16 +192,16 @@ def _decays(phi: Matrix) -> Flags:
     """
     # Powers cost a fifth of eigenvalues and round alike: both are wrong by some 1e-16 times the eigenvalue's condition.
     # A power decides only where ρ is farther from 1 than CLEAR^(1/m), which is 1e-5 at the last one.
-    decays, left, power = np.zeros(len(phi), np.bool_), np.arange(len(phi)), phi
+    decays, undecided, power = np.zeros(len(phi), np.bool_), np.arange(len(phi)), phi
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not clear
         for _ in range(POWERS):
             power = np.linalg.matrix_power(power, 16)
             small = np.einsum("ijk,ijk->i", power, power) < CLEAR**-2
             large = np.abs(np.einsum("ijj->i", power)) > CLEAR * phi.shape[-1]
-            decays[left[small]] = True
+            decays[undecided[small]] = True
             unclear = ~(small | large)
-            left, power = left[unclear], power[unclear]
-    decays[left] = _radius(phi[left]) < 1.0
+            undecided, power = undecided[unclear], power[unclear]
+    decays[undecided] = _radius(phi[undecided]) < 1.0
     return decays
 
 

@@ -25,10 +25,13 @@ Flags = NDArray[np.bool_]
 
 POINTS = 200  # stiffnesses, or dampings, of a scan
 LOWEST_HZ = 1.0
-BISECTIONS = 30  # of a step of the scan: far below rounding
+# Bisections of one step of a scan: the remaining error is far below rounding.
+BISECTIONS = 30
 ISLAND_DAMPINGS, ISLAND_STIFFNESSES, ISLAND_BISECTIONS = 24, 120, 12  # of the search for islands beyond B_max
-ISLAND_REACH = 4.0  # times B_max
-DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0  # of the scan for B_max, in J/T2
+# The search for islands ends at this multiple of B_max.
+ISLAND_REACH = 4.0
+# The scan for B_max ends at 8·J/T2 and covers five decades below.
+DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ class Limit:
 
     @property
     def highest(self) -> float:
-        """Return the largest stable stiffness (N·m/rad or N/m), islands included."""
+        """Return the largest stable stiffness (N·m/rad or N/m), islands (ranges above the limit) included."""
         return self.islands[-1].high if self.islands else self.stiffness
 
 
@@ -130,10 +133,7 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the largest stable stiffness at each damping in `dampings` (N·m·s/rad or N·s/m).
-
-    `rig`, `scheme` and `operator` are the same as for `k_max`. Raise `ConfigError` for a damping that is not finite.
-    """
+    """Return the largest stable stiffness at each of `dampings`, which are finite; other arguments as for `k_max`."""
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -150,10 +150,7 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Return the largest stable damping of a wall, without and with islands of stiffness.
-
-    `rig`, `scheme` and `operator` are the same as for `k_max`.
-    """
+    """Return the largest stable damping without and with islands of stable stiffness; arguments as for `k_max`."""
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -184,10 +181,7 @@ def stability_map(
     *,
     operator: str | Operator | None = None,
 ) -> StabilityMap:
-    """Return the spectral radius at each pair of `stiffnesses` (N·m/rad or N/m) and `dampings` (N·m·s/rad or N·s/m).
-
-    `rig`, `scheme` and `operator` are the same as for `k_max`.
-    """
+    """Return the spectral radius at each pair of `stiffnesses` and `dampings` (SI); other arguments as for `k_max`."""
     k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
     return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
 

@@ -28,15 +28,21 @@ from rig.core.model import Matrix
 Vector = NDArray[np.float64]
 
 IMPULSE = 1 << 20  # counts
-LATER = 137  # samples by which an impulse is moved to see whether time matters
-PLACE = 4321  # counts by which everything is moved to see whether the place matters
+# Samples by which an impulse is delayed, to test whether the response depends on time.
+LATER = 137
+# Counts by which a motion is shifted, to test whether the response depends on the position.
+PLACE = 4321
 FIRST_REST, LONGEST_REST = 256, 1 << 16  # samples at rest before an impulse
 FIRST_LENGTH, LONGEST_LENGTH = 512, 1 << 16  # samples of h
 WANDERING = 1024  # samples of the random walk
-SAME = 1e-9  # relative difference that rounding may make
-FADED = 1e-13  # h is over where it stays below this part of its peak
-REALISED = 1e-11  # relative error of h by which the order is chosen
-ACCEPTED = 1e-8  # and the largest one, if no order reaches that
+# Relative difference of two responses that rounding may cause.
+SAME = 1e-9
+# The response h has faded when it stays below this share of its peak.
+FADED = 1e-13
+# The order is the smallest one with this relative error of h …
+REALISED = 1e-11
+# … or if no order achieves it, the one with the smallest error, up to this limit.
+ACCEPTED = 1e-8
 LARGEST_ORDER = 40
 HANKEL = 96  # rows and columns at most
 
@@ -67,18 +73,18 @@ class Realisation:
 
     @property
     def order(self) -> int:
-        """Return the number of states: the size of A."""
+        """Return the number of states of an estimator's state space."""
         return len(self.b)
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
-        """Return the frequency response H(e^{jωT2}), velocity over position (1/s), at each frequency (Hz)."""
+        """Return the frequency response of an estimator, velocity over position (1/s), at each frequency (Hz)."""
         z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
         resolvent = z[:, None, None] * np.eye(self.order) - self.a
         states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
         return np.asarray(states[..., 0] @ self.c + self.d)
 
     def impulse(self, samples: int) -> Vector:
-        """Return the velocity at each of `samples` samples, for a position of 1 at the first sample and 0 later."""
+        """Return `samples` velocities of an estimator, for a position of 1 at the first sample and 0 afterwards."""
         return _impulse(self.a, self.b, self.c, self.d, samples)
 
 
@@ -136,12 +142,12 @@ class _Probe:
     resolution: float
 
     def motion(self, counts: NDArray[np.int64]) -> Vector:
-        """Return the velocities in response to `counts`, in counts per second."""
+        """Return the velocities (counts/s) of an estimator in response to a sequence of encoder counts."""
         prepared = self.estimator.prepare(self.settings, self.resolution, self.period_s)
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
-        """Return the velocities per count for an impulse of `size` counts, after `rest` samples at count `place`."""
+        """Return an estimator's velocities per count for an impulse of `size` counts, after `rest` samples at rest."""
         counts = np.full(rest + length, place, np.int64)
         counts[rest] += size
         return self.motion(counts)[rest:] / size
@@ -161,7 +167,9 @@ def _settled_response(probe: _Probe) -> tuple[int, Vector]:
     rest = FIRST_REST
     while True:
         h = probe.impulse(rest=rest, length=length)
-        if rest >= LONGEST_REST or _near(h, probe.impulse(rest=rest + LATER, length=length), 0.01 * SAME):
+        if rest >= LONGEST_REST or _are_close(
+            h, probe.impulse(rest=rest + LATER, length=length), 0.01 * SAME
+        ):
             return rest, h
         rest *= 4
 
@@ -178,23 +186,22 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
         (rest + LATER, IMPULSE, 0, "the response depends on the time of an impulse"),
     )
     for at, size, place, reason in others:
-        if not _near(h, probe.impulse(rest=at, length=length, size=size, place=place), SAME):
+        if not _are_close(h, probe.impulse(rest=at, length=length, size=size, place=place), SAME):
             return reason
     motion = _random_walk(min(length, WANDERING))
     after = probe.motion(np.concatenate([np.zeros(rest, np.int64), motion]))[rest:]
-    if not _near(np.convolve(motion, h)[: len(motion)], after, SAME):
+    if not _are_close(np.convolve(motion, h)[: len(motion)], after, SAME):
         return "the response to a motion is not the sum of the responses to its parts"
     return ""
 
 
 def _random_walk(samples: int) -> NDArray[np.int64]:
-    """Return a random walk with leaps (counts), the same in each call."""
     random = np.random.default_rng(1)
     leaps = random.integers(-300, 301, samples) * (random.random(samples) < 0.1)
     return np.asarray(np.cumsum(random.integers(-2, 3, samples) + leaps))
 
 
-def _near(one: Vector, other: Vector, tolerance: float) -> bool:
+def _are_close(one: Vector, other: Vector, tolerance: float) -> bool:
     return bool(np.abs(one - other).max() <= tolerance * np.abs(one).max())
 
 
@@ -208,7 +215,7 @@ def _impulse(a: Matrix, b: Vector, c: Vector, d: float, samples: int) -> Vector:
     return h
 
 
-def _places(length: int) -> NDArray[np.int64]:
+def _hankel_samples(length: int) -> NDArray[np.int64]:
     """Return the indices of samples for the rows of the Hankel matrix: every sample first, then growing steps."""
     far = np.geomspace(1.0, max(2.0, length), HANKEL).round().astype(np.int64)
     places: NDArray[np.int64] = np.unique(np.concatenate([np.arange(min(LARGEST_ORDER, length)), far]))
@@ -219,7 +226,7 @@ def _realise(name: str, h: Vector, period_s: float) -> Realisation:
     peak = np.abs(h).max()
     over = int(np.flatnonzero(np.abs(h) > FADED * peak)[-1]) + 1  # first sample at which h is over
     tail = np.concatenate([h[1:over], np.zeros(max(2 * LARGEST_ORDER, over) + 2)])
-    places = _places(max(LARGEST_ORDER, over // 2))
+    places = _hankel_samples(max(LARGEST_ORDER, over // 2))
     sums = places[:, None] + places[None, :]
     u, sigma, vt = np.linalg.svd(tail[sums])
     shifted = tail[sums + 1]

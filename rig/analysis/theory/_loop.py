@@ -32,7 +32,8 @@ RigLike = str | Path | Experiment | RigModel
 SchemeLike = str | Scheme
 Vector = NDArray[np.float64]
 
-SLOPES = 64  # places in a wave of the highest harmonic of cogging at which its slope is looked at
+# Positions at which the slope of cogging is computed, in one wave of its highest harmonic.
+SLOPES = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class Subject:
 
     @property
     def damping(self) -> float:
-        """Return the damping of a slow rigid motion (N·m·s/rad or N·s/m): motor, link, back-EMF under voltage drive.
+        """Return the damping of a rig in slow rigid motion (N·m·s/rad or N·s/m): motor, link and back-EMF.
 
         The hand is left out, because a passive wall must be stable with any hand, even the lightest.
         """
@@ -253,7 +254,7 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
 
 
 def with_linear_wall(experiment: Experiment) -> Experiment:
-    """Return the experiment with a wall that theory covers, for a range or an amplitude that need not be exact."""
+    """Return the experiment with a linear wall, for a search range or an amplitude that need not be exact."""
     wall = replace(experiment.wall, passive_damping=0.0, position_from="encoder")
     return replace(experiment, wall=wall)
 
@@ -267,8 +268,8 @@ def _check_wall(wall: Wall) -> None:
         )
     if wall.position_from == "estimator":
         raise NotLinearError(
-            'theory covers walls that see the encoder\'s position, not wall.position_from = "estimator"',
-            reason="its wall sees the estimated position",
+            'theory covers walls that use the encoder\'s position, not wall.position_from = "estimator"',
+            reason="its wall uses the estimated position",
             remedy='set wall.position_from = "encoder", or simulate',
         )
 

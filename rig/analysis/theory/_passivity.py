@@ -43,7 +43,8 @@ from rig.core.model import Operator
 
 Meaning = Literal["exact", "sufficient", "necessary", "approximate"]
 
-SLOW = 1e-3  # of Nyquist: where the delay of an estimator is read off
+# Frequency over Nyquist at which the delay of an estimator for slow motions is computed.
+SLOW = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +92,15 @@ class PassivityBound:
 
     @property
     def stiffness(self) -> float:
-        """Return the largest K of a passive wall, with lag and delay; exact on a rigid rig, else a sufficient value."""
+        """Return the largest stiffness (N·m/rad or N/m) of a passive wall, with lag and delay.
+
+        The value is exact on a rigid rig; on two masses it is a sufficient condition.
+        """
         return self.bounds[0].stiffness
 
     @property
     def binding(self) -> Bound:
-        """Return the condition with the smallest stiffness; approximate rules are ignored."""
+        """Return the passivity condition that allows the smallest stiffness; approximate rules are ignored."""
         proven = (bound for bound in self.bounds if bound.meaning != "approximate")
         return min(proven, key=lambda bound: bound.stiffness)
 
@@ -125,16 +129,16 @@ def passivity_bound(
 
 def passive_curve(lifted: Lifted, dampings: Sequence[float]) -> list[float]:
     """Return for each damping (N·m·s/rad or N·s/m) the largest stiffness (N·m/rad or N/m) of a passive wall."""
-    return passive_stiffness(lifted.loop, dampings, _port(lifted.loop))
+    return passive_stiffness(lifted.loop, dampings, _port_damping(lifted.loop))
 
 
-def _port(loop: LinearLoop) -> Damping:
+def _port_damping(loop: LinearLoop) -> Damping:
     back_emf = loop.subject.model.amplifier.back_emf
     return Damping(loop.subject.port_damping - back_emf, back_emf)
 
 
 def _largest_damping(loop: LinearLoop) -> float:
-    port = _port(loop)
+    port = _port_damping(loop)
     if not port.passive(loop):
         return 0.0
     worst = needed_per_damping(loop, port)
@@ -154,7 +158,7 @@ def beta(loop: LinearLoop, *, negative: bool = False) -> float:
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
-    """Return the normalised damping and friction of an undamped wall of this stiffness (N·m/rad or N/m)."""
+    """Return damping and friction of an undamped wall of `stiffness` (SI), normalised as in Diolaiti et al. 2006."""
     loop = as_lifted(rig, scheme).loop
     mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
@@ -196,7 +200,7 @@ def _bounds(loop: LinearLoop, damping: float, share: float) -> list[Bound]:
         "passivity, lag and delay counted",
         "no motion gets work out of rig and wall",
         "own derivation, by lifting",
-        passive_stiffness(loop, [damping], _port(loop))[0],
+        passive_stiffness(loop, [damping], _port_damping(loop))[0],
         proven,
     )
     # A damper is most critical in fast motion, and a closed form has a single b: behind a lag none holds for B > 0.
@@ -263,12 +267,12 @@ def _rigid(subject: Subject) -> bool:
 
 
 def rigid_b_max(loop: LinearLoop) -> float:
-    """Return the approximate largest damping of a rigid rig, b + (π/2)·J/τ (N·m·s/rad or N·s/m).
+    """Return the approximate largest stable damping of a wall on a rigid rig, b + (π/2)·J/τ (N·m·s/rad or N·s/m).
 
-    The loop of a damper is an integrator 1/(J·s) behind the delay τ: that of the estimator at zero frequency, half the
-    hold, lag and computation. The rule treats τ as a pure delay without attenuation, so its value is too low: by 4 % if
-    the filter of a dual-rate wall dominates, by 20 % if the lag or a difference without filter does. b does not
-    include back-EMF behind a lag.
+    J is the rig's inertia and b its damping, without back-EMF behind a lag. The loop of a damper is an integrator
+    1/(J·s) behind the delay τ: that of the estimator at zero frequency, half the hold, lag and computation. The rule
+    treats τ as a pure delay without attenuation, so its value is too low: by 4 % if the filter of a dual-rate wall
+    dominates, by 20 % if the lag or a difference without filter does.
     """
     # The b of fast motion: with that of slow motion the rule would be too high by up to 1.8 times.
     hold = loop.tick_s if loop.extrapolate else loop.period_s

@@ -32,15 +32,17 @@ from rig.core.shown import Drawn, Shown
 Floats = NDArray[np.float64]
 
 CURVE_POINTS = 41
-CURVE_REACH = 1.1  # of the largest damping at which anything is stable
-CLIFF = 1e-4  # a point of the curve so shortly before B_max, and one after it
+# The curve ends at this multiple of the largest damping at which any wall is stable.
+CURVE_REACH = 1.1
+# The curve has a point this share below B_max and one above it, because K_max falls to 0 there.
+CLIFF = 1e-4
 CORNER_POINTS, CORNER_REACH = 9, 1.5  # and some as far as passivity goes
 PASSIVE_POINTS = 25  # of the passive walls, which end at a damping
 
 
 @dataclass(frozen=True, slots=True)
 class AtDamping:
-    """Results of the theory at one damping of the wall: limit of the linear loop, and passivity conditions."""
+    """Results of linear theory at one damping of the wall: stability limit, and conditions for passivity."""
 
     limit: Limit
     passivity: PassivityBound
@@ -209,7 +211,7 @@ def theory_of(
 def _linear(
     subject: Subject, schemes: Sequence[Scheme]
 ) -> tuple[list[tuple[Scheme, LinearLoop]], tuple[NotLinear, ...]]:
-    """Return the loops of the linear schemes, and the other schemes with reasons; raise if no scheme is linear."""
+    """Return the loop of each linear scheme, and the reason for each other; raise `NotLinearError` without a loop."""
     loops: list[tuple[Scheme, LinearLoop]] = []
     refused: list[NotLinear] = []
     first: NotLinearError | None = None

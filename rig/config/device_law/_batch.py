@@ -12,9 +12,12 @@ from firmware_protocol.packing import encoded_bytes
 from rig.config._sections import Experiment
 from rig.control.on_device import refusal
 
-STATE_EVERY_S = 0.005  # between two STATEs of a device that is supervised
-LONGEST_FRAME_S = 0.005  # what a frame may hold back
-MARGIN = 2.0  # a handle may pass more counts in one tick than its mean speed limit says
+# Time between two State messages of a device that runs the law (s).
+STATE_EVERY_S = 0.005
+# A sample waits in the device for at most this time until its frame is full (s).
+LONGEST_FRAME_S = 0.005
+# In a single tick the handle may pass more counts than its mean speed at the limit would give.
+MARGIN = 2.0
 
 FULL, WITHOUT_MEASURED, WIDE = 0, 1, 2  # layouts: what each holds stands in BATCH_LAYOUTS
 _I8_GREATEST, _I16_GREATEST = 127, 32_767
@@ -64,7 +67,8 @@ def bytes_per_second(experiment: Experiment) -> float:
     """Return the bytes per second that a device sends while it runs the law: BATCH frames and State messages."""
     samples, rate = batch_samples(experiment), experiment.controller.position_rate
     raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
-    stuffed = raw + 2  # one byte of COBS for a frame below 254 bytes, and the delimiter
+    # COBS adds one byte to a frame below 254 bytes, and the delimiter is another byte.
+    stuffed = raw + 2
     return rate / samples * stuffed + encoded_bytes(messages.State) / STATE_EVERY_S
 
 

@@ -32,7 +32,7 @@ class WallElsewhere(Protocol):
         ...
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return checks of whether the drive can render the experiment's wall, as far as the experiment shows it."""
+        """Return checks of whether the drive can render the experiment's wall, for a plan without a device."""
         ...
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
@@ -41,6 +41,6 @@ class WallElsewhere(Protocol):
 
 
 def wall_elsewhere(arithmetic: str) -> WallElsewhere:
-    """Return the optional package's functions for an arithmetic such as "drive"; raise `ConfigError` if missing."""
+    """Return the functions of the optional package for the arithmetic "drive"; raise `ConfigError` if it is missing."""
     found: WallElsewhere = extras.load("arithmetics", arithmetic)()
     return found

@@ -36,12 +36,14 @@ from rig.core.errors import PlanError
 
 Arithmetic = Literal["fixed", "float32", "drive"]
 ARITHMETICS: tuple[str, ...] = ("host", "fixed", "float32", "drive")  # in the order of the parameter `law`
-FIXED_ESTIMATOR = "fdm-butterworth-fixed"  # the only one in integers
+# The only estimator that exists in integers.
+FIXED_ESTIMATOR = "fdm-butterworth-fixed"
 SETPOINT_BITS = 24
 MOST_TICKS = 2**32 - 1
 I32 = (-(2**31), 2**31 - 1)
 MOST_PERIODS_A_TICK = 8
-MOST_EXCITATION = 2.0**15  # quanta: what a table without fractional bits can hold
+# In quanta: the largest effort that an excitation table without fractional bits can contain.
+MOST_EXCITATION = 2.0**15
 
 # What decides a value that does not fit, by the beginning of its name: the longest that matches.
 _KEYS = {
@@ -64,7 +66,7 @@ _KEYS = {
 
 
 def arithmetic_of(rates: Rates) -> Arithmetic:
-    """Return the configured arithmetic; for "auto" integers ("fixed") if the estimator has them, else "float32"."""
+    """Return the arithmetic of a law on the device; "auto" becomes "fixed" if the estimator exists in integers."""
     if rates.arithmetic != "auto":
         return rates.arithmetic
     return "fixed" if rates.estimator == FIXED_ESTIMATOR else "float32"
@@ -85,7 +87,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
     PlanError
         The device does not have the estimator, the law or an option, or a value is out of range.
     """
-    c, law = _plain(controller), controller.law.parameters
+    c, law = _control_values(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
     _check_work(c)
     if arithmetic not in BOARD_ARITHMETICS:
@@ -103,7 +105,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
         "hold_ticks": min(c["hold_ticks"], MOST_TICKS),
         "release_ticks": max(1, c["release_ticks"]),
         "wall_side": int(c["wall_side"]),
-        **_places(c),
+        **_position_parameters(c),
         **estimator_parameters(controller.estimator, float(c["effort_quantum"])),
         **common_parameters(controller.law.law.name, law),
         "excitation_lines": 0,
@@ -151,7 +153,7 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
             "wall.pull and wall.damping_on cannot change while the law runs on the device",
             remedy="end the run and start it with the other wall",
         )
-    c: Control = {**_plain(controller), "wall_position": position}
+    c: Control = {**_control_values(controller), "wall_position": position}
     if arithmetic != "fixed":
         values = float_wall(c, after)
     else:
@@ -172,11 +174,11 @@ def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> D
     """
     fixed = ARITHMETICS[int(values["law"])] == "fixed"
     in_si = fixed_wall_in_si if fixed else float_wall_in_si
-    return in_si(values, _plain(controller))
+    return in_si(values, _control_values(controller))
 
 
 def check_values(values: Mapping[str, Value]) -> None:
-    """Raise `PlanError` with the experiment's key if a value is out of the range of its device parameter."""
+    """Raise `PlanError`, with the experiment's key, for a value out of the range of its device parameter."""
     for name, value in values.items():
         parameter = BY_NAME[name]
         if parameter.accepts(value):
@@ -232,19 +234,19 @@ def _check_work(c: Control) -> None:
         )
 
 
-def _places(c: Control) -> Values:
-    """Return position window, homing range and homing target in counts from the reference, by parameter name."""
+def _position_parameters(c: Control) -> Values:
+    """Return position window, homing range and homing target in counts from position zero, by parameter name."""
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {
-        "law_window_minimum": _least(c["window_minimum"], delta),
-        "law_window_maximum": _most(c["window_maximum"], delta),
-        "free_minimum": _least(c["free_minimum"], delta),
-        "free_maximum": _most(c["free_maximum"], delta),
-        "home_minimum": _first(
+        "law_window_minimum": _lowest_count(c["window_minimum"], delta),
+        "law_window_maximum": _highest_count(c["window_maximum"], delta),
+        "free_minimum": _lowest_count(c["free_minimum"], delta),
+        "free_maximum": _highest_count(c["free_maximum"], delta),
+        "home_minimum": _first_passing_count(
             lambda t: delta * t > target or abs(delta * t - target) <= tolerance, (target - tolerance) / delta
         ),
-        "home_maximum": _first(
+        "home_maximum": _first_passing_count(
             lambda t: delta * t > target and abs(delta * t - target) > tolerance, (target + tolerance) / delta
         )
         - 1,
@@ -254,17 +256,17 @@ def _places(c: Control) -> Values:
     }
 
 
-def _least(position: float, delta: float) -> int:
+def _lowest_count(position: float, delta: float) -> int:
     """Return the lowest count whose position is at or above `position` (rad or m); `delta` is the travel per count."""
-    return _first(lambda t: delta * t >= position, position / delta)
+    return _first_passing_count(lambda t: delta * t >= position, position / delta)
 
 
-def _most(position: float, delta: float) -> int:
+def _highest_count(position: float, delta: float) -> int:
     """Return the highest count whose position is at or below `position` (rad or m); `delta` is the travel per count."""
-    return _first(lambda t: delta * t > position, position / delta) - 1
+    return _first_passing_count(lambda t: delta * t > position, position / delta) - 1
 
 
-def _first(passes: Callable[[int], bool], near: float) -> int:
+def _first_passing_count(passes: Callable[[int], bool], near: float) -> int:
     """Return the lowest 32-bit count from which on `passes` is True; the search begins just below `near`."""
     if not abs(near) < 2.0**31:
         return I32[near > 0.0] + (near > 0.0)
@@ -286,5 +288,5 @@ def _excitation(controller: ControllerState) -> Values:
     return dict(law.device)
 
 
-def _plain(controller: ControllerState) -> Control:
+def _control_values(controller: ControllerState) -> Control:
     return dict(zip(controller.control.dtype.names or (), controller.control[0].item(), strict=True))

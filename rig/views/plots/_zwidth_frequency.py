@@ -24,7 +24,8 @@ from rig.views.plots import style
 
 # Dampings, stable stiffness, passive stiffness.
 Curves = tuple[Sequence[float], Sequence[float], Sequence[float]]
-COLUMNS = 2  # panels beside each other, unless there are more than four
+# Panels in a row, unless there are more than four panels.
+COLUMNS = 2
 COLOURS = "viridis"
 ACTIVE, ENDED = "#ececec", "#bdbdbd"
 SEARCH = "#d01c8b"

@@ -15,13 +15,17 @@ from rig.experiments.hits.compare import SchemeComparison, SchemeImpacts
 from rig.views.plots import style
 
 COLOURS = (style.TRUE, style.SENT, style.MEASURED, style.OTHER, "#cc79a7", "#56b4e9", "#000000")
-STRONGEST = 1.15  # times the largest true speed: a noisy estimate may not flatten the others
+# End of the velocity axis over the largest true speed: a noisy estimate must not flatten the other curves.
+STRONGEST = 1.15
 SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 
 @style.own_style()
 def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
-    """Return the figure of penetration and velocity since first contact, for the encoder offset number `offset`."""
+    """Return the matplotlib figure of penetration and velocity after the first contact, for each compared scheme.
+
+    `offset` is the index of the encoder offset (start position between two counts) that is drawn.
+    """
     x, motion = comparison.experiment, comparison.experiment.rig.motion
     until_s = _shown_s(comparison.outcomes)
     figure = style.new_figure(width=9.0, height=3.5 + 1.8 * len(comparison.outcomes))
@@ -47,7 +51,7 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
 
 
 def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:
-    """Draw each scheme's penetration (encoder counts) over time, for the encoder offset number `offset`."""
+    """Draw the penetration (counts) over time for each scheme, for the encoder offset with the index `offset`."""
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
         # Equal curves remain visible under each other: widths differ.

@@ -133,13 +133,11 @@ def _trial(recording: Recording) -> tuple[NDArray[np.void], NDArray[np.float64]]
 
 
 def _contact(recording: Recording) -> NDArray[np.int64]:
-    """Return the indices of the trial's rows in which the handle is inside the wall."""
     rows = recording.rows
     return np.flatnonzero((rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0))
 
 
 def _last_phase(recording: Recording) -> str:
-    """Return the name of the phase in which the run ended, such as ``homing``; ``nothing`` without rows."""
     phases = [Phase(phase) for phase in recording.rows["phase"] if phase != Phase.DONE]
     return phases[-1].name.lower() if phases else "nothing"
 

@@ -72,6 +72,7 @@ def _draw_sliding(axes: Any, left: Any, found: Identification) -> None:
     style.tidy(axes, f"effort ({unit_of('effort', x.rig.motion)})")
     axes.set_title("friction while sliding", fontsize=11)
     left.plot(fit.velocity, fit.effort - fit.at(fit.velocity), "o", color=style.MEASURED, markersize=4)
+    # The fit itself: residuals are the distances from it.
     left.axhline(0.0, color=style.SENT, linewidth=1.0)
     style.tidy(left, f"residual ({unit_of('effort', x.rig.motion)})")
     left.set_xlabel(f"velocity ({unit_of('velocity', x.rig.motion)})")

@@ -17,12 +17,14 @@ from rig.core.sample import unit_of
 from rig.experiments.mapping.impedance import ImpedanceResult
 from rig.views.plots import style
 
-Z_SCORE = 2.0  # of the shaded bands
-HEADROOM = 1.3  # of the real part's axis, over what was measured
+# Half width of the shaded bands in standard deviations.
+Z_SCORE = 2.0
+# Range of the real part's axis over the range of the measured values.
+HEADROOM = 1.3
 
 
 def draw_impedance(results: Sequence[ImpedanceResult], picture: str | Path) -> Path:
-    """Draw impedances into a file and return its path; raise `RecordingError` if none was measured or written."""
+    """Draw impedances into a file and return its path; raise `RecordingError` if no result has an impedance."""
     return style.save(impedance_figure(results), Path(picture))
 
 
@@ -89,12 +91,14 @@ def _draw(
         axes.plot(f, value, color=colour, linewidth=1.2, label=result.label if axes is size else None)
     closed = result.expected(f)
     if closed is not None:
-        _plain(size, phase, real, f, closed, color="#222222", linewidth=0.6)
+        _draw_line(size, phase, real, f, closed, color="#222222", linewidth=0.6)
     if not result.bare:
-        _plain(size, phase, real, f, ideal_wall(*result.wall, f), color=colour, linewidth=1.0, linestyle="--")
+        _draw_line(
+            size, phase, real, f, ideal_wall(*result.wall, f), color=colour, linewidth=1.0, linestyle="--"
+        )
 
 
-def _plain(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> None:
+def _draw_line(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> None:
     for axes, value in ((size, np.abs(z)), (phase, np.degrees(np.angle(z))), (real, z.real)):
         axes.plot(f, value, **look)
 

@@ -39,7 +39,7 @@ def zwidth_with_theory_figure(found: ZWidth) -> Any:
 
 
 def kmax_with_theory_figure(found: KMax) -> Any:
-    """Return the figure of the largest stable stiffness K without damping over the sampling rate, with theory."""
+    """Return the figure of the largest stable stiffness of an undamped wall over the sampling rate, with theory."""
     return kmax_figure(found, theory=kmax_theory(found))
 
 

@@ -39,7 +39,8 @@ SERIES = (
 )
 KINDS = {"stable": "#00703c", "limit cycle": "#a85300", "unstable": BAD, "invalid": "#666666"}
 DPI = 120
-STRETCHES = 5000  # of a long line, each drawn by its extremes: some for each pixel of the widest picture
+# A long line is drawn by its extremes in so many stretches: several for each pixel of the widest picture.
+STRETCHES = 5000
 _KEY_LINE = 0.18  # height of a line of a legend (inch)
 # By ending how it is saved: without what would differ from one minute or version to the next.
 FORMATS: Mapping[str, Mapping[str, Any]] = {
@@ -49,7 +50,7 @@ FORMATS: Mapping[str, Mapping[str, Any]] = {
     "pdf": {"metadata": {"CreationDate": None, "Creator": None, "Producer": None}},
 }
 # matplotlib's settings are global: of two overlapping contexts, one would leave its settings behind.
-_alone = threading.RLock()
+_settings_lock = threading.RLock()
 _AS_TEXT = {"svg.hashsalt": "haptic-rig", "svg.fonttype": "none", "pdf.fonttype": 42}
 
 
@@ -60,7 +61,7 @@ def own_style() -> Iterator[None]:
     Texts and ticks read their settings when they are created, so each call of `new_figure` must be inside the context.
     Also usable as a decorator. Raise `RecordingError` if matplotlib cannot be imported.
     """
-    with _alone:
+    with _settings_lock:
         try:
             settings = matplotlib.rc_context()
         except (ImportError, ValueError) as error:  # of a backend in MPLBACKEND that is not installed here
@@ -107,7 +108,10 @@ def count_along(axes: Any) -> None:
 
 
 def visible(*values: NDArray[Any]) -> slice | NDArray[np.int64]:
-    """Return the indices of points that suffice to draw long lines: minimum and maximum in each short stretch."""
+    """Return the indices of points that suffice to draw long lines.
+
+    The points are minimum and maximum of each line in each of `STRETCHES` stretches; short lines are drawn completely.
+    """
     size = len(values[0])
     rows = size // STRETCHES
     if rows <= 2 * len(values):
@@ -150,7 +154,7 @@ def save(figure: Any, path: Path) -> Path:
     ending = path.suffix.lower().removeprefix(".")
     if ending not in FORMATS:
         raise RecordingError(
-            f"{path} does not end in a format of pictures",
+            f"{path} does not end in a format of pictures, such as .png",
             remedy=f"give a name that ends in one of: {', '.join('.' + known for known in FORMATS)}",
         )
     try:

@@ -13,7 +13,8 @@ from rig.views.plots import style
 COLOURS = (style.MEASURED, style.SENT, style.OTHER, style.TRUE, "#cc79a7", "#56b4e9")
 HEADROOM = 1.15  # above the highest curve
 PASSIVE = ("passive below the dashed line", "passive below the dashed line, and only there")
-CORNER = 1.5  # width and height of the right panel, in what passivity allows
+# Width and height of the right panel over the passive range.
+CORNER = 1.5
 
 
 @style.own_style()
@@ -60,7 +61,6 @@ def _draw_edge(axes: Any, scheme: SchemeTheory, colour: str) -> None:
 
 
 def _draw_islands(axes: Any, scheme: SchemeTheory, colour: str) -> None:
-    """Shade the islands (ranges of stable stiffness above the limit) over damping, with one legend entry."""
     b = np.array([limit.damping for limit in scheme.curve])
     most = max((len(limit.islands) for limit in scheme.curve), default=0)
     for n in range(most):

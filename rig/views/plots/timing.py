@@ -19,7 +19,8 @@ COLOURS = {
     "whole": "#444444",
     LATENESS: style.BAD,
 }
-IN_A_ROW = ("transport_in", "law", "send", "transport_out")  # what the whole is made of
+# Stages that together make up the whole time of a tick, in this order.
+IN_A_ROW = ("transport_in", "law", "send", "transport_out")
 POINTS = 2000  # of a curve, at most
 US = 1e-3  # µs in a ns
 
@@ -125,7 +126,7 @@ def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
 def _longest(
     time_s: NDArray[np.float64], values: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return start time (s) and largest value of each stretch of a curve, of at most `POINTS` stretches."""
+    """Return start time (s) and largest value of each stretch of a curve; at most `POINTS` stretches."""
     each = -(-len(values) // POINTS)
     starts = np.arange(0, len(values), each)
     return time_s[starts], np.maximum.reduceat(values, starts)

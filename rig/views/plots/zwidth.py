@@ -40,7 +40,10 @@ def draw_zwidth(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Path:
-    """Draw a map of stable walls into a file and return its path; `theory` has a curve for a scheme's number."""
+    """Draw a map of stable walls into a file, with a panel for each criterion, and return the file's path.
+
+    `theory` contains a curve (dampings, stiffness limits) for the number of a scheme.
+    """
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
 
@@ -51,7 +54,10 @@ def zwidth_figure(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Any:
-    """Return the figure of a map of stable walls, a panel for each criterion; `theory` has a curve by scheme number."""
+    """Return the matplotlib figure of a map of stable walls, with a panel for each criterion of the verdict.
+
+    `theory` contains a curve (dampings, stiffness limits) for the number of a scheme.
+    """
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
     highest = max(b.highest for b in found.boundaries)
@@ -83,13 +89,16 @@ def zwidth_figure(
     explain(panels[0], [b for b in found.boundaries if b.criterion in criteria])
     style.key_below(figure, panels[0])
     title = f"Largest stable K of {experiment.rig.name}" if alone else f"Z-width of {experiment.rig.name}"
-    figure.suptitle(f"{title}, {_how(found)}", fontsize=11)
+    figure.suptitle(f"{title}, {_describe_hits(found)}", fontsize=11)
     return figure
 
 
 @style.own_style()
 def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str, Curve] | None = None) -> Any:
-    """Return the figure of the largest stable stiffness without damping over the rate; `paper` has curves by name."""
+    """Return the figure of the largest stable stiffness of an undamped wall over the sampling rate (Hz).
+
+    `theory` is such a curve by linear theory, and `paper` contains such curves of papers, by name.
+    """
     experiment = found.map.plan.experiment
     figure = style.new_figure(7.0, 4.6)
     axes = figure.subplots()
@@ -109,7 +118,7 @@ def kmax_figure(found: KMax, *, theory: Curve | None = None, paper: Mapping[str,
     style.tidy(axes, f"largest stiffness at B = 0 ({unit_of('stiffness', experiment.rig.motion)})")
     explain(axes, [b for b in found.map.boundaries if b.criterion != "any"])
     style.key_below(figure, axes)
-    axes.set_title(f"{experiment.rig.name}, {_how(found.map)}", fontsize=11)
+    axes.set_title(f"{experiment.rig.name}, {_describe_hits(found.map)}", fontsize=11)
     return figure
 
 
@@ -122,7 +131,7 @@ def draw_boundaries(
     *,
     width: float = 1.6,
 ) -> None:
-    """Draw one curve of limits over `along`: mean, band between extremes, islands, and marks of missing limits."""
+    """Draw a curve of stability limits at the positions `along`: mean, band between extremes, islands, marks."""
     size = 2.0 + 1.2 * width
     limits = [b.stiffness if b.stiffness > 0.0 else math.nan for b in curve]  # no line leads through a hole
     axes.plot(along, limits, "o-", color=colour, linewidth=width, markersize=size, label=label)
@@ -166,7 +175,7 @@ def explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
         axes.plot([], [], color="#333333", **_ISLAND, label="island: stable walls beyond the limit")
 
 
-def _how(found: ZWidth) -> str:
+def _describe_hits(found: ZWidth) -> str:
     trial, plan = found.plan.experiment.trial, found.plan
     push = (
         f"in a {found.plan.experiment.operator.grip} hand"

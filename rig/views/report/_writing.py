@@ -46,7 +46,7 @@ def three(value: float | None, digits: int = 3) -> str:
 
 
 def limit(value: float, capped: object) -> str:
-    """Return a limit with three digits, with ``≥`` in front if it is capped (the search ended at a stable wall)."""
+    """Return a limit with three digits, with ``≥`` in front if `capped` (the search ended before the limit)."""
     return f"{'≥ ' if capped else ''}{three(value)}"
 
 
@@ -92,7 +92,10 @@ def each(items: Iterable[Any], between: str = "; ", *, caller: Callable[..., str
 
 
 def gathered(items: Mapping[str, tuple[Any, ...]], *, caller: Callable[..., str]) -> str:
-    """Return the joined texts of a jinja2 call block for named items, equal texts once: ``a, b: text; c: other``."""
+    """Return the joined texts of a jinja2 call block for named items; names with equal text are listed together.
+
+    An example of a result is ``a, b: text; c: other text``.
+    """
     names: dict[str, list[str]] = {}
     for name, item in items.items():
         names.setdefault(caller(*item).strip(), []).append(name)

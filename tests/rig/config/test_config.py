@@ -118,7 +118,7 @@ def test_a_byte_order_mark_is_no_error(tmp_path: Path) -> None:
         ('stiffness = \u22123  # N·m "°'.encode(), ("line 1, column 13", "contains U+2212 MINUS SIGN;")),
         ("preset = \u201ckoul-rigid\u201d".encode(), ("U+201C LEFT DOUBLE", "U+201D RIGHT DOUBLE")),
         (b"a = 1\0", ("line 1", "U+0000 control character")),
-        ("[wall]\nstiffness = = 3  # N·m".encode(), ("correct the file at this place",)),
+        ("[wall]\nstiffness = = 3  # N·m".encode(), ("correct the file at this line and column",)),
     ],
 )
 def test_a_file_that_is_not_toml_is_named_with_the_place(
