@@ -1,1 +1,1 @@
-"""Base of compiled code: decorator, plug types, atomics, codec, ring, mailbox, clocks, scheduling, system calls."""
+"""Base of compiled code: decorator, function types, atomics, codec, ring, mailbox, clocks, scheduling, system calls."""

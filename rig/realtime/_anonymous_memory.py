@@ -1,6 +1,6 @@
 """Shared memory of a running loop on Linux: an anonymous file, found among the open files of its process.
 
-It exists while a process has it open or mapped, so no file remains afterwards. It must not become resizable.
+The memory exists while a process has it open or mapped, so no file remains afterwards. It must not become resizable.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MFD_NOEXEC_SEAL = 0x8  # Linux 6.3
 
 
 def make(size: int) -> int:
-    """Return the descriptor of new zeroed memory of `size` bytes."""
+    """Create zeroed shared memory of `size` bytes and return its file descriptor."""
     descriptor = _memfd()
     try:
         # Allocated now: a tick that first touches a page without memory left would be killed by SIGBUS.
@@ -35,7 +35,7 @@ def make(size: int) -> int:
 
 
 def _memfd() -> int:
-    """Return the descriptor of an anonymous file that cannot be executed."""
+    """Create an empty anonymous file (memfd) that cannot be executed, and return its descriptor."""
     flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
     try:
         # Kernels with vm.memfd_noexec = 2 refuse files without this flag, those before 6.3 refuse the flag.
@@ -47,17 +47,17 @@ def _memfd() -> int:
 
 
 def close(descriptor: int) -> None:
-    """Close a descriptor that `make` returned."""
+    """Close the descriptor of shared memory that `make` returned."""
     os.close(descriptor)
 
 
 def is_sound(descriptor: int) -> bool:
-    """Return True if the file of a descriptor cannot shrink while it is read."""
+    """Return True if the open file cannot shrink while this process reads it."""
     return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
 
 
 def is_memory(path: str) -> bool:
-    """Return True if the path of an open file (``/proc/PID/fd/N``) leads to the memory of a loop."""
+    """Return True if `path`, an open file of a process (``/proc/PID/fd/N``), is the shared memory of a loop."""
     try:
         return os.readlink(path) == LINK
     except OSError:
@@ -65,7 +65,7 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield process number and path (``/proc/PID/fd/N``) of each open memory, of the process `pid` or (None) of all."""
+    """Yield process number and path (``/proc/PID/fd/N``) of each open loop memory, of process `pid` or of all."""
     for process in os.listdir(_PROC) if pid is None else [str(pid)]:
         if not process.isdecimal():
             continue
@@ -78,15 +78,12 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return a path to the file that this process has open; it stays valid after the other process has ended."""
+    """Return a path to the memory with this open `descriptor`; it stays valid after the process at `path` has ended."""
     return f"{_PROC}/self/fd/{descriptor}"
 
 
 def is_process(pid: int, creator: int) -> bool:
-    """Return True if `creator`, the number that a process has for itself, belongs to the process with the number `pid`.
-
-    The numbers differ for a process in a container; the kernel lists both.
-    """
+    """Return True if process `pid` has the number `creator`, either here or inside its own container."""
     if creator == pid:
         return True
     # In a container a process has another number inside than outside; NSpid lists both.
@@ -98,7 +95,7 @@ def is_process(pid: int, creator: int) -> bool:
 
 
 def may_look(pid: int) -> bool:
-    """Return True if this user may list a process's open files; raise `ProcessLookupError` if it does not exist."""
+    """Return True if this user may list the open files of a process; raise `ProcessLookupError` if it has ended."""
     try:
         os.listdir(f"{_PROC}/{pid}/fd")
     except PermissionError:
@@ -109,7 +106,7 @@ def may_look(pid: int) -> bool:
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Yield number and command line of each process whose open files this user may not list."""
+    """Yield number and command line (list of words) of each process whose open files this user may not list."""
     for name in os.listdir(_PROC):
         if name.isdecimal() and not os.access(f"{_PROC}/{name}/fd", os.R_OK | os.X_OK):
             try:

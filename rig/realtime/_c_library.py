@@ -22,7 +22,8 @@ from typing import Any
 from rig.core.child import find_program, installed_path
 from rig.core.errors import ConfigError
 
-# Without contraction, as golden vectors have it; what is missing is an error here, not when it is opened.
+# Without contraction to fused multiply-add, like the golden vectors of the tests; a missing symbol is an error of the
+# linker here (-z defs), not when the library is opened.
 FLAGS: tuple[str, ...] = ("-std=c99", "-O1", "-shared", "-ffp-contract=off")
 if sys.platform == "linux":  # the linkers of the others want all symbols defined anyway
     FLAGS += ("-Wl,-z,defs",)
@@ -35,25 +36,25 @@ _SHOWN_LINES = 6  # of what a compiler says
 
 
 def doubles(numbers: Any) -> Any:
-    """Return a C struct type of doubles whose members are the fields of a dataclass, in their order."""
+    """Return a ctypes struct type whose members are doubles with the names and order of a dataclass's fields."""
     members = [(field.name, ctypes.c_double) for field in fields(numbers)]
     return type(numbers.__name__, (ctypes.Structure,), {"_fields_": members})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CLibrary:
-    """A library of C code: its sources, and flags for the compiler.
+    """C sources that are compiled to one shared library.
 
     Attributes
     ----------
     name
-        Name of its file, and of the library in messages.
+        Name of the library, for its file and for messages.
     root, parts
         Directory of the sources, and the names of its subdirectories that are compiled.
     purpose
-        Purpose of the library, for messages.
+        What the library is needed for, in messages.
     instead
-        Alternative to the library, as the end of a remedy; "" if there is no alternative.
+        Alternative for a user without a compiler, as the end of a remedy; "" without an alternative.
     flags
         Flags for the compiler.
     """
@@ -66,11 +67,11 @@ class CLibrary:
     flags: tuple[str, ...] = FLAGS
 
     def sources(self) -> list[Path]:
-        """Return the C files of the library."""
+        """Return the paths of the C files of this library, in the order in which they are compiled."""
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:
-        """Return the compiler's command: ``$CC``, one of `COMPILERS`, or `ZIG`; raise `ConfigError` without one."""
+        """Return the command of a C compiler (``$CC``, one of `COMPILERS`, `ZIG`); raise `ConfigError` if missing."""
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
             found = find_program(command[0]) if command else None
@@ -79,13 +80,13 @@ class CLibrary:
         if find_spec(ZIG) is not None:
             return [sys.executable, "-P", "-m", ZIG, "cc"]
         raise ConfigError(
-            f"there is no C compiler: {self.purpose}, compiled on first use",
+            f"there is no C compiler, which is needed once: {self.purpose}, compiled from C on first use",
             remedy="install one (Debian: apt install gcc libc6-dev; elsewhere: pip install ziglang) or set CC to it"
             + (f"; or {self.instead}" if self.instead else ""),
         )
 
     def compiled(self, directory: Path) -> Path:
-        """Return the path of the library in a directory; compile it if missing. Raise `ConfigError` if that fails."""
+        """Return the path of this library in `directory`, compiled if missing; raise `ConfigError` if that fails."""
         command = self.compiler()
         path = directory / f"{self.name}-{self.key(command)}.so"
         if path.exists():
@@ -98,18 +99,18 @@ class CLibrary:
         return path
 
     def opened(self, directory: Path, load: Callable[[Path], ctypes.CDLL]) -> ctypes.CDLL:
-        """Return the library opened by `load`; compile it if missing. Raise `ConfigError` if either fails."""
+        """Return this library opened by `load`, compiled if missing; raise `ConfigError` if either step fails."""
         path = self.compiled(directory)
         try:
             return load(path)
         except (OSError, AttributeError) as error:
             raise ConfigError(
-                f"the {self.name} library {path} does not open: {error}",
-                remedy="remove this file; the next run builds it again",
+                f"the compiled library {path} ({self.name}) cannot be opened: {error}",
+                remedy="remove this file; the next run compiles the library again",
             ) from error
 
     def key(self, command: list[str]) -> str:
-        """Return a hash (sixteen hex digits) of the sources, the flags and the compiler."""
+        """Return a hash (sixteen hex digits) of this library's sources, its flags and the compiler."""
         # Size and time of the compiler instead of its version: an update is seen without running it.
         facts = Path(command[0]).resolve().stat()
         digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {self.flags}".encode())
@@ -131,9 +132,10 @@ class CLibrary:
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise ConfigError(f"the C compiler {command[0]} does not run: {error}", remedy=remedy) from error
+            raise ConfigError(f"cannot start the C compiler {command[0]}: {error}", remedy=remedy) from error
         if done.returncode != 0:
             output = "\n".join((done.stderr or done.stdout).strip().splitlines()[:_SHOWN_LINES])
             raise ConfigError(
-                f"the C compiler {command[0]} failed on the {self.name}:\n{output}", remedy=remedy
+                f"the C compiler {command[0]} could not compile the library {self.name}:\n{output}",
+                remedy=remedy,
             )

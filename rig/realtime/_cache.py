@@ -1,4 +1,4 @@
-"""Directory of the disk cache of machine code: never outdated, and never writable by another user.
+"""Choose the directory of the disk cache of machine code: never outdated, and never writable by another user.
 
 The name of the directory has a hash of the files that compiled code depends on (`rig.realtime.source_files`), the
 versions of numba and numpy, and the CPU. The cached code drives a motor at a person's hand: it must not be loaded from
@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 def cache_key(sources: Mapping[str, bytes]) -> str:
-    """Return a hash (sixteen hex digits) of file names and contents, Python, numba, numpy and the CPU."""
+    """Return a hash (16 hex digits) of the sources (content by module), Python, numba, numpy and the CPU."""
     # numba compares the time stamp of a function's own file alone: after an edit of a helper in another file the
     # caller's old machine code would remain in use, which for a control law is silently wrong.
     digest = hashlib.sha256()
@@ -51,14 +51,14 @@ def cache_key(sources: Mapping[str, bytes]) -> str:
 
 
 def cache_root() -> Path:
-    """Return the directory of all caches: ``$HAPTIC_RIG_CACHE``, the user's cache directory or a temporary one."""
+    """Return the directory of all caches: ``$HAPTIC_RIG_CACHE`` or the user's; a temporary one if it is not private."""
     named = os.environ.get("HAPTIC_RIG_CACHE")
     base = Path(named) if named else Path(user_cache()) / "haptic-rig"
     for place in (base, Path(tempfile.gettempdir()) / f"haptic-rig-cache{_USER}"):
-        found = _made_private(place)
+        found = _make_private(place)
         if found is not None:
             return found
-    return _temporary()
+    return _make_temporary()
 
 
 if sys.platform == "win32":
@@ -77,17 +77,17 @@ else:
         if place.lstat().st_uid != us or place.stat().st_uid != us:
             return f"{place} belongs to another user"
         if place.stat().st_mode & _OTHERS_WRITE:
-            return f"others can write into {place}"
+            return f"other users can write into {place}"
         for parent in (*place.absolute().parents, *place.resolve().parents):
             mode = parent.stat().st_mode
             # In a sticky directory such as /tmp, others cannot rename or remove what they do not own.
             if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-                return f"others can replace what lies in {parent}"
+                return f"other users can replace files in {parent}"
         return ""
 
 
-def _made_private(place: Path) -> Path | None:
-    """Return a directory without symbolic links, created if missing; None if it is not private or not writable."""
+def _make_private(place: Path) -> Path | None:
+    """Return a directory, created if missing; None if it is not writable or (with a warning) others can write to it."""
     try:
         place.mkdir(parents=True, exist_ok=True, mode=0o700)
         reason = writable_by_others(place)
@@ -102,11 +102,11 @@ def _made_private(place: Path) -> Path | None:
     return None
 
 
-def _temporary() -> Path:
+def _make_temporary() -> Path:
     return Path(tempfile.mkdtemp(prefix="haptic-rig-cache-"))
 
 
-def _forget_unused(root: Path, current: Path) -> None:
+def _remove_unused(root: Path, current: Path) -> None:
     limit = time.time() - UNUSED_DAYS * 86400.0
     for path in root.glob("kernels-*"):
         try:
@@ -117,15 +117,15 @@ def _forget_unused(root: Path, current: Path) -> None:
 
 
 def open_cache() -> Path:
-    """Return the directory for machine code of the present source files on this computer."""
+    """Return the directory for machine code of the present sources; remove those unused for `UNUSED_DAYS`."""
     root = cache_root()
     place = root / f"kernels-{cache_key(compiled_sources())}"
     fresh = not place.exists()
-    directory = _made_private(place)
+    directory = _make_private(place)
     if directory is None:
-        return _temporary()
-    # The time of the last use: `_forget_unused` removes directories by it.
+        return _make_temporary()
+    # The time of the last use: `_remove_unused` removes directories by it.
     os.utime(directory)
     if fresh:
-        _forget_unused(root, directory)
+        _remove_unused(root, directory)
     return directory

@@ -1,9 +1,9 @@
-"""Shared memory of a running loop on other systems than Linux: a file in the user's cache directory.
+"""Shared memory of a running loop on systems other than Linux: a file in the user's cache directory.
 
     .../haptic-rig/loops/PID/alive   locked by that process while it runs
     .../haptic-rig/loops/PID/N       its memories
 
-The functions are the same as in `rig.realtime._anonymous_memory`.
+The functions have the same names and results as in `rig.realtime._anonymous_memory`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _made: dict[int, str] = {}  # path of each memory by its descriptor
 
 
 def make(size: int) -> int:
-    """Return the descriptor of a new file of `size` zero bytes."""
-    directory = _own()
+    """Create a file of `size` zero bytes as shared memory of a loop and return its descriptor."""
+    directory = _own_directory()
     number = max((int(name) for name in os.listdir(directory) if name.isdecimal()), default=0) + 1
     path = os.path.join(directory, str(number))
     descriptor = _open(path, "x+")
@@ -43,7 +43,7 @@ def make(size: int) -> int:
 
 
 def close(descriptor: int) -> None:
-    """Close a descriptor of `make` and remove its file, which Windows keeps while a process has it mapped."""
+    """Close the descriptor of a shared memory that `make` returned, and remove the memory's file."""
     os.close(descriptor)
     path = _made.pop(descriptor, None)
     if path is not None:
@@ -51,26 +51,26 @@ def close(descriptor: int) -> None:
 
 
 def is_sound(descriptor: int) -> bool:
-    """Return True: only this user can change the file."""
+    """Return True always: on these systems only this user can change the file of a loop's memory."""
     return True
 
 
 def is_memory(path: str) -> bool:
-    """Return True if a path is that of a loop's memory and its process still runs."""
+    """Return True if `path` is the file of a loop's shared memory and the process that created the file still runs."""
     directory, name = os.path.split(path)
     return (
         name.isdecimal()
         and os.path.dirname(directory) == _root()
         and os.path.exists(path)
-        and _lives(directory)
+        and _is_alive(directory)
     )
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield process number and path of each memory that the process `pid` made; None: any running process."""
+    """Yield process number and path of each loop's shared memory whose process runs; `pid` selects one process."""
     for process in _names(_root()) if pid is None else [str(pid)]:
         directory = os.path.join(_root(), process)
-        if process.isdecimal() and _lives(directory):
+        if process.isdecimal() and _is_alive(directory):
             yield from (
                 (int(process), os.path.join(directory, name))
                 for name in _names(directory)
@@ -79,24 +79,24 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return `path`, by which the memory can be opened again."""
+    """Return `path`, by which this process can open the memory again."""
     return path
 
 
 def is_process(pid: int, creator: int) -> bool:
-    """Return True if the two process numbers are equal."""
+    """Return True if `pid` and `creator` are the same process number."""
     return creator == pid
 
 
 def may_look(pid: int) -> bool:
-    """Return True if the process runs a loop of this user; raise `ProcessLookupError` if it does not."""
-    if not _lives(os.path.join(_root(), str(pid))):
+    """Return True if the process `pid` runs a loop of this user; raise `ProcessLookupError` otherwise."""
+    if not _is_alive(os.path.join(_root(), str(pid))):
         raise ProcessLookupError
     return True
 
 
 def command_lines() -> Iterator[tuple[int, list[bytes]]]:
-    """Yield nothing: on these systems processes of other users are not examined."""
+    """Return an empty iterator: on these systems processes of other users are not examined."""
     return iter(())
 
 
@@ -104,33 +104,33 @@ def _root() -> str:
     return os.path.join(user_cache(), "haptic-rig", "loops")
 
 
-def _own() -> str:
-    """Return the directory of this process, created and locked; remove the directories of dead processes."""
+def _own_directory() -> str:
+    """Return the directory for shared memories of this process, created and locked; remove those of dead processes."""
     pid = os.getpid()
     directory = os.path.join(_root(), str(pid))
     if pid not in _alive:
         os.makedirs(_root(), mode=0o700, exist_ok=True)
         with FileIO(os.path.join(_root(), "lock"), "a") as one_at_a_time:
-            _have(one_at_a_time)
+            _wait_for_lock(one_at_a_time)
             # A killed process leaves its directory, whose lock is free then: the next process removes it.
             for name in _names(_root()):
-                _forget(os.path.join(_root(), name))
+                _remove_if_dead(os.path.join(_root(), name))
             os.makedirs(directory, mode=0o700, exist_ok=True)
             alive = FileIO(os.path.join(directory, ALIVE), "a")
-            _have(alive)
+            _wait_for_lock(alive)
             _alive[pid] = alive
     return directory
 
 
-def _have(file: FileIO) -> None:
+def _wait_for_lock(file: FileIO) -> None:
     deadline = time.monotonic() + _PATIENCE_S
     while not locks.lock(file.fileno()) and time.monotonic() < deadline:
         time.sleep(0.005)
 
 
-def _forget(directory: str) -> None:
-    """Remove the directory of a dead process; Windows keeps files that another process still has mapped."""
-    if os.path.isdir(directory) and not _lives(directory):
+def _remove_if_dead(directory: str) -> None:
+    """Remove the directory of a dead process; files that another process has mapped remain on Windows."""
+    if os.path.isdir(directory) and not _is_alive(directory):
         for name in _names(directory):
             _remove(os.path.join(directory, name))
         try:
@@ -139,7 +139,7 @@ def _forget(directory: str) -> None:
             return
 
 
-def _lives(directory: str) -> bool:
+def _is_alive(directory: str) -> bool:
     return locks.is_locked(os.path.join(directory, ALIVE))
 
 

@@ -1,8 +1,8 @@
-"""Python functions that replace calls of the C library in compiled code, on other systems than Linux.
+"""Python functions that replace calls of the C library in compiled code, on systems other than Linux.
 
-Compiled code calls functions by name (`rig.realtime.system`). Only Linux has all these names, with the same constants.
-On other systems each name leads to a function of this file, so that the compiled code is the same. Each call takes the
-GIL and some microseconds, so a law in real time on this computer needs Linux.
+Compiled code calls C functions by name (`rig.realtime.system`). Only Linux has all these names, with the same
+constants. On other systems each name leads to a function of this file, so that the compiled code is the same. Each call
+takes the GIL and some microseconds, so a law in real time on this computer needs Linux.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _kept: list[Any] = []  # callbacks, for as long as compiled code may call them
 
 
 class _Errno(threading.local):
-    """The errno of each thread."""
+    """The errno of each thread, as the replaced C functions report it."""
 
     def __init__(self) -> None:
         self.number = ctypes.c_int32(0)
@@ -40,7 +40,7 @@ def _fail(error: OSError) -> int:
 
 
 def _refuse(*arguments: int) -> int:
-    """Fail with ENOSYS: on these systems a port has its own calls (`rig.devices._threaded_serial`)."""
+    """Fail with ENOSYS (not implemented): on these systems a port does not use read and ppoll."""
     return _fail(OSError(errno.ENOSYS, "not on this system"))
 
 
@@ -90,7 +90,7 @@ _CALLS: dict[str, tuple[Callable[..., int], list[Any]]] = {  # result first
 
 
 def stand_in() -> None:
-    """Register the functions of this file under the names of the C library; call it before compiled code is loaded."""
+    """Register Python functions under the names of C functions; call it before any compiled code is loaded."""
     if not _kept:
         for name, (function, types) in _CALLS.items():
             callback = ctypes.CFUNCTYPE(*types)(function)

@@ -1,7 +1,7 @@
-"""Atomic access to 64-bit words by address, for words that threads or processes share (ring, mailbox, stop words).
+"""Atomic loads and stores of 64-bit words by memory address, for memory that threads or processes share.
 
-The loop, the recorder, the ring, the mailbox, stop requests and USB transfers call it. A
-shared word must not be read or written in any other way.
+The loop, the recorder, the ring, the mailbox, stop requests and USB transfers use these functions. A shared word must
+not be read or written in any other way.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _pointer(builder: Any, address: Any) -> Any:
 
 @intrinsic
 def load_word(typingctx: Any, address: Any) -> Any:
-    """Return an int64 with acquire order: all that the other side wrote before it stored the word is then visible."""
+    """Return the int64 at `address`; writes that precede the `store_word` of this value are then visible (acquire)."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # A plain load may be hoisted out of a loop by the compiler: a loop on a stop word would never end.
@@ -34,7 +34,7 @@ def load_word(typingctx: Any, address: Any) -> Any:
 
 @intrinsic
 def store_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Store an int64 with release order: a thread that loads it by `load_word` sees all that was written before."""
+    """Store `value` at `address`; a thread that reads it by `load_word` also sees all earlier writes (release)."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # x86 orders plain stores, ARM does not: a reader there could see HEAD before the row.
@@ -46,7 +46,7 @@ def store_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 @intrinsic
 def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Store an int64 and return the previous value, in acquire and release order."""
+    """Store `value` in the int64 at `address` and return the word's previous value, in one atomic step."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.atomic_rmw("xchg", _pointer(builder, args[0]), args[1], "acq_rel")
@@ -56,7 +56,7 @@ def exchange_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 @intrinsic
 def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: Any) -> Any:
-    """Store `value` if the word equals `expected`, in acquire and release order; return 1 if it was stored, else 0."""
+    """Replace the int64 at `address` by `value` if it equals `expected`, atomically; return 1 if replaced, else 0."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pair = builder.cmpxchg(_pointer(builder, args[0]), args[1], args[2], "acq_rel", "acquire")
@@ -67,7 +67,7 @@ def compare_exchange_word(typingctx: Any, address: Any, expected: Any, value: An
 
 @intrinsic
 def add_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Add to an int64 and return the previous value; concurrent additions are not lost."""
+    """Add `value` to the int64 at `address` and return the word's previous value; no concurrent addition is lost."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.atomic_rmw("add", _pointer(builder, args[0]), args[1], "acq_rel")
@@ -76,7 +76,7 @@ def add_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 
 def static_words(name: str, count: int) -> Any:
-    """Return an intrinsic that gives the address of `count` static int64, zero at first, of the kernel that uses it."""
+    """Return a numba function that returns the address of `count` static int64, zero at first, one set per kernel."""
     kind = ir.ArrayType(_WORD, count)
 
     @intrinsic
@@ -94,7 +94,7 @@ def static_words(name: str, count: int) -> Any:
 
 
 def stack_words(count: int) -> Any:
-    """Return an intrinsic that gives the address of `count` int64 on the stack, for example for a timespec."""
+    """Return a numba function that returns the address of `count` int64 on the stack, for example for a timespec."""
 
     @intrinsic
     def words(typingctx: Any) -> Any:
@@ -111,11 +111,11 @@ def stack_words(count: int) -> Any:
 
 @kernel(types.int64(types.uintp))
 def read_word(address: int) -> int:
-    """Return a word loaded by `load_word`, for Python."""
+    """Return the int64 at `address`, loaded atomically with acquire order; Python code can call this function."""
     return int(load_word(address))
 
 
 @kernel(types.void(types.uintp, types.int64))
 def write_word(address: int, value: int) -> None:
-    """Store a word by `store_word`, for Python."""
+    """Store `value` in the int64 at `address`, atomically with release order; Python code can call this function."""
     store_word(address, value)

@@ -1,7 +1,7 @@
-"""Struct board_setup of the firmware: the description of the rig for firmware that is compiled for this computer.
+"""Fill the firmware's struct board_setup, which describes a rig to firmware that is compiled for this computer.
 
-The simulated board and the simulated drives fill it, and load their libraries with `CLibrary`. It must not
-contain a default: every field comes from the rig.
+The simulated board and the simulated drives use it, and load their C libraries with `CLibrary`. Every field comes from
+the rig's configuration: this file must not contain a default.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ CurrentSensor = doubles(current_sensor.CurrentSensor)
 
 
 class BoardSetup(ctypes.Structure):
-    """The struct of `firmware/core/on_a_computer.h`; the bytes of the dictionary must exist as long as the struct."""
+    """The C struct board_setup of `firmware/core/on_a_computer.h`: the rig as firmware on this computer sees it.
+
+    The struct has only a pointer to the dictionary's bytes: the caller must keep `dictionary` alive as long as the
+    struct.
+    """
 
     _fields_ = [
         ("dictionary", ctypes.c_char_p),
@@ -41,7 +45,7 @@ class BoardSetup(ctypes.Structure):
 
     @classmethod
     def of(cls, model: RigModel, dictionary: bytes, fingerprint: int, rate: int) -> Self:
-        """Return the struct for a rig: its model, encoded dictionary, hash of the dictionary, and first rate (Hz)."""
+        """Return the C struct for a rig: model, dictionary bytes (to keep alive), their hash, first rate (Hz)."""
         return cls(
             dictionary=dictionary,
             dictionary_hash=fingerprint,

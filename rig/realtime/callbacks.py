@@ -1,6 +1,6 @@
-"""Functions of a link for the compiled loop that call Python: for simulations, and links without compiled code.
+"""Make functions for the compiled loop that call Python, for simulations and for links without compiled functions.
 
-Threaded devices and simulations in memory use them. They must not serve a device in real time: each call takes the GIL.
+Threaded devices and simulations in memory use them. A device in real time must not: each call takes the GIL.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _WAIT = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 
 class CallbackPlugs(NamedTuple):
-    """Functions that transfer the bytes of a link, for plug points of the loop; the handle is not used."""
+    """Functions by which the compiled loop reads, writes and waits on a link; `handle` is their unused argument."""
 
     read: NativeFunction
     write: NativeFunction
@@ -32,18 +32,20 @@ def callback_plugs(
     wait: Callable[[int], bool],
     failed: Callable[[BaseException], object] = lambda failure: None,
 ) -> CallbackPlugs:
-    """Return the functions of a link for the loop, made from Python functions.
+    """Return read, write and wait functions of a link for the compiled loop that call the given Python functions.
 
     Parameters
     ----------
     read
-        Function that returns the available bytes, at most as many as its argument.
+        Function ``read(limit)`` that returns the available bytes, at most `limit`.
     write
-        Function that sends bytes and returns the number of accepted bytes; None means all.
+        Function ``write(data)`` that sends bytes and returns the number of accepted bytes; None means all.
     wait
-        Function that waits for input until a deadline (ns, the link's clock) and returns True if input is available.
+        Function ``wait(deadline_ns)`` that waits for input until a time of the link's clock (ns) and returns True if
+        input is available.
     failed
-        Function that receives an exception of `read`, `write` or `wait`; the loop gets only its negative errno or -EIO.
+        Function that receives an exception of `read`, `write` or `wait`. The loop gets only the exception's negative
+        errno, or -EIO if the exception has no errno.
     """
 
     def native(kind: Any, function: Callable[..., int], signature: Any) -> NativeFunction:

@@ -1,6 +1,6 @@
-"""Clocks for Python and the compiled loop: the system's monotonic clock, and a virtual clock that jumps.
+"""Clocks for Python and for the compiled loop: the system's monotonic clock, and a virtual clock for simulations.
 
-Devices and their ports use it. It must not read the time of day, which can be set back.
+Devices and their ports use them. This file must not read the time of day, which can be set back.
 """
 
 from __future__ import annotations
@@ -14,64 +14,67 @@ from rig.realtime.system import monotonic_now, monotonic_sleep, virtual_now, vir
 
 
 class Clock(Protocol):
-    """Interface of a clock for Python and the loop. All times are nanoseconds from an arbitrary origin."""
+    """Interface of a clock that Python and the compiled loop read; all times are nanoseconds from an arbitrary origin.
+
+    `virtual` is True if the clock's time advances only by `sleep_until` and by its owner, not with real time.
+    """
 
     virtual: bool
 
     def now_ns(self) -> int:
-        """Return the present time (ns), from an arbitrary origin."""
+        """Return the present time of this clock (ns from an arbitrary origin)."""
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until the deadline (ns); waking up may take some more time."""
+        """Sleep until this clock's time is `deadline_ns` (ns) or somewhat later."""
         ...
 
     @property
     def handle(self) -> int:
-        """Return the first argument of `now_plug` and `sleep_plug`."""
+        """Return the number that compiled code passes as first argument to `now_plug` and `sleep_plug`."""
         ...
 
     @property
     def now_plug(self) -> Any:
-        """Return the compiled function that reads the clock, of type `rig.realtime.plugs.NOW`."""
+        """Return the compiled function by which the loop reads this clock: ``now(handle)`` returns a time (ns)."""
         ...
 
     @property
     def sleep_plug(self) -> Any:
-        """Return the compiled function that sleeps until a deadline, of type `rig.realtime.plugs.WAIT`."""
+        """Return the compiled function by which the loop sleeps: ``sleep(handle, deadline_ns)``."""
         ...
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC on Linux, the counter of `time.perf_counter` on other systems; it is never set back."""
+    """The system's monotonic clock, which is never set back: CLOCK_MONOTONIC on Linux, else `time.perf_counter`."""
 
     virtual = False
     handle = 0
 
     def now_ns(self) -> int:
-        """Return the present monotonic time (ns)."""
+        """Return the present time of the system's monotonic clock (ns)."""
         # On Linux CLOCK_MONOTONIC. `time.monotonic` of Windows has steps of 16 ms before Python 3.13.
         return time.perf_counter_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Sleep until an absolute deadline (ns), so that late waking does not add up over several calls."""
+        """Sleep until the system's monotonic clock shows the absolute time `deadline_ns` (ns) or somewhat later."""
         remaining = deadline_ns - time.perf_counter_ns()
         if remaining > 0:
             time.sleep(remaining * 1e-9)
 
     @property
     def now_plug(self) -> Any:
-        """Return the compiled function that reads the clock by clock_gettime."""
+        """Return the compiled function that reads the monotonic clock by clock_gettime."""
         return monotonic_now
 
     @property
     def sleep_plug(self) -> Any:
-        """Return the compiled function that sleeps by clock_nanosleep."""
+        """Return the compiled function that sleeps until an absolute time by clock_nanosleep."""
         return monotonic_sleep
 
 
 class VirtualClock:
-    """A clock whose time the caller advances; no real time passes while it sleeps."""
+    """A simulated clock: its time changes only by `sleep_until`, which jumps to the deadline at once."""
 
     virtual = True
 
@@ -83,20 +86,20 @@ class VirtualClock:
         return int(self._time[0])
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Set the time to the deadline (ns), unless the deadline has passed."""
+        """Set the virtual time to `deadline_ns` (ns) without waiting; do nothing if the virtual time is later."""
         self._time[0] = max(self._time[0], deadline_ns)
 
     @property
     def handle(self) -> int:
-        """Return the address of the word with the time, which compiled code reads."""
+        """Return the memory address of the int64 with the virtual time (ns), for compiled code."""
         return int(self._time.ctypes.data)
 
     @property
     def now_plug(self) -> Any:
-        """Return the compiled function that reads the virtual time."""
+        """Return the compiled function that reads the virtual time from the address `handle`."""
         return virtual_now
 
     @property
     def sleep_plug(self) -> Any:
-        """Return the compiled function that sets the virtual time."""
+        """Return the compiled function that sets the virtual time to a deadline instead of sleeping."""
         return virtual_sleep

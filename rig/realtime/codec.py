@@ -3,13 +3,14 @@
 The messages are COMMAND and STATE; GET_TIME and TIME, which compare the clocks of host and device; BATCH, if the law
 runs on the device; and SET_BEGIN, SET_CHUNK, SET_COMMIT and ACK, which change the wall of a law on the device.
 
-All integers are int64. Kernels check received bytes and return negative numbers for errors. The caller owns the
-buffers, which must have at least the documented size.
+All integers are int64. Kernels check received bytes and return a negative number for an error. The caller provides all
+arrays; each must have at least the documented length.
 
-`STATE`, `COMMAND`, `GET_TIME` and so on are indices into an array of field values (``values[STATE.count]``), `HEAD`
-into an array of header values, `SAMPLE` into a row of a batch. Kernels can use them.
+`STATE`, `COMMAND`, `GET_TIME` and so on give the index of a field in an array of field values
+(``values[STATE.count]``), `HEAD` its index in an array of header values, `SAMPLE` its index in a row of a batch.
+Kernels can use these constants.
 
-The loop, the recorder and the ping of `rig.doctor` call it. Kernels here allocate nothing.
+The loop, the recorder and the round-trip measurement of `rig.doctor` use this file. Its kernels allocate nothing.
 """
 
 from __future__ import annotations
@@ -51,13 +52,13 @@ FRAME_BYTES = framing.SHORT_RAW_LIMIT + 2  # room that `encode_command` and `enc
 
 
 def field_indices(name: str) -> Any:
-    """Return a named tuple with the index of each field of a message in an array of field values."""
+    """Return a named tuple with the index of each field of the message class `name` in an array of field values."""
     names = list(fixed_fields(getattr(messages, name)))
     return namedtuple(f"{name}Fields", names)(*range(len(names)))
 
 
 def _layout(cls: type) -> Ints:
-    """Return one row (number of bytes, 1 if signed) for each field of a message, in wire order."""
+    """Return an array with one row (size in bytes, 1 if signed else 0) for each field of a message, in wire order."""
     rows = []
     for wire in fixed_fields(cls).values():
         size = np.dtype(FORMATS[wire.ctype]).itemsize
@@ -108,7 +109,7 @@ CHUNK_BYTES = data_limit(messages.SetChunk)
 
 
 def _sample_bytes() -> Ints:
-    """Return the bytes of each field of a sample, one row for each layout; 0 if the layout lacks the field."""
+    """Return the size (bytes) of each field of a batch sample; one row per sample layout, 0 for a missing field."""
     rows = np.zeros((len(messages.BATCH_LAYOUTS), len(SAMPLE)), dtype=np.int64)
     for layout, ctypes in messages.BATCH_LAYOUTS.items():
         assert all(ctype.startswith("i") for ctype in ctypes)  # what `_read_signed` reads
@@ -122,7 +123,10 @@ MOST_SAMPLES = (_BATCH_LIMIT - _BATCH_FIXED) // int(_SAMPLE_BYTES.sum(axis=1).mi
 
 
 def _crc_tables(slices: int) -> Ints:
-    """Return the CRC tables of the reflected polynomial 0xEDB88320: row k has the CRC of a byte followed by k zeros."""
+    """Return lookup tables, shape (slices, 256), for CRC-32 with the reflected polynomial 0xEDB88320.
+
+    Row k contains, for each byte value, the CRC of this byte followed by k zero bytes.
+    """
     tables = np.zeros((slices, 256), dtype=np.int64)
     for byte in range(256):
         remainder = byte
@@ -140,9 +144,9 @@ _CRC = _crc_tables(8)
 
 @kernel(_i64(_bytes, _i64, _i64, _i64))
 def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
-    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, the same as `zlib.crc32`.
+    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, equal to the result of `zlib.crc32`.
 
-    `seed` is the CRC of the preceding bytes, or 0. Source: "slicing by 8", Kounavis and Berry 2005.
+    `seed` is the CRC of the bytes before `start`, or 0. Source: "slicing by 8", Kounavis and Berry 2005.
     """
     # Eight bytes a step: recordings check whole blocks with it, not only short frames.
     crc = seed ^ 0xFFFFFFFF
@@ -167,7 +171,7 @@ def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _bytes))
 def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
-    """Encode ``raw[:length]`` (at most RAW_LIMIT bytes) by COBS into `out`, with delimiter; return length + 2."""
+    """Write the COBS code of ``raw[:length]`` (at most 252 bytes) and a delimiter to `out`; return ``length + 2``."""
     code_at = 0
     for i in range(length):
         if raw[i] == 0:
@@ -182,7 +186,7 @@ def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64))
 def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
-    """Return the index of the first 0x00 in ``buffer[start:end]``, or -1."""
+    """Return the index of the first zero byte (frame delimiter) in ``buffer[start:end]``; -1 without a zero byte."""
     for i in range(start, end):
         if buffer[i] == 0:
             return i
@@ -191,10 +195,10 @@ def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64, _bytes))
 def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
-    """Decode the COBS bytes ``buffer[start:stop]`` (a frame without its delimiter) and check the CRC.
+    """Decode the COBS bytes ``buffer[start:stop]`` (one frame without its delimiter) and check the frame's CRC.
 
-    Writes header and payload to `raw` (at least RAW_BYTES long). Returns their length, or a negative `Defect`, the
-    same that `framing.decode_frame` reports.
+    Header and payload are written to `raw` (at least RAW_BYTES long). Returns their length (bytes), or COBS_ERROR,
+    CRC_ERROR, TOO_LONG or TOO_SHORT (all negative): the same defect that `framing.decode_frame` reports.
     """
     size = stop - start
     # The order of checks is that of `framing.decode_frame`: both must count the same defect for the same bytes.
@@ -227,7 +231,10 @@ def decode_frame(buffer: Bytes, start: int, stop: int, raw: Bytes) -> int:
 
 @kernel(_i64(_ints, _table, _i64, _i64, _i64, _bytes))
 def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int, out: Bytes) -> int:
-    """Write header and fields to ``out[1:]``, after room for the first COBS code; return their end, or BAD_VALUE."""
+    """Write header and fields of a message to ``out[1:]``; return the next free index, or BAD_VALUE (< 0).
+
+    Index 0 remains free for the first COBS code. BAD_VALUE means that a value exceeds the range of its field.
+    """
     if session < 0 or session > 0xFF or sequence < 0 or sequence > 0xFFFF:
         return BAD_VALUE
     out[1] = _MAJOR
@@ -253,7 +260,7 @@ def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int,
 
 @kernel(_i64(_bytes, _i64))
 def _seal(out: Bytes, at: int) -> int:
-    """Append the CRC to ``out[1:at]`` and encode both by COBS in place; return the number of bytes with delimiter."""
+    """Append the CRC to the message in ``out[1:at]``, encode both by COBS in place, append 0; return the bytes."""
     crc = crc32(out, 1, at, 0)
     for k in range(_CRC_BYTES):
         out[at + k] = (crc >> (8 * k)) & 0xFF
@@ -276,7 +283,7 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
-    """Return the unsigned little-endian number of `size` bytes at offset `at`."""
+    """Return the unsigned little-endian integer in ``raw[at : at + size]``."""
     value = np.int64(0)
     for k in range(size):
         value |= np.int64(raw[at + k]) << (8 * k)
@@ -285,7 +292,7 @@ def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_signed(raw: Bytes, at: int, size: int) -> int:
-    """Return the signed little-endian number of `size` bytes (fewer than eight) at offset `at`."""
+    """Return the signed little-endian integer in ``raw[at : at + size]``; `size` is below 8."""
     value = _read_unsigned(raw, at, size)
     return int(value - ((value >> (8 * size - 1)) << (8 * size)))
 
@@ -294,7 +301,10 @@ def _read_signed(raw: Bytes, at: int, size: int) -> int:
 def _decode(
     raw: Bytes, length: int, layout: Ints, limit: int, type_id: int, header: Ints, values: Ints
 ) -> int:
-    """Decode header and fixed fields of a message whose payload has at most `limit` bytes."""
+    """Decode header and fixed fields of a message of type `type_id` with at most `limit` bytes of payload.
+
+    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD; `values` is written only if the result is 0.
+    """
     header[HEAD.major] = np.int64(raw[0])
     header[HEAD.type_id] = np.int64(raw[1])
     header[HEAD.flags] = np.int64(raw[2])
@@ -322,59 +332,62 @@ def _decode(
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a COMMAND into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a COMMAND (values at the indices `COMMAND`) into `out`; return the frame's bytes, or BAD_VALUE (< 0).
+
+    `out` has at least FRAME_BYTES bytes. BAD_VALUE means that a value exceeds the range of its field.
+    """
     return _encode(values, _COMMAND_LAYOUT, _COMMAND_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a STATE into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a STATE (values at the indices `STATE`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
     return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode header and fields of a COMMAND from the result of `decode_frame`.
+    """Decode a COMMAND from `raw` and `length`, the results of `decode_frame`.
 
-    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD. `header` is always written, `values` (one for each field) only
-    if the result is 0.
+    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a COMMAND) or BAD_PAYLOAD (wrong length).
+    `header` (indices `HEAD`) is always written, `values` (indices `COMMAND`) only if the result is 0.
     """
     return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a STATE into `header` and `values`; return the same codes as `decode_command`."""
+    """Decode a STATE into `header` and `values`; return 0, or a negative number as `decode_command` does."""
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a GET_TIME into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a GET_TIME (values at the indices `GET_TIME`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
     return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a TIME into `header` and `values`; return the same codes as `decode_command`."""
+    """Decode a TIME into `header` and `values`; return 0, or a negative number as `decode_command` does."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode an ACK into `header` and `values`; return the same codes as `decode_command`."""
+    """Decode an ACK into `header` and `values`; return 0, or a negative number as `decode_command` does."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_BEGIN into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_BEGIN (values: indices `SET_BEGIN`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
     return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_COMMIT into `out` (at least FRAME_BYTES long); return its bytes with delimiter, or BAD_VALUE."""
+    """Encode a SET_COMMIT (values: indices `SET_COMMIT`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
     return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
 
 
@@ -382,9 +395,10 @@ def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> 
 def encode_set_chunk(
     session: int, sequence: int, values: Ints, block: Bytes, start: int, stop: int, out: Bytes
 ) -> int:
-    """Encode a SET_CHUNK with ``block[start:stop]`` into `out` (at least FRAME_BYTES long).
+    """Encode a SET_CHUNK with the data ``block[start:stop]`` into `out` (at least FRAME_BYTES long).
 
-    Returns its bytes with delimiter, or BAD_VALUE, also if the data exceed `CHUNK_BYTES`, the most that a frame holds.
+    Returns the frame's length (bytes), or BAD_VALUE (negative) if a value exceeds the range of its field or the data
+    exceed `CHUNK_BYTES`.
     """
     if stop - start > CHUNK_BYTES:
         return BAD_VALUE
@@ -399,23 +413,23 @@ def encode_set_chunk(
 
 @kernel(_i64(_bytes, _i64, _ints, _ints, _rows))
 def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: Ints) -> int:
-    """Decode header, fields and samples of a BATCH from the result of `decode_frame`.
+    """Decode header, fields and samples of a BATCH: several samples that a law on the device sends in one message.
 
     Parameters
     ----------
     raw, length
-        Result of `decode_frame`.
+        Bytes and length of header and payload, from `decode_frame`.
     header, values
-        Arrays for header and fields; see `decode_command`.
+        Arrays that are filled with the header (indices `HEAD`) and the fields (indices `BATCH`).
     samples
-        Array of `MOST_SAMPLES` rows that is filled with `SAMPLE`: count (it may wrap at 32 bits) and both currents
-        (quanta); a field that the layout lacks is 0.
+        Array of `MOST_SAMPLES` rows. Each row is filled with encoder count (it may wrap at 32 bits), commanded current
+        and measured current (quanta), at the indices `SAMPLE`; a field that the batch does not contain is 0.
 
     Returns
     -------
     int
         Number of samples, at least 1; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no sample, or not a whole number of
-        samples), BAD_VALUE (unknown layout).
+        samples), BAD_VALUE (unknown sample layout).
     """
     found = _decode(raw, length, _BATCH_LAYOUT, _BATCH_LIMIT, _BATCH_TYPE, header, values)
     if found != 0:

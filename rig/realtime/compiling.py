@@ -1,7 +1,7 @@
-"""Notify listeners when compilation begins and ends, so that a command can report why it waits (up to half a minute).
+"""Notify listeners when the compilation of kernels begins and ends, so that a command can print why it waits.
 
-`rig.cli` and the console's workers listen; `rig.realtime.kernel` and `rig.realtime.parts` report to it. Nothing here
-may import numba: a command that compiles nothing must not load it.
+Compilation takes up to half a minute. `rig.cli` and the console's workers listen; `rig.realtime.kernel` and
+`rig.realtime.parts` report. This file must not import numba: a command that compiles nothing must not load it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def listen(listener: Callable[[bool], None]) -> None:
 
 
 def report_begin() -> None:
-    """Report that the compilation of a function begins; calls may nest."""
+    """Report that the compilation of a function begins; call `report_end` afterwards. Pairs of calls may nest."""
     _move(1)
 
 
@@ -31,12 +31,12 @@ def report_end() -> None:
 
 
 def count_kernel() -> None:
-    """Add one to the number of compiled kernels."""
+    """Add one to the number of compiled kernels that `kernels` returns."""
     _count["kernels"] += 1
 
 
 def kernels() -> int:
-    """Return the number of kernels that numba has compiled (typed and lowered) in this process."""
+    """Return the number of functions that numba has compiled, not loaded from the cache, in this process."""
     return _count["kernels"]
 
 

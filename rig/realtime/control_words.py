@@ -1,11 +1,8 @@
-"""Control words of a running loop's memory (`rig.realtime.ring`): index, writer and meaning of each.
+"""Index, writer and meaning of each control word in a running loop's shared memory (`rig.realtime.ring`).
 
-Loop, recorder, supervisor and other processes address them by these numbers. Every word has one writer. Words 0 to 3
-and 7 have the same index in all versions, so that a run of any version can be stopped. This file imports nothing:
-`rig stop` reads it first.
-
-The loop, the recorder, `rig stop`, `rig set`, the console and LSL use it. If the index of a word changes, change
-`LAYOUT_VERSION` too.
+The loop, the recorder, `rig stop`, `rig set`, the console and LSL address the words by these numbers. Every word has
+one writer. Words 0 to 3 and 7 have the same index in all versions, so that a run of any version can be stopped. If the
+index of a word changes, change `LAYOUT_VERSION` too. This file imports nothing, because `rig stop` reads it first.
 """
 
 from __future__ import annotations

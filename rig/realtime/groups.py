@@ -1,8 +1,8 @@
-"""Groups of arguments for kernels, so that a kernel takes a port or a controller instead of thirty single arguments.
+"""Pass many values to a kernel as one argument: a group is a `NamedTuple` that numba accepts as a struct.
 
-A group is a `NamedTuple` with the decorator `group`, which gives it its own numba type. Each field is annotated with
-the numba type of its values; a field for a plug point (`rig.realtime.plugs`) accepts any function with its signature. A
-call costs as much as with single arguments.
+A group is a `NamedTuple` with the decorator `group`. Each field is annotated with the numba type of its values; a field
+with a function type (`rig.realtime.plugs`) accepts any function with that signature. A call costs as much as with
+single arguments.
 
 Laws, ports and the loop define groups, and `rig.realtime.kernel` compiles them. This file must not depend on a
 particular group or on the meaning of its members.
@@ -37,7 +37,7 @@ _GROUPS: set[type] = set()
 
 
 def group(cls: type[T]) -> type[T]:
-    """Register a `NamedTuple` as an argument of kernels; its instances are then created by keyword arguments only."""
+    """Register a `NamedTuple` class as a type of kernel arguments; its instances then accept keyword arguments only."""
     # By keyword alone: among thirty positional arguments, two of one type are swapped unnoticed.
     make: Any = cls.__new__
 
@@ -52,14 +52,16 @@ def group(cls: type[T]) -> type[T]:
 
 @cache
 def type_of(cls: type[tuple[Any, ...]]) -> Any:
-    """Return the numba type of a group, for the signature of a kernel."""
+    """Return the numba type of a group class (see `group`), for the signature of a kernel."""
     hints = get_type_hints(cls, include_extras=True).values()
     return types.BaseTuple.from_types([hint.__metadata__[0] for hint in hints], cls)
 
 
 @cache
-def _due(cls: type[tuple[Any, ...]]) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """Return for each field the accepted classes, and for an array its dtype, dimensions and writability, else None."""
+def _expected_members(
+    cls: type[tuple[Any, ...]],
+) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
+    """Return, for each field of a group, the accepted classes, and (dtype, dimensions, writable) for an array."""
     return tuple(
         (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
@@ -75,20 +77,20 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 
 def kind_of(value: Any) -> Any:
-    """Return the numba type of a group whose members fit their fields; None for any other value."""
+    """Return the numba type of `value` if it is a group and each member has the type of its field; None otherwise."""
     return _type_if_fitting(value) if type(value) in _GROUPS else None
 
 
 def _type_if_fitting(value: tuple[Any, ...]) -> Any:
     cls = type(value)
-    for member, (classes, array) in zip(value, _due(cls), strict=True):
+    for member, (classes, array) in zip(value, _expected_members(cls), strict=True):
         if not _fits(member, classes, array):
             return None
     return type_of(cls)
 
 
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
-    """Return the numba type of a group; if a member does not fit its field, a type that no kernel accepts."""
+    """Return the numba type of a group; if a member does not match its field, a type that no kernel accepts."""
     kind = _type_if_fitting(value)
     if kind is None:
         kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
@@ -96,7 +98,7 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
 
 
 def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
-    """Return True if a member fits its field."""
+    """Return True if a group's member has the type of its field; see `_expected_members`."""
     # Not by numba's typeof: finding the type of a record array takes as long as many ticks.
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
@@ -114,13 +116,13 @@ def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None)
 
 @cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
-    """Return the size of a group in memory (bytes); see `group_at`."""
+    """Return the number of bytes that an instance of the group class needs in memory, for `group_at`."""
     context = cpu_target.target_context
     return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
 
 
 def group_at(cls: type[tuple[Any, ...]]) -> tuple[Any, Any]:
-    """Return two intrinsics, ``put(address, group)`` and ``get(address)``, to pass a group by its address.
+    """Return two numba functions, ``put(address, group)`` and ``get(address)``, that copy a group to and from memory.
 
     The memory at the address must have `group_bytes` bytes. The caller of `put` must keep the group alive: references
     to its arrays are not counted.

@@ -1,10 +1,9 @@
-"""A hand in a small shared file: a driving program writes the wanted position, a simulated rig the resulting motion.
+"""A small shared file by which a program moves the hand of a simulated rig, and reads how hand and handle moved.
 
-The file has the wish (a sequence number, a position, a press) and a ring of the newest motions of hand and handle, each
-with its CRC. A driving program writes the wish several times a second, also without a change.
-
-The console and sessions write to it, simulated rigs of `rig.devices` read it. It must not load the loop or wait for the
-other side.
+The file contains the command (a sequence number, the wanted position of the hand, the press force) and a ring of the
+newest motions of hand and handle, each with its CRC. The driving program writes the command several times a second,
+also if nothing changes. Console and sessions write commands, simulated rigs of `rig.devices` read them. This file must
+not load the loop and must not wait for the other side.
 """
 
 from __future__ import annotations
@@ -38,16 +37,16 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """Wanted position of the hand, and its press.
+    """Command of a driving program for a simulated hand: wanted position and press force.
 
     Attributes
     ----------
     sequence
-        Number of writes so far; 0 before the first.
+        Number of commands written so far; 0 before the first.
     position
-        Wanted position, at the link (rad or m).
+        Wanted position of the hand, at the link (rad or m).
     press
-        Force of the hand at the handle, into the wall (N).
+        Force with which the hand presses the handle into the wall (N).
     """
 
     sequence: int
@@ -57,16 +56,16 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class HandMotion:
-    """Motion of a simulated hand and its handle at one time; their difference is the deflection of the coupling.
+    """Simulated motion of hand and handle at one time; an elastic coupling connects hand and handle.
 
     Attributes
     ----------
     device_time_ns
-        Time of the sample on the device's clock (ns), as in the column ``device_time``.
+        Time on the device's clock (ns), as in the recording's column ``device_time``.
     hand, handle
-        True positions of hand and handle, at the link (rad or m).
+        Positions of hand and handle, at the link (rad or m), without measurement errors.
     velocity
-        True velocity of the handle (rad/s or m/s).
+        Velocity of the handle (rad/s or m/s), without measurement errors.
     """
 
     device_time_ns: int
@@ -76,7 +75,7 @@ class HandMotion:
 
 
 class SharedHand:
-    """A hand in a shared file: use `create` to move it and `open` to follow it; call `close` at the end."""
+    """A simulated hand in a shared file: `create` opens it to move the hand, `open` to follow the hand."""
 
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
@@ -86,10 +85,10 @@ class SharedHand:
 
     @classmethod
     def create(cls, path: str | Path) -> SharedHand:
-        """Create the file of a hand, or open an existing one, to move the hand.
+        """Open the file of a simulated hand for the program that moves the hand; create the file if missing.
 
-        The owner of its directory must remove the file. Raises `ConfigError` if the path is another kind of file, or if
-        the file cannot be created.
+        The file is not removed at the end: its directory's owner must do it. Raises `ConfigError` if `path` is another
+        kind of file or the file cannot be created.
         """
         path = Path(path)
         try:
@@ -100,19 +99,19 @@ class SharedHand:
                 return cls._mapped(file.fileno(), path)
         except OSError as error:
             raise ConfigError(
-                f"{path}: the file of a driven hand cannot be created: {error.strerror}",
+                f"{path}: cannot create this file, by which a program moves the simulated hand: {error.strerror}",
                 remedy="give a path in a directory that you may write to",
             ) from None
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
-        """Open an existing file to follow its hand; raise `ConfigError` if it does not exist or is no such file."""
+        """Open an existing file to follow its hand; raise `ConfigError` if it is missing or another kind of file."""
         path = Path(path)
         try:
             descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
         except OSError as error:
             raise ConfigError(
-                f"{path}: cannot open the file of a driven hand: {error.strerror}",
+                f"{path}: cannot open this file, by which a program moves the simulated hand: {error.strerror}",
                 remedy="start the program that moves the hand first: it creates the file",
             ) from None
         try:
@@ -131,19 +130,20 @@ class SharedHand:
         except (OSError, ValueError):  # a directory, a pipe
             pass
         raise ConfigError(
-            f"{path} is not the file of a driven hand",
-            remedy="give the path that the driving program uses, or a new path",
+            f"{path} is another kind of file, not the one by which a program moves the simulated hand",
+            remedy="give the path that the program uses which moves the hand, or a new path",
         )
 
     def move(self, position: float, press: float) -> None:
-        """Write the wanted position of the hand (rad or m, at the link), and its press into the wall (N).
+        """Write the command for the simulated hand: position (rad or m, at the link) and press force into the wall (N).
 
-        Raises `ConfigError` if a value is not finite.
+        Call `move` several times a second, also without a change; else the hand lets go. Raises `ConfigError` if a
+        value is not finite.
         """
         if not (math.isfinite(position) and math.isfinite(press)):
             raise ConfigError(
-                f"the hand's position {position} or press {press} N is not finite",
-                remedy="give finite numbers",
+                f"the hand's position {position} (rad or m) or its press force {press} N is not finite",
+                remedy="give finite numbers for position and force",
             )
         last = self.read()
         # Also without a change: a number that stands still means that the hand has let go.
@@ -151,7 +151,7 @@ class SharedHand:
         self._memory[len(MAGIC) : WISH_END] = _pack(Wish(sequence, position, press))
 
     def read(self) -> Wish | None:
-        """Return the newest wish; None if it is being written at this moment."""
+        """Return the newest command for the simulated hand; None if the driving program is writing at this moment."""
         # No lock and no memory order: a half-written entry fails its CRC and is read again.
         for _ in range(_TRIES):
             data = self._memory[len(MAGIC) : WISH_END]
@@ -161,7 +161,7 @@ class SharedHand:
         return None
 
     def tell(self, motion: HandMotion) -> None:
-        """Write a motion of hand and handle to the ring."""
+        """Write one simulated motion of hand and handle to the file, for the driving program."""
         self._latest += 1
         values = _MOTION.pack(
             self._latest, motion.device_time_ns, motion.hand, motion.handle, motion.velocity
@@ -170,13 +170,13 @@ class SharedHand:
         self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
 
     def motions(self) -> list[HandMotion]:
-        """Return the motions written since the last call, oldest first, except those that the ring has overwritten."""
+        """Return the simulated motions since the last call, oldest first, at most the newest `MOTIONS`."""
         fresh = [one for one in self._whole_motions() if one[0] > self._seen]
         self._seen = max((number for number, _ in fresh), default=self._seen)
         return [motion for _, motion in fresh]
 
     def _whole_motions(self) -> list[tuple[int, HandMotion]]:
-        """Return number and motion of each complete entry of the ring, ascending by number."""
+        """Return (number, motion) of each motion in the file whose CRC is right, sorted by number."""
         found = []
         for place in range(WISH_END, SIZE, _MOTION_BYTES):
             data = self._memory[place : place + _MOTION_BYTES]
@@ -186,7 +186,7 @@ class SharedHand:
         return sorted(found, key=lambda one: one[0])
 
     def close(self) -> None:
-        """Close the file without removing it."""
+        """Close the shared file of the simulated hand without removing it."""
         self._memory.close()
 
     def __enter__(self) -> SharedHand:

@@ -1,6 +1,6 @@
-"""Install signal handlers temporarily, and defer signals.
+"""Install signal handlers temporarily, and defer signals while code runs that must not be interrupted.
 
-The loop, the recorder, the doctor and sweeps call it. It must not decide what a signal stops
+The loop, the recorder, the doctor and sweeps use it. What a signal stops is decided elsewhere
 (`rig.realtime.stop_requests`).
 """
 
@@ -16,9 +16,10 @@ from typing import Any
 
 @contextmanager
 def handle_signals(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
-    """Install `handler` for signals, except those that are ignored; restore the previous handlers at the end.
+    """Install `handler` for the signals `numbers` within this context; restore the previous handlers at its end.
 
-    Yields True; outside the main thread, which alone receives signals, yields False and changes nothing.
+    A signal that is ignored remains ignored. Yields True. Outside the main thread, where Python allows no handlers,
+    yields False and changes nothing.
     """
     if not _in_the_main_thread():
         yield False
@@ -35,13 +36,13 @@ def handle_signals(numbers: tuple[int, ...], handler: Callable[[int, Any], None]
             signal.signal(number, before[number])
 
 
-_waiting: list[int] = []
+_deferred: list[int] = []
 _handled_by: dict[int, Any] = {}
 
 
 @contextmanager
 def interrupts_later() -> Iterator[None]:
-    """Defer SIGINT and SIGTERM until `interrupts_now` is called or this context ends."""
+    """Defer the signals SIGINT and SIGTERM until this context ends or `interrupts_now` is called."""
     # Where C calls back into Python, and where objects are finalised, the interpreter prints an exception and drops it:
     # a KeyboardInterrupt raised there, as inside a compiler, would be lost.
     if _handled_by or not _in_the_main_thread():  # within another: as that one does
@@ -50,18 +51,18 @@ def interrupts_later() -> Iterator[None]:
     numbers = (signal.SIGINT, signal.SIGTERM)
     _handled_by.update({number: signal.getsignal(number) for number in numbers})
     try:
-        with handle_signals(numbers, lambda number, frame: _waiting.append(number)):
+        with handle_signals(numbers, lambda number, frame: _deferred.append(number)):
             yield
     finally:
         _handled_by.clear()
-        for number in _came():
+        for number in _pop_deferred():
             signal.raise_signal(number)
 
 
 def interrupts_now() -> None:
-    """Handle deferred signals now, so that their exception reaches the caller of this function."""
-    if _waiting and _in_the_main_thread():
-        for number in _came():
+    """Handle the signals that `interrupts_later` deferred; their exceptions (KeyboardInterrupt) reach the caller."""
+    if _deferred and _in_the_main_thread():
+        for number in _pop_deferred():
             if callable(_handled_by[number]):
                 _handled_by[number](number, None)
             else:  # the system's own action, which ends the process
@@ -70,16 +71,16 @@ def interrupts_now() -> None:
 
 
 def take_no_signals() -> None:
-    """Block all signals in the calling thread, so that they do not end its waits early. Not for the main thread."""
+    """Block all signals in the calling thread, whose system calls then do not end early; not for the main thread."""
     # Windows delivers signals to no thread; its interpreter notes them for the main one.
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
 
 
-def _came() -> list[int]:
-    """Return the deferred signals and clear them, so that each is handled once."""
-    came = _waiting.copy()
-    _waiting.clear()
+def _pop_deferred() -> list[int]:
+    """Return the numbers of the deferred signals and clear the list, so that each signal is handled once."""
+    came = _deferred.copy()
+    _deferred.clear()
     return came
 
 

@@ -1,4 +1,4 @@
-"""Decorator of all compiled functions of this project; their machine code is cached (`rig.realtime._cache`).
+"""Decorator of all compiled functions (kernels) of this project; their machine code is cached (`rig.realtime._cache`).
 
 Laws, estimators, devices, doctor, the loop and the recorder decorate their functions with it. Kernels allocate nothing
 and raise nothing. This file must not depend on what a kernel computes.
@@ -33,7 +33,7 @@ KernelCache.directory = CACHE_DIRECTORY
 
 
 class _Compilations(event.Listener):  # type: ignore[misc]
-    """Listener that reports to `rig.realtime.compiling` when numba compiles, but not when it loads from the cache."""
+    """Listener that reports to `rig.realtime.compiling` when numba compiles a function instead of loading it."""
 
     def on_start(self, event: Any) -> None:
         compiling.report_begin()
@@ -47,7 +47,7 @@ event.register("numba:compile", _Compilations())
 
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
-    """Disable the garbage collector within this context."""
+    """Disable Python's garbage collector within this context."""
     # A compiler makes millions of objects that live as long as the program: scanning them takes time and frees none.
     collects = gc.isenabled()
     gc.disable()
@@ -59,11 +59,11 @@ def _without_collections() -> Iterator[None]:
 
 
 class Kernel(CPUDispatcher):  # type: ignore[misc]
-    """A function that is compiled, or loaded from the disk cache, once, when it is first needed.
+    """A Python function that numba compiles, or loads from the disk cache, when it is first needed.
 
-    A call from Python, or its use at a plug point, compiles the declared signatures only: an argument of another type
-    is converted or rejected. Call `prepare` before a loop starts, because nothing may compile inside a loop. If another
-    kernel calls it, it becomes a part of that kernel (`rig.realtime.parts`).
+    Only the declared signatures are compiled: an argument of another type is converted or rejected. Call `prepare`
+    before a loop starts, because nothing may compile inside a loop. If another kernel calls this function, its code is
+    linked into that kernel (`rig.realtime.parts`).
     """
 
     declared: tuple[Any, ...] = ()
@@ -77,16 +77,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self._plugged: dict[int, tuple[Any, Any]] = {}
 
     def enable_caching(self) -> None:
-        """Store the machine code on disk, in a directory named after its module."""
+        """Store the machine code of this kernel on disk, in a directory named after its module."""
         self._cache = KernelCache(self.py_func)
 
     @property
     def prepared(self) -> bool:
-        """Return True if the machine code exists."""
+        """Return True if this kernel has machine code for all its signatures, so that a call does not compile."""
         return not self._can_compile
 
     def prepare(self) -> None:
-        """Compile or load the declared signatures; a second call does nothing."""
+        """Compile this kernel for all declared signatures, or load it from the disk cache, unless already done."""
         with (
             interrupts_later(),
             global_compiler_lock,
@@ -110,13 +110,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self  # numba calls it again, and finds machine code
 
     def typeof_pyval(self, val: Any) -> Any:
-        """Return the numba type of an argument."""
+        """Return the numba type of an argument; numba calls this method at each call of the kernel."""
         # The type of a group is cached: numba's own way would hash all member types at each call.
         kind = kind_of(val)
         return super().typeof_pyval(val) if kind is None else kind
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return the types of a call from another kernel, of which this kernel becomes a part."""
+        """Return numba's template for a call from another kernel, into which this kernel's code is then linked."""
         if self.prepared or self.is_compiling:
             return super().get_call_template(args, kws)
         if not self._parts:
@@ -130,12 +130,12 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, python_signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Return the key of the code that is called from another kernel."""
+        """Return the key by which numba finds this kernel's code when another kernel calls signature `sig`."""
         args = tuple(sigutils.normalize_signature(sig)[0])
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Return the machine code for a plug point with this signature."""
+        """Return numba's compile result (types, machine code) for a call of this kernel through a function pointer."""
         # numba asks at each call with a plug point and compares all types then. Each plug point has one signature
         # object, so its identity suffices; it is stored with the result, or another object could get its id.
         known = self._plugged.get(id(sig))
@@ -148,45 +148,46 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return known[1]
 
     def get_function_type(self) -> Any:
-        """Return the function type of the plug point that this kernel fits."""
+        """Return the numba function type of this kernel, so that it can be passed as an argument to another kernel."""
         self.prepare()
         return super().get_function_type()
 
 
 def prepare(*functions: Any) -> None:
-    """Compile or load kernels; other functions (such as a `NativeFunction`) need no preparation and are skipped."""
+    """Compile the kernels among `functions`, or load them from the disk cache; skip functions that are not kernels."""
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()
 
 
 def rule(function: F) -> F:
-    """Return a plain function that Python runs as it is and kernels may call too."""
+    """Return a function that Python runs without compilation and that kernels may also call, compiled then."""
     return cast("F", register_jitable(function))
 
 
 def kernel(
     signature: Any, *, cache: bool = True, inline: bool = False, no_refcount: bool = False
 ) -> Callable[[F], F]:
-    """Declare a plain function as compiled: no GIL, cached on disk, one signature, numpy's error model.
+    """Return a decorator that makes a function a kernel: compiled by numba, without the GIL, cached on disk.
 
     Parameters
     ----------
     signature
         numba signature, or a list of signatures: the only ones for which the function is compiled.
     cache
-        Store the machine code on disk. Use False for laws outside this project, because their sources are not part of
-        the cache's key.
+        Store the machine code on disk. Use False for laws outside this project, because the cache does not notice when
+        their sources change.
     inline
         Always inline the function into its callers; for small helpers.
     no_refcount
-        Do not count references to array arguments, which the caller holds. Such a kernel cannot create or return an
-        array, also not by `carray`. It is always set for a kernel that takes a group (`rig.realtime.groups`).
+        Do not count references to array arguments, which the caller keeps alive. Such a kernel cannot create or return
+        an array, also not by `carray`. Always set for a kernel that takes a group (`rig.realtime.groups`).
 
     Notes
     -----
     A kernel allocates nothing and raises nothing; a value that is not finite is handled by `rig.control._guard`.
-    With ``NUMBA_DISABLE_JIT=1`` the plain function is returned, for tests and coverage.
+    Division by zero returns inf or NaN, as in numpy. With ``NUMBA_DISABLE_JIT=1`` the function is returned unchanged,
+    for tests and coverage.
     """
     arguments = getattr(signature, "args", ())  # a text names no group
     takes_group = any(isinstance(argument, numba.types.BaseNamedTuple) for argument in arguments)

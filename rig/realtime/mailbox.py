@@ -1,17 +1,18 @@
-"""Triple buffer that passes messages (bytes) to a running loop; neither side waits for the other.
+"""Triple buffer that passes messages (bytes) from other processes to a running loop; neither side waits for the other.
 
-There are three slots of one message each: the writer fills the first, the second is posted (the mail), the reader
-copies from the third. One word assigns the slots; each change of owner is one compare-and-exchange of this word::
+There are three slots, each with room for one message. The writer fills the first slot, the second contains the posted
+message (the mail), the reader copies from the third. One 64-bit word assigns the slots; each change of owner is one
+compare-and-exchange of this word::
 
     bits 0–1  the writer's slot       bits 4–5  the reader's slot
-    bits 2–3  the slot in the mail    bit  6    FRESH: the mail has not been read
+    bits 2–3  the mail's slot         bit  6    FRESH: the reader has not read the mail
     bits 8–62 number of the newest message posted
 
-A slot has one owner at any moment, so a message is never torn.
+A slot has one owner at any moment, so the reader never sees a half-written message.
 
 Layout from the address of the mailbox: this word and 56 bytes of padding, then three slots of `SLOT_BYTES`: number and
 length (bytes) of the message as int64, `MOST_BYTES` bytes, padding. Writer and reader define the meaning of the bytes;
-a parameter set consists of float64 numbers (`set_bytes`).
+a parameter set of a law consists of float64 numbers (`set_bytes`).
 
 The loop and the ring use it; `rig set` and the console reach it through the ring. Kernels here allocate nothing and
 never wait.
@@ -56,39 +57,45 @@ _writers = threading.Lock()
 
 @kernel(_i64(_address, _i64), inline=True)
 def slot_address(mailbox: int, slot: int) -> int:
-    """Return the address of the first byte of a slot."""
+    """Return the address of the first byte of slot `slot` (0 to 2) in the mailbox at address `mailbox`."""
     return mailbox + HEAD_BYTES + SLOT_BYTES * slot
 
 
 @kernel(_i64(_i64), inline=True)
 def writers_slot(state: int) -> int:
-    """Return the slot that the writer may fill."""
+    """Return the number (0 to 2) of the slot that the writer may fill; `state` is the mailbox's first word."""
     return state & 3
 
 
 @kernel(_i64(_i64), inline=True)
 def readers_slot(state: int) -> int:
-    """Return the slot that the reader may copy from."""
+    """Return the number (0 to 2) of the slot from which the reader may copy; `state` is the mailbox's first word."""
     return state >> 4 & 3
 
 
 @kernel(_i64(_i64), inline=True)
 def state_after_publishing(state: int) -> int:
-    """Return the word after the writer has posted its slot: fresh mail; the writer owns the old mail's slot."""
+    """Return the mailbox's first word after the writer has posted its slot; `state` is the word before.
+
+    The writer's slot becomes the mail, marked FRESH with the next number; the writer gets the old mail's slot.
+    """
     mail = state >> 2 & 3
     return (state >> NUMBER) + 1 << NUMBER | FRESH | (state & 3 << 4) | writers_slot(state) << 2 | mail
 
 
 @kernel(_i64(_i64), inline=True)
 def state_after_claiming(state: int) -> int:
-    """Return the word after the reader has taken the fresh mail: the old slot of the reader becomes the mail's slot."""
+    """Return the mailbox's first word after the reader has taken the mail; `state` is the word before.
+
+    The reader gets the mail's slot; the reader's old slot becomes the mail, without the mark FRESH.
+    """
     mail = state >> 2 & 3
     return state >> NUMBER << NUMBER | mail << 4 | readers_slot(state) << 2 | writers_slot(state)
 
 
 @kernel(_i64(_address, _bytes))
 def fill(mailbox: int, message: Any) -> int:
-    """Write a message of whole 8-byte words into the writer's slot; return the number that it gets when posted."""
+    """Copy a message (a multiple of 8 bytes) into the mailbox's writer slot; return the number it gets when posted."""
     state = load_word(mailbox)
     number = (state >> NUMBER) + 1
     slot = slot_address(mailbox, writers_slot(state))
@@ -102,7 +109,7 @@ def fill(mailbox: int, message: Any) -> int:
 
 @kernel(_i64(_address))
 def publish(mailbox: int) -> int:
-    """Post the message in the writer's slot; return its number."""
+    """Post the message that `fill` wrote into the mailbox's writer slot; return the number of the message."""
     # Twice at most: only the writer makes mail fresh and the reader moves fresh mail alone. A writer that is killed
     # before leaves its own slot half filled, which is never read: the word is the only shared state.
     while True:
@@ -114,7 +121,7 @@ def publish(mailbox: int) -> int:
 
 @kernel(_i64(_address))
 def claim(mailbox: int) -> int:
-    """Take the mail if it is fresh; return the reader's slot, or -1 if there is no new message."""
+    """Take the newest message of a mailbox for the reader; return its slot (0 to 2), or -1 without a new message."""
     # A bounded number of attempts, since the loop must not spin: after these a newer message is being posted.
     for _ in range(ATTEMPTS):
         state = load_word(mailbox)
@@ -128,7 +135,7 @@ def claim(mailbox: int) -> int:
 
 @kernel(_i64(_address, _i64, _bytes))
 def copy_message(mailbox: int, slot: int, into: Any) -> int:
-    """Copy the message of a slot into `into`, as many bytes as fit; return the number of the message."""
+    """Copy the message in `slot` to the array `into`, as many bytes as fit; return the number of the message."""
     place = slot_address(mailbox, slot)
     target = into.ctypes.data
     for at in range(0, min(load_word(place + _WORD), len(into)), _WORD):
@@ -138,15 +145,15 @@ def copy_message(mailbox: int, slot: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def take(mailbox: int, into: Any) -> int:
-    """Copy the newest message, unless it was taken before. The loop calls it; it never waits.
+    """Copy the newest message of a mailbox into an array, unless it was taken before; it never waits.
 
     Parameters
     ----------
     mailbox
         Address of the mailbox (`rig.realtime.ring.Ring.mailbox`).
     into
-        Destination, whole aligned 8-byte words. Bytes after the end of the message are not changed; a longer message
-        is cut off.
+        Destination, whole aligned 8-byte words. Bytes after the end of the message are not changed; a longer message is
+        cut off.
 
     Returns
     -------
@@ -161,37 +168,35 @@ def take(mailbox: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def post_message(mailbox: int, message: Any) -> int:
-    """Write a message by `fill` and post it by `publish`; return its number. Only one writer at a time may call it."""
+    """Post a message (a multiple of 8 bytes) in a mailbox; return its number. Only one writer at a time may call it."""
     fill(mailbox, message)
     return int(publish(mailbox))
 
 
 def set_bytes(values: ArrayLike) -> bytes:
-    """Return the message with a parameter set for a running loop.
-
-    Raises `ConfigError` for more than `SET_FLOATS` numbers, or if a number is NaN.
-    """
+    """Return the mailbox message (float64 bytes) with law parameters; raise `ConfigError` for NaN or too many."""
     numbers = np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
     if len(numbers) > SET_FLOATS:
         raise ConfigError(
-            f"{len(numbers)} parameters for a running loop; it accepts at most {SET_FLOATS}",
+            f"the law has {len(numbers)} parameters; a running loop accepts at most {SET_FLOATS}",
             remedy="use a law with fewer parameters",
         )
     if np.isnan(numbers).any():
         place = int(np.isnan(numbers).argmax())
         raise ConfigError(
-            f"parameter {place} for a running loop is NaN, not a number", remedy="give a finite number"
+            f"parameter {place} (counted from 0) for the running law is NaN, not a number",
+            remedy="give a finite number",
         )
     return numbers.tobytes()
 
 
 def clear(mailbox: int) -> None:
-    """Initialise zeroed memory as an empty mailbox."""
+    """Make zeroed memory at address `mailbox` an empty mailbox."""
     write_word(mailbox, EMPTY)
 
 
 class Mailbox:
-    """A mailbox for its writers.
+    """The writer's side of a mailbox: posts messages for a running loop.
 
     Parameters
     ----------
@@ -211,11 +216,11 @@ class Mailbox:
 
     @property
     def posted(self) -> int:
-        """Return the number of the newest message posted by any process; 0 before the first."""
+        """Return the number of the newest message in this mailbox, from any process; 0 before the first message."""
         return int(read_word(self._address)) >> NUMBER
 
     def post(self, message: bytes) -> int:
-        """Post a message of at most `MOST_BYTES` bytes; it replaces a message that the loop has not taken yet.
+        """Post a message of at most `MOST_BYTES` bytes; it replaces a message that the loop has not read yet.
 
         Returns
         -------
@@ -231,7 +236,7 @@ class Mailbox:
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """Post a message and return its number; the caller must be within the context `alone`."""
+        """Post a message for the loop and return its number; call it only within the context `Mailbox.alone`."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES
@@ -239,25 +244,25 @@ class Mailbox:
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Exclude other writers of this process and of other processes within this context."""
+        """Exclude all other writers of this mailbox, in this process and in other processes, within this context."""
         with _writers:
             if self._descriptor < 0:
                 yield
                 return
-            _lock(self._descriptor)
+            _acquire_lock(self._descriptor)
             try:
                 yield
             finally:
                 locks.unlock(self._descriptor)
 
 
-def _lock(descriptor: int) -> None:
-    """Lock the descriptor; raise `RigError` if another writer does not release the lock within `PATIENCE_S`."""
+def _acquire_lock(descriptor: int) -> None:
+    """Lock a mailbox's shared memory against other writers; raise `RigError` if it is not free within `PATIENCE_S`."""
     deadline = time.monotonic() + PATIENCE_S
     while not locks.lock(descriptor):
         if time.monotonic() > deadline:
             raise RigError(
-                "another process holds the lock of this loop's parameters and does not release it",
-                remedy="end the other `rig set`, and try again",
+                f"another process changes this loop's parameters and does not release it within {PATIENCE_S} s",
+                remedy="end the other `rig set` command, and try again",
             )
         time.sleep(0.001)

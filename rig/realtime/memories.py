@@ -1,9 +1,8 @@
 """Find the shared memory (`rig.realtime.ring`) of each loop that runs on this computer, and request loops to stop.
 
-This file imports only a few constants and modules that Python loads at its start, because stopping a rig must not wait:
-`rig.__main__` writes the stop word before it parses the rest of its command line.
-
-`rig.__main__`, `rig stop`, the console and the ring call it. Nothing here may import numba or numpy.
+`rig.__main__`, `rig stop`, the console and the ring use it. Stopping a rig must not wait for imports: `rig.__main__`
+writes the stop word before it parses the rest of its command line, and this file imports only a few constants and
+modules that Python loads at its start. It must not import numba or numpy.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ else:
 
 
 class LoopMemory:
-    """The control words of a loop, open until `close`; a context manager.
+    """The control words of a running loop, opened from another process; a context manager that closes them.
 
     Attributes
     ----------
     pid
-        Process that made the memory.
+        Number of the process that created the memory.
     path
-        Path to the memory in that process, for example ``/proc/PID/fd/N``.
+        Path of the memory among that process's open files, for example ``/proc/PID/fd/N``.
     held
-        Path to the memory in this process (`rig.realtime._anonymous_memory.held`).
+        Path by which this process can open the memory again, also after the other process has ended.
     ran
         True if the loop was still running when `ask_to_stop` was called.
 
@@ -53,27 +52,27 @@ class LoopMemory:
         self.held = place.held(path, self._file.fileno())
         try:
             if not place.is_sound(self._file.fileno()):
-                raise OSError(f"{path} can shrink under its reader")
+                raise OSError(f"the file {path} could become shorter while it is read")
             self.words = memoryview(mmap.mmap(self._file.fileno(), CONTROL_BYTES)).cast("q")
         except (OSError, ValueError) as error:
             self._file.close()
             raise OSError(f"{path} is not the memory of a running loop") from error
 
     def ask_to_stop(self) -> None:
-        """Set the stop word to minus the number of this process, unless the stop word is already set."""
+        """Request this loop to stop: set its stop word to minus this process's number, unless it is set already."""
         if self.words[VERSION] != 0:
             self.ran = self.words[LOOP_DONE] == 0
             if self.words[STOP] == 0:
                 self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
-        """Return True if the process `pid` created this memory; other processes and forks may have it open too."""
+        """Return True if process `pid` created this loop's memory, which other processes may have open too."""
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
         return place.is_process(pid, self.words[CREATOR])
 
     def close(self) -> None:
-        """Close the memory; a second call does nothing."""
+        """Close this access to the loop's memory; a second call does nothing."""
         if not self._file.closed:
             self.words.release()
             self._file.close()
@@ -86,9 +85,9 @@ class LoopMemory:
 
 
 def memories(pid: int | None = None) -> Iterator[LoopMemory]:
-    """Yield the memory of each loop once, under the process that made it; the caller must close it.
+    """Yield the shared memory of each running loop once; `pid` selects the loops of one process.
 
-    `pid` selects the loops of one process. Memories that disappear during the search are skipped.
+    The caller must close each memory. A memory that disappears during the search is skipped.
     """
     known: set[tuple[int, int]] = set()
     for process, path in place.paths(pid):
@@ -112,9 +111,10 @@ def _made_by(memory: LoopMemory) -> bool:
 
 
 def ask_to_stop(pid: int | None = None) -> list[LoopMemory]:
-    """Set the stop words of the loops of a process (None: of all loops of this user) and return at once.
+    """Request loops to stop by setting their stop words, and return their memories without waiting for the end.
 
-    The caller must close the returned memories.
+    `pid` selects the loops of one process; None means all loops of this user. The caller must close the returned
+    memories.
     """
     asked = []
     for memory in memories(pid):

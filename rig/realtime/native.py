@@ -1,8 +1,8 @@
-"""Call C functions by address from compiled code, for libraries that are loaded while the program runs.
+"""Call C functions by their address from compiled code, for libraries that are loaded while the program runs.
 
-The USB queue of `rig.devices` and stop requests call it; functions of the C library are named in `rig.realtime.system`.
-It must not put an address into compiled code as a constant: the cached code is used in other processes, where the
-address is wrong.
+The USB queue of `rig.devices` and stop requests use it; functions of the C library are called by name
+(`rig.realtime.system`). An address must not become a constant of compiled code: the cached code is used in other
+processes, where the address is wrong.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from numba.extending import intrinsic
 
 
 def native_call(arity: int) -> Any:
-    """Return an intrinsic ``call(address, arguments…)`` for C functions ``int f(…)`` with `arity` word-sized arguments.
+    """Return a numba function ``call(address, arguments…)`` that calls the C function ``int f(…)`` at `address`.
 
-    The address is not checked: it must be that of such a function. The call does not take the GIL.
+    `arity` is the number of its arguments (1 to 3), each a 64-bit word. The address is not checked: it must be that of
+    such a function. The call does not take the GIL.
     """
     word, answer = ir.IntType(64), ir.IntType(32)
     function = ir.FunctionType(answer, [word] * arity)
@@ -52,6 +53,6 @@ def native_call(arity: int) -> Any:
 
 
 def address_of(kernel: Any, signature: Any) -> int:
-    """Return the address of a kernel as a C function; the kernel is compiled or loaded if necessary."""
+    """Return the address of a kernel as a C function for one signature; compile or load the kernel if necessary."""
     found = kernel.get_compile_result(signature)
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))

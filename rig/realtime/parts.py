@@ -1,7 +1,6 @@
-"""Compile a kernel as a part of its callers: it is optimised and turned into machine code only together with them.
+"""Link a kernel into the kernels that call it: optimise and generate machine code only once, for the outermost caller.
 
-This file extends numba's code libraries and disk cache; `rig.realtime.kernel` decides which kernels are parts.
-
+This file extends numba's code libraries and disk cache; `rig.realtime.kernel` decides which kernels are linked.
 `rig.realtime.kernel`, `rig.control.plain_functions` and `rig.testing` use it. It must not change what a kernel
 computes.
 """
@@ -33,12 +32,12 @@ POLL_S = 0.01
 
 
 class _Linked:
-    """A code library that is linked with all parts that it needs, each part once, callers first."""
+    """Base of numba code libraries that are linked with the libraries of all called kernels, each only once."""
 
     _linking_libraries: list[Any]
 
     def parts(self) -> Iterator[Any]:
-        """Yield all libraries that this library needs, directly or not; a caller comes before its callees."""
+        """Yield the code libraries of all kernels that this library calls, directly or indirectly; callers first."""
         seen: set[int] = set()
         waiting = list(reversed(self._linking_libraries))
         while waiting:
@@ -55,7 +54,7 @@ class _Linked:
 # Of 135 kernels that a hit reaches, 15 are entered from outside: optimised there alone, the first hit with an empty
 # cache takes 14 to 15 s of processor time instead of 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Code of a kernel that waits to be linked into a `Whole`."""
+    """Unoptimised LLVM code of a kernel that another kernel calls; it is linked into the caller's `Whole`."""
 
     environment: Any = None  # numba knows it by its name alone
     _shared_module: Any
@@ -64,7 +63,7 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
         ll_module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
-        """Mark the library as complete: no code may be added."""
+        """Mark this code library as complete, without generating machine code."""
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
@@ -77,17 +76,17 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Machine code of a kernel with all its parts."""
+    """Machine code of a kernel together with all kernels that it calls."""
 
     def finalize(self) -> None:
-        """Link all parts, optimise, and generate machine code."""
+        """Link the code of all called kernels into this library, optimise it, and generate machine code."""
         require_global_compiler_lock()
         self._linking_libraries = list(self.parts())
         super().finalize()
 
 
 class _Common(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of numba's own functions (`min`, `int`, …): one object for all kernels, equal only to itself."""
+    """Compiler flags for numba's own functions (`min`, `int`, …), shared by all kernels; equal only to themselves."""
 
     # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
 
@@ -98,10 +97,10 @@ class _Common(compiler.Flags):  # type: ignore[misc]
 
 
 class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of one kernel; functions that the kernel calls are compiled with the flags of `_common`."""
+    """Compiler flags of one kernel; numba's own functions that it calls are compiled with `_Common` flags instead."""
 
     def copy(self) -> _Common:
-        """Return the flags for the functions that the kernel calls."""
+        """Return the compiler flags for the functions that the kernel calls."""
         return _common(self.nrt)
 
 
@@ -115,7 +114,7 @@ def _common(nrt: bool) -> _Common:
 
 @cache
 def load_implementations() -> None:
-    """Load the modules that numba's compiler needs, but not scipy.linalg."""
+    """Load the modules that numba's compiler needs, but not scipy.linalg, whose import takes the longest."""
     # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest.
     linalg = import_module("numba.np.linalg")
     ask = linalg.ensure_blas
@@ -127,10 +126,10 @@ def load_implementations() -> None:
 
 
 class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
-    """Compiler of a kernel, as a `Whole` (like numba's own compiler except for the linking) or as a `LinkedPart`."""
+    """Compiler of one kernel, to machine code (`Whole`) or to code that is linked into a caller (`LinkedPart`)."""
 
     def part(self, signature: Any) -> tuple[Any, Any]:
-        """Compile the function as a part; return its signature with types, and the key by which callers find it."""
+        """Compile this kernel for linking into a caller; return its signature and the key by which numba finds it."""
         args, return_type = sigutils.normalize_signature(signature)
         result = self._compiled(args, return_type, LinkedPart)
         result.library.environment = result.environment
@@ -174,9 +173,9 @@ _named: Any = _usual._locator_classes[0]  # in a directory that is configured
 
 
 class _ByModule(_named):  # type: ignore[misc]
-    """Directory of a kernel's machine code in the cache: named after the module, wherever the module is installed.
+    """Locator of a kernel's cached machine code: a subdirectory of the cache, named after the kernel's module.
 
-    The name of the cache's directory has a hash of all sources, so a wheel and a clone with equal sources share the
+    The cache's own directory is named by a hash of all sources, so a wheel and a clone with equal sources share a
     cache.
     """
 
@@ -190,7 +189,7 @@ class _ByModule(_named):  # type: ignore[misc]
         return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
     def get_source_stamp(self) -> bytes:
-        """Return a hash of the source file."""
+        """Return the SHA-256 hash of the kernel's source file; numba compiles the kernel again if the hash changes."""
         # numba before 0.68 takes the file's time, by which every fresh checkout would be compiled again.
         return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
@@ -200,7 +199,7 @@ class _Implementation(_usual):  # type: ignore[misc]
 
 
 class KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """numba's disk cache of one kernel, in the directory that `_ByModule` selects.
+    """Disk cache of the machine code of one kernel.
 
     Attributes
     ----------
@@ -212,7 +211,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
     _impl_class = _Implementation
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return machine code of a signature loaded from the disk; None if it is not cached."""
+        """Return numba's compile result for the signature `sig`, loaded from disk; None if it is not cached."""
         # Machine code needs the runtime that counts references alone, not the whole compiler that numba would load.
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
@@ -220,7 +219,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Exclude other processes from compiling this kernel within this context; they then find it in the cache."""
+        """Hold a file lock within this context, so that no other process compiles this kernel at the same time."""
         with contextlib.ExitStack() as held:
             # Without write access or locks every process compiles by itself: slower, but not wrong.
             with contextlib.suppress(OSError):
@@ -233,7 +232,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 def _wait_for(descriptor: int) -> None:
-    """Wait until a lock is free, at most `PATIENCE_S`, because its owner may be a stopped process."""
+    """Wait until the lock of a file is free, at most `PATIENCE_S`: its owner may be a suspended process."""
     patience = time.monotonic() + PATIENCE_S
     compiling.report_begin()  # elsewhere, which takes as long
     try:
@@ -245,7 +244,7 @@ def _wait_for(descriptor: int) -> None:
 
 
 def count_allocations(run: Callable[[], object]) -> int:
-    """Return the number of times that compiled code allocates memory while `run` is called."""
+    """Call `run` and return how often compiled code allocated memory meanwhile."""
     runtime.memsys_enable_stats()
     before = runtime.memsys_get_stats_alloc()
     run()

@@ -1,11 +1,10 @@
-"""Plug points of the compiled loop: the signature of each kind of function that can be plugged in.
+"""Signatures of the functions that are passed to the compiled loop: estimators, laws, device links and clocks.
 
-A plug point is a numba first-class function type: the loop is compiled once for the type, and any estimator, law or
-device link with this type can be passed later. Pass a kernel (`rig.realtime.kernel.kernel`) with the signature (the
-caller of the loop gets its exceptions), or a `NativeFunction` for an address.
+Each is a numba first-class function type (a plug point): the loop is compiled once for the type, and any estimator, law
+or link with this signature can be passed later. Pass a kernel (`rig.realtime.kernel.kernel`), whose exceptions reach
+the loop's caller, or a `NativeFunction` for an address.
 
-Laws, estimators, ports and test laws use these signatures. If a signature changes, laws of third parties and functions
-in C that have it must change too.
+If a signature changes, laws of third parties and C functions with this signature must change too.
 """
 
 from __future__ import annotations
@@ -53,10 +52,7 @@ NowPlug = Annotated[Any, NOW]
 
 
 class NativeFunction(types.WrapperAddressProtocol):
-    """A function pointer (ctypes callback, C library, libusb) with its signature, ready for a plug point.
-
-    Keep the object alive while the loop runs: it holds a reference to `keep`, for example the ctypes callback.
-    """
+    """A C function that can be passed to the compiled loop; keep the object alive while the loop runs."""
 
     def __init__(self, address: int, signature: Any, keep: object = None) -> None:
         self._address = address
@@ -67,5 +63,5 @@ class NativeFunction(types.WrapperAddressProtocol):
         return self._address
 
     def signature(self) -> Any:
-        """Return the numba signature of the function."""
+        """Return the numba signature of this C function."""
         return self._signature

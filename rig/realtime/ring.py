@@ -1,4 +1,4 @@
-"""Memory that the loop, the recorder and their supervisor share: control words, description of the run, mailbox, rows.
+"""Shared memory of a running loop: control words, description of the run, mailbox for parameters, ring buffer of rows.
 
 Layout (version 4), every part at a multiple of 64 bytes::
 
@@ -7,13 +7,13 @@ Layout (version 4), every part at a multiple of 64 bytes::
     mailbox         `MAILBOX_BYTES` for `rig.realtime.mailbox`: parameter sets for the loop
     rows            `capacity` rows of `rig.core.sample.ROW`
 
-All sides load and store words through `rig.realtime.atomics`. The info describes experiment, device and recording. The
-word INFO has the length of the JSON in bits 0–19, the used half in bit 20, and the number of changes from bit 32 on.
-The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and publishes
-TAIL.
+All processes load and store words through `rig.realtime.atomics`. The info describes experiment, device and recording.
+The word INFO contains the length of the JSON in bits 0–19, the used half in bit 20, and the number of changes from bit
+32 on. The loop writes row ``HEAD % capacity`` and then publishes HEAD + 1; the recorder copies rows up to HEAD and
+publishes TAIL.
 
-Trials, the recorder, `rig set`, the console, LSL and the terminal of a session open it. It must not import numba before
-a loop is built. If the layout changes, change `LAYOUT_VERSION` too.
+Trials, the recorder, `rig set`, the console, LSL and the terminal of a session open the memory. This file must not
+import numba before a loop is built. If the layout changes, change `LAYOUT_VERSION` too.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ _INFO_TRIES = 10
 
 
 class Ring:
-    """Shared memory of a loop, with views of it: `words` (int64) and `rows` (`rig.core.sample.ROW`).
+    """Shared memory of one loop, with array views of its parts; a context manager that closes the memory.
 
-    `Ring.allocate` makes a new memory, `Ring.attach` opens that of another process. A context manager, which calls
-    `close`.
+    `words` (int64) are the control words, `rows` (`rig.core.sample.ROW`) the ring buffer of samples. `Ring.allocate`
+    creates a new memory, `Ring.attach` opens the memory of another process.
 
     Parameters
     ----------
@@ -86,21 +86,21 @@ class Ring:
 
     @classmethod
     def allocate(cls, capacity: int, *, info: Mapping[str, Any] | None = None, shared: bool = False) -> Ring:
-        """Return a new ring of zeroed memory.
+        """Return the zeroed memory of a new loop.
 
         Parameters
         ----------
         capacity
-            Number of rows.
+            Number of rows (samples) in the ring buffer.
         info
-            Facts about the run for other processes: plain values for JSON.
+            Description of the run for other processes, of JSON types.
         shared
             True: other processes of this user can find and open the memory.
 
         Raises
         ------
         RigError
-            The info is longer than `INFO_BYTES`, or not enough memory is available.
+            The description is longer than `INFO_BYTES`, or not enough memory is available.
         """
         from rig.realtime.mailbox import clear  # noqa: PLC0415  (numba only when a loop is built)
 
@@ -118,7 +118,7 @@ class Ring:
 
     @classmethod
     def attach(cls, path: str, *, writable: bool = True) -> Ring:
-        """Open the ring of another process, for reading and writing or for reading only.
+        """Open the memory of a loop in another process; read-only if `writable` is False.
 
         `path` is the attribute ``path`` or ``held`` of `rig.realtime.memories.LoopMemory`.
 
@@ -138,43 +138,43 @@ class Ring:
                 )
             size = os.fstat(descriptor).st_size
             if size < _INFO_AT:
-                raise RigError(f"{path} is shorter than the memory of a running loop", remedy="try again")
+                raise RigError(
+                    f"{path} has {size} bytes, fewer than the memory of a running loop: it may be in creation",
+                    remedy="try again",
+                )
             ring = cls(_map(descriptor, size, writable=writable), descriptor)
         except BaseException:
             os.close(descriptor)
             raise
         if ring.peek(VERSION) == 0:
             ring.close()
-            raise RigError(f"{path} is still being created", remedy="try again")
+            raise RigError(f"the memory {path} of a loop is still being created", remedy="try again")
         return ring
 
     @property
     def capacity(self) -> int:
-        """Return the number of rows that fit into the ring."""
+        """Return the number of rows (samples) that fit into the ring buffer."""
         return len(self.rows)
 
     @property
     def closed(self) -> bool:
-        """Return True if `close` was called."""
+        """Return True if the memory of this loop was closed."""
         return self._closed
 
     @property
     def mailbox(self) -> int:
-        """Return the address of the mailbox (`rig.realtime.mailbox.take`); valid until `close`.
-
-        Raises `RigError` after `close`, because the memory may be unmapped.
-        """
+        """Return the memory address of the loop's mailbox; raise `RigError` after `close`, when it may be unmapped."""
         if self._closed:
             raise RigError("the memory of this loop is closed: its run has ended", remedy="start another run")
         return int(self.buffer.ctypes.data) + _MAILBOX_AT
 
     @property
     def info(self) -> dict[str, Any]:
-        """Return the description of the run; empty if it is missing or of another layout version."""
+        """Return the description of the run as JSON types; empty if it is missing or of another layout version."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
-        """Return the description of the run, and the word INFO at that time, which `replace` compares."""
+        """Return the description of the run, and the control word INFO, by which `replace` detects a later change."""
         word = self.peek(INFO)
         for _ in range(_INFO_TRIES):
             text = self._info_text(word)
@@ -187,29 +187,31 @@ class Ring:
         return {}, word
 
     def get(self, word: int) -> int:
-        """Return a control word; after `close`, its value at the time of `close`."""
+        """Return the control word with index `word`; after `close`, its value at the time of `close`."""
         from rig.realtime.atomics import read_word  # noqa: PLC0415
 
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
-        """Store a control word; after `close`, other processes do not see it."""
+        """Store `value` in the control word with index `word`; after `close`, other processes do not see it."""
         from rig.realtime.atomics import write_word  # noqa: PLC0415
 
         write_word(self.words.ctypes.data + 8 * word, value)
 
     def peek(self, word: int) -> int:
-        """Return a control word without compiled code; it is complete, but not ordered with other memory.
+        """Return the control word with index `word` without loading compiled code.
 
-        Do not conclude from it that rows or info have been written.
+        The value itself is never half-written, but the load is not ordered with other memory: do not conclude from a
+        value that rows or description have been written.
         """
         # `rig stop` must act at once: loading numba takes longer than the run may continue.
         return int(self.words[word])
 
     def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
-        """Return the number of clock exchanges, and the four stamps (ns) of the last (`rig.core.clock_fit.EXCHANGE`).
+        """Return the number of clock exchanges, and the four time stamps (ns) of the last exchange or None.
 
-        The stamps are None before the first exchange, and if the loop was just overwriting them.
+        `rig.core.clock_fit.EXCHANGE` names the stamps. They are None before the first exchange, and if the loop was
+        just overwriting them.
         """
         done = self.get(EXCHANGES)
         place = CLOCK + 4 * ((done - 1) % 2)
@@ -217,33 +219,34 @@ class Ring:
         return done, stamps if done > 0 and self.get(EXCHANGES) == done else None
 
     def writer(self) -> Mailbox:
-        """Return the mailbox for posting parameter sets."""
+        """Return the loop's mailbox, by which the caller can post parameter sets."""
         from rig.realtime.mailbox import Mailbox  # noqa: PLC0415
 
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
-        """Post a parameter set for the loop; return its number. For errors see `set_bytes` and `Mailbox.post`."""
+        """Post a parameter set for the running law; return its number. For errors see `set_bytes`, `Mailbox.post`."""
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
         return self.writer().post(set_bytes(values))
 
     def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
-        """Post a parameter set and its new info, unless another writer has changed the info since it was read.
+        """Post a parameter set and a new description of the run, unless another writer has changed the description.
 
         Parameters
         ----------
         values
             The parameter set.
         info
-            Function that returns the complete new info for the number of the set; it is called at once or not at all.
+            Function that gets the number of the set and returns the complete new description; it is called at once or
+            not at all.
         word
-            Word that `info_and_word` returned when the previous info was read.
+            Control word that `info_and_word` returned together with the previous description.
 
         Returns
         -------
         int
-            Number of the set; 0 if the info was changed by another writer, and nothing was posted.
+            Number of the set; 0 if another writer has changed the description, and nothing was posted.
         """
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
@@ -262,16 +265,16 @@ class Ring:
         return self.buffer[place : place + min(word & _INFO_LENGTH, INFO_BYTES)].tobytes()
 
     def last_rows(self, count: int) -> NDArray[np.void]:
-        """Return a copy of the newest `count` rows, oldest first; an error contains them for diagnosis."""
+        """Return a copy of the newest `count` rows of the ring buffer, oldest first, for the diagnosis of an error."""
         head = self.get(HEAD)
         first = max(0, head - min(count, self.capacity))
         return self.rows[np.arange(first, head) % max(1, self.capacity)].copy()
 
     def close(self) -> None:
-        """Release the memory; a second call does nothing.
+        """Release the memory of this loop; a second call does nothing.
 
-        The control words remain readable with their present values. The memory is freed with the last array that refers
-        to it. A thread that has only an address into the memory must end before.
+        The control words remain readable with their present values. The memory is freed when no array refers to it any
+        more. A thread that has only an address into the memory must end before.
         """
         if self._closed:
             return
@@ -302,13 +305,13 @@ def _json_of(info: Mapping[str, Any]) -> bytes:
     if len(text) > INFO_BYTES:
         raise RigError(
             f"the description of the run has {len(text)} bytes; at most {INFO_BYTES} fit into its memory",
-            remedy="shorten the tables of the experiment",
+            remedy="shorten the tables (lists of values) of the experiment file",
         )
     return text
 
 
 def _write_info(ring: Ring, text: bytes) -> None:
-    """Write the info into its free half, then publish it by the word INFO."""
+    """Write a run's description (JSON) into the free half of its memory, then publish it by the control word INFO."""
     # Two halves: a reader that has loaded INFO reads a half that no writer touches, unless two changes follow at once.
     word = ring.get(INFO)
     half = ~word & _INFO_HALF
@@ -318,14 +321,14 @@ def _write_info(ring: Ring, text: bytes) -> None:
 
 
 def _plain_memory(size: int) -> NDArray[np.uint8]:
-    """Return `size` zeroed bytes whose address is a multiple of 64 (a cache line)."""
+    """Return an array of `size` zero bytes of this process, whose address is a multiple of 64 (a cache line)."""
     memory = np.zeros(size + 64, np.uint8)
     start = -memory.ctypes.data % 64
     return memory[start : start + size]
 
 
 def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
-    """Return `size` zeroed bytes that other processes can find, and their descriptor."""
+    """Return an array of `size` zero bytes that other processes can find and open, and the memory's descriptor."""
     try:
         descriptor = place.make(size)
         try:
@@ -341,6 +344,6 @@ def _shared_memory(size: int) -> tuple[NDArray[np.uint8], int]:
 
 
 def _map(descriptor: int, size: int, *, writable: bool = True) -> NDArray[np.uint8]:
-    """Return the file as an array that owns the mapping: it is unmapped with the last view of the array."""
+    """Return an open file as an array in shared memory; it is unmapped when no array refers to it any more."""
     access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
     return np.frombuffer(mmap.mmap(descriptor, size, access=access), np.uint8)

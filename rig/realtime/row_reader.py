@@ -1,6 +1,7 @@
-"""Read new rows of a loop's ring. The loop does not register readers and does not wait for them.
+"""Follow a run: read the new rows of a loop's ring buffer without delaying the loop.
 
-The console and LSL use it to follow a run. It must not write to the ring.
+The console and LSL use it. The loop does not know its readers and does not wait for them. This file must not write to
+the ring.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from rig.realtime.ring import Ring
 
 
 class RowReader:
-    """Reader of a ring; each call of `new` copies the rows that were written since the previous call.
+    """Reader that copies new rows (samples) from the ring buffer of a running loop.
 
     Attributes
     ----------
@@ -29,7 +30,7 @@ class RowReader:
         self.rows = self.lost = 0
 
     def new(self) -> NDArray[np.void]:
-        """Return the new rows (`rig.core.sample.ROW`), oldest first; rows that the loop overwrote count as lost."""
+        """Return the rows (`rig.core.sample.ROW`) since the last call; those that the loop overwrote count as lost."""
         ring = self._ring
         head = ring.get(HEAD)
         first = max(self._next, head - ring.capacity)

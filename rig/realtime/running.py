@@ -1,7 +1,7 @@
 """Find and stop the loops that run on this computer, from any terminal.
 
-`rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions call it. It must not load compiled code,
-because a command that stops a rig must not take a second, and must not end a process: it writes the stop word and waits
+`rig stop`, `rig set`, `rig recording recover`, the console, LSL and sessions use it. It must not load compiled code,
+because a command that stops a rig must not take a second. It must not end a process: it writes the stop word and waits
 for the loop.
 """
 
@@ -28,26 +28,26 @@ POLL_S = 0.002
 
 @dataclass(frozen=True, slots=True)
 class RunningLoop:
-    """State of one loop at the time of the search.
+    """A loop that runs in real time on this computer, as its shared memory described it when the loop was found.
 
     Attributes
     ----------
     pid
-        Process of the loop.
+        Number of the loop's process.
     since
-        Time at which its memory was made (s since 1970, like `time.time`).
+        Time at which the loop's memory was created (s since 1970, like `time.time`).
     ticks, phase
         Steps of the law so far, and name of the phase (`rig.core.sample.phase_name`).
     stopping
         True if a stop was requested.
     done
-        True if the loop has returned; its process still writes or seals the recording.
+        True if the loop has returned; its process may still write or seal the recording.
     version
-        Layout version of its memory; for another version only `pid`, `stopping` and `done` are known.
+        Layout version of the loop's memory; for another version only `pid`, `stopping` and `done` are known.
     info
         Description of the run: url, recording, experiment.
     path
-        Path by which its memory can be opened.
+        Path by which the loop's memory can be opened.
     """
 
     pid: int
@@ -61,7 +61,7 @@ class RunningLoop:
     path: str
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain values for JSON; of `info` only url and recording."""
+        """Return the facts about this loop as JSON types; from `info` only url and recording are included."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -76,37 +76,39 @@ class RunningLoop:
 
 @dataclass(frozen=True, slots=True)
 class StoppedLoop:
-    """A loop that was requested to stop; `ended` is True if it had ended after the wait."""
+    """A loop that was requested to stop; `ended` is True if the loop has ended within the time that `stop` waited."""
 
     loop: RunningLoop
     ended: bool
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the values of `RunningLoop.as_mapping` and `ended`, for JSON."""
+        """Return the facts about the loop and the flag `ended` as JSON types."""
         return {**self.loop.as_mapping(), "ended": self.ended}
 
 
 def running(*, done: bool = False) -> list[RunningLoop]:
-    """Return the loops of this user (for root: of all users), oldest first.
+    """Return the loops that this user runs in real time on this computer (for root: all users), oldest first.
 
-    With `done`, include loops that have ended but whose recording is not sealed yet.
+    With ``done=True`` the result includes loops that have ended while their recording is not sealed yet.
     """
     found = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
-            found.append(_look(memory, ring))
+            found.append(_describe_loop(memory, ring))
     return sorted((loop for loop in found if done or not loop.done), key=lambda loop: loop.since)
 
 
 def stop(
     pid: int | None = None, *, asked: list[memories.LoopMemory] | None = None, patience_s: float = PATIENCE_S
 ) -> list[StoppedLoop]:
-    """Stop the loops of a process, or all loops of this user; each sets its effort to zero within one tick.
+    """Stop the running loops of a process, or all running loops of this user, and wait until they have ended.
+
+    Each loop sets its effort to zero within one tick.
 
     Parameters
     ----------
     pid
-        Process; None for all.
+        Number of the process; None for all.
     asked
         Result of `rig.realtime.memories.ask_to_stop` if it was called before; `stop` closes these memories.
     patience_s
@@ -120,7 +122,7 @@ def stop(
     Raises
     ------
     ConfigError
-        The named process runs no loop, or belongs to another user.
+        The process `pid` runs no loop, or belongs to another user.
     """
     with ExitStack() as stack:
         found: list[tuple[RunningLoop, Ring]] = []
@@ -130,9 +132,9 @@ def stop(
             if memory.ran:  # it may have ended in the meantime
                 with suppress(OSError, RigError):
                     ring = stack.enter_context(Ring.attach(memory.held))
-                    found.append((_look(memory, ring), ring))
+                    found.append((_describe_loop(memory, ring), ring))
         if pid is not None and not found:
-            raise _not_here(pid)
+            raise _no_loop_error(pid)
         _wait([ring for _, ring in found], patience_s)
         return [
             StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or not place.is_memory(loop.path))
@@ -141,9 +143,10 @@ def stop(
 
 
 def memory_of(pid: int) -> Ring | None:
-    """Return the newest running loop of a process, for reading only, or None. The caller must close it.
+    """Return the memory of the newest running loop of a process, read-only; None if the process runs no loop.
 
-    It is for users who may see the progress of a run but not its experiment: the info is not read.
+    The caller must close the memory. The description of the run is not read: a person who may see the progress of a run
+    may not always see its experiment.
     """
     newest: Ring | None = None
     for memory in memories.memories(pid):
@@ -161,7 +164,7 @@ def memory_of(pid: int) -> Ring | None:
 
 
 def ask_to_stop(pid: int) -> int:
-    """Set the stop words of the loops of a process and return at once; return the number of loops that were running."""
+    """Request the running loops of a process to stop, without waiting; return the number of these loops."""
     asked = 0
     for memory in memories.ask_to_stop(pid):
         with memory:
@@ -170,53 +173,48 @@ def ask_to_stop(pid: int) -> int:
 
 
 def hidden() -> list[int]:
-    """Return the ``rig`` processes whose open files this user may not list; they may run a loop too."""
+    """Return the numbers of ``rig`` processes of other users whose open files are not readable: they may run a loop."""
     return sorted(pid for pid, words in place.command_lines() if _is_rig(words))
 
 
 def _is_rig(words: list[bytes]) -> bool:
-    """Return True if a command line is ``rig …``, ``python …/rig …`` or ``python … -m rig …``."""
+    """Return True if the words of a command line begin with ``rig``, ``python …/rig`` or contain ``-m rig``."""
     started = [os.path.basename(word) for word in words[:2]]
     return b"rig" in started or any(pair == (b"-m", b"rig") for pair in pairwise(words))
 
 
 def the_loop(pid: int | None = None) -> RunningLoop:
-    """Return the only running loop, or the only running loop of a process.
-
-    Raises
-    ------
-    ConfigError
-        No loop runs (in the process `pid`, if given), or more than one.
-    """
+    """Return the only running loop (of process `pid`, if given); raise `ConfigError` for none or more than one."""
     loops = [loop for loop in running() if pid is None or loop.pid == pid]
     if len(loops) == 1:
         return loops[0]
     if loops:
         names = ", ".join(str(loop.pid) for loop in loops)
         raise ConfigError(
-            f"{len(loops)} loops run: {names}", remedy="choose one by its process number (`pid`)"
+            f"{len(loops)} loops run on this computer, in the processes {names}",
+            remedy="choose one by its process number (`pid`)",
         )
     if pid is not None:
-        raise _not_here(pid)
+        raise _no_loop_error(pid)
     raise ConfigError("no loop runs in real time on this computer", remedy="start a loop: rig hit --realtime")
 
 
 @contextmanager
 def open_loop(loop: RunningLoop) -> Iterator[Ring]:
-    """Open the memory of a loop within this context.
+    """Open the shared memory of a running loop within this context.
 
     Raises
     ------
     RunEndedError
         The loop has ended since it was found.
     RigError
-        The loop was started by a version of this package with another layout of the memory.
+        The loop was started by a version of this package with another memory layout.
     """
     if loop.version != LAYOUT_VERSION:
         raise RigError(
-            f"process {loop.pid} was started by another version of haptic-rig (layout {loop.version}, here "
-            f"{LAYOUT_VERSION})",
-            remedy="use that version; only `rig stop` works with all versions",
+            f"process {loop.pid} was started by another version of haptic-rig: its shared memory has layout "
+            f"{loop.version}, this version needs {LAYOUT_VERSION}",
+            remedy="use the version that started the process; only `rig stop` works with all versions",
         )
     try:
         ring = Ring.attach(loop.path)
@@ -228,7 +226,7 @@ def open_loop(loop: RunningLoop) -> Iterator[Ring]:
         yield ring
 
 
-def _look(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
+def _describe_loop(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
     version = ring.peek(VERSION)
     ours = version == LAYOUT_VERSION
     phase = ring.peek(PHASE) if ours else -1
@@ -246,13 +244,13 @@ def _look(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
 
 
 def _wait(rings: list[Ring], patience_s: float) -> None:
-    """Wait until all loops have ended, at most `patience_s`."""
+    """Wait until all these loops have ended, but at most `patience_s` (s)."""
     deadline = time.monotonic() + patience_s
     while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
         time.sleep(POLL_S)
 
 
-def _not_here(pid: int) -> ConfigError:
+def _no_loop_error(pid: int) -> ConfigError:
     try:
         if not place.may_look(pid):
             return ConfigError(

@@ -1,9 +1,9 @@
-"""Find the Python files of this project, and those on which compiled code depends.
+"""Find the Python files of this project, and the files on which compiled code depends.
 
-Compiled code of a kernel contains the code of its helpers and constants of other modules: it is outdated if a file with
-a kernel changes, or any file that such a file imports, directly or indirectly.
+The machine code of a kernel contains code of helpers and constants from other modules. It is outdated if the kernel's
+file changes, or any file that the kernel's file imports, directly or indirectly.
 
-The cache of machine code, sweeps, sessions and papers call it. It must not import a file that it examines.
+The cache of machine code, sweeps, sessions and papers use it. It must not import a file that it examines.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _NAME = re.compile(rb"(\w+)(?:[ \t]+as[ \t]+\w+)?")
 
 
 def source_files(packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
-    """Return the path of each Python file of the packages by module name, in a fixed order, without importing it."""
+    """Return the path of each Python file in the given packages, keyed by module name, without importing a file."""
     return {module: Path(path) for module, path in _find_files(packages).items()}
 
 
 def compiled_sources(packages: Iterable[str] = PACKAGES) -> dict[str, bytes]:
-    """Return the content of all files with kernels and of all that they import, by module name, in a fixed order."""
-    texts = {module: _text(path) for module, path in _find_files(packages).items()}
+    """Return the content, by module name, of each file with kernels and each file that it imports, also indirectly."""
+    texts = {module: _read_source(path) for module, path in _find_files(packages).items()}
     waiting = [module for module, text in texts.items() if _KERNEL in text]
     reached: set[str] = set()
     while waiting:
@@ -51,26 +51,26 @@ def _find_files(packages: Iterable[str]) -> dict[str, str]:
         except ImportError:
             continue
         for root in (spec and spec.submodule_search_locations) or ():
-            files.update(_below(root, package))
+            files.update(_find_below(root, package))
     return files
 
 
-def _below(place: str, package: str) -> Iterator[tuple[str, str]]:
+def _find_below(place: str, package: str) -> Iterator[tuple[str, str]]:
     for entry in sorted(os.scandir(place), key=lambda entry: entry.name):
         stem, ending = os.path.splitext(entry.name)
         if ending == ".py":
             yield package if stem == "__init__" else f"{package}.{stem}", entry.path
         elif not ending and stem != "__pycache__" and entry.is_dir(follow_symlinks=False):
-            yield from _below(entry.path, f"{package}.{stem}")
+            yield from _find_below(entry.path, f"{package}.{stem}")
 
 
-def _text(path: str) -> bytes:
+def _read_source(path: str) -> bytes:
     with open(path, "rb", buffering=0) as file:
         return b"\n" + file.read()
 
 
 def _find_imports(text: bytes, modules: Container[str]) -> list[str]:
-    """Return those of `modules` that a source text imports: at its top, inside functions, or for types."""
+    """Return the names among `modules` that a Python source imports, also inside functions or for type checking."""
     found: list[str] = []
     for base, names, plain in _IMPORT.findall(text):
         module = (base or plain).decode()
@@ -81,7 +81,7 @@ def _find_imports(text: bytes, modules: Container[str]) -> list[str]:
 
 @cache
 def code_version() -> str:
-    """Return the version of this package with a hash of its sources; results depend on both."""
+    """Return the version of this package and a hash of its source files, for example ``1.2.0+0123456789ab``."""
     digest = sha256()
     for path in source_files().values():
         digest.update(path.name.encode() + b"\0" + sha256(path.read_bytes()).digest())

@@ -1,10 +1,10 @@
-"""Requests to stop all runs of this process: by a signal, by `rig.stop`, or by the end of the program.
+"""Stop all runs of this process on request: by a signal, by `rig.stop`, or at the end of the program.
 
 One word counts the requests. In every tick a loop compares the word with its value when the run began, so a request
 needs no GIL and reaches any number of loops in any threads.
 
-Trials, the loop, sweeps, hits and motions call it. It must not end a loop itself: each loop compares the word and
-ends by its own rules.
+Trials, the loop, sweeps, hits and motions use it. This file must not end a loop: each loop compares the word and ends
+by its own rules.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _getpid = types.ExternalFunction("getpid", types.int32())
 
 @kernel(_i64(_ptr, _i64))
 def _add_request(table: int, number: int) -> int:
-    """Count a stop request by a signal, or by this program (number 0); return how many runs it stops."""
+    """Count a stop request by a signal, or by this program (`number` 0); return the number of runs in progress."""
     store_word(table + 8 * _LAST, number)
     add_word(table + 8 * _REQUESTS, 1)
     return int(load_word(table + 8 * _RUNS))
@@ -60,9 +60,10 @@ def _add_request(table: int, number: int) -> int:
 
 @kernel(_HANDLER_SIGNATURE)
 def _on_signal(number: int, info: int, context: int) -> int:
-    """Count a signal and call the handler that was installed before. For number 0 return the address of the table.
+    """Count a signal as a stop request and call the handler that was installed before; return 0.
 
-    The default action (to end the process) is deferred until the last run is sealed.
+    The default action (to end the process) waits until the last recording is sealed. Called with `number` 0, the
+    function only returns the address of its words.
     """
     table = _static_table()
     if number == 0:
@@ -93,7 +94,7 @@ class _Action(ctypes.Structure):
 
 
 class _Hook:
-    """Compiled signal handler that is installed in front of the existing handlers of `STOPPING`."""
+    """Compiled handler of the signals `STOPPING` that counts a signal and then calls the handler installed before."""
 
     def __init__(self) -> None:
         self._handler = address_of(_on_signal, _HANDLER_SIGNATURE)
@@ -104,7 +105,7 @@ class _Hook:
         self._libc = ctypes.CDLL(None)
 
     def place(self) -> None:
-        """Install this handler in front of the existing handlers, also again after another handler has replaced it."""
+        """Install this handler in front of the present signal handlers, again if another handler has replaced it."""
         # Python runs its handlers in the main thread alone, and late where that thread waits in C. So this one stands
         # before them, counts, and calls the earlier one: Python's table and the wake-up descriptor of asyncio are
         # unchanged.
@@ -122,7 +123,7 @@ class _Hook:
             self._known.add(now.handler)
 
     def remove(self) -> None:
-        """Restore the previous handlers, except where another handler has replaced this one."""
+        """Restore the signal handlers that were installed before this one, except where another has replaced it."""
         for number, before in self._displaced.items():
             if self._action(number).handler == self._handler:
                 self._libc.sigaction(int(number), ctypes.byref(before), None)
@@ -135,7 +136,7 @@ class _Hook:
 
 
 class _Process:
-    """State of this process: table of words, number of listeners, and whether the program ends."""
+    """Stop requests of this process: shared words, number of listening contexts, and whether the program is ending."""
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -147,7 +148,7 @@ class _Process:
         write_word(self.table + 8 * _PROCESS, os.getpid())
 
     def forget(self) -> None:
-        """Reset the state in a forked child, which has none of its parent's threads."""
+        """Reset the stop requests in a forked child process, which runs none of its parent's threads."""
         self.lock = threading.RLock()
         self.listeners = 0
         for word, value in ((_RUNS, 0), (_DEFERRED, 0), (_PROCESS, os.getpid())):
@@ -176,12 +177,12 @@ def _word(index: int) -> int:
 
 
 def address() -> int:
-    """Return the address of the word that counts stop requests; it never changes."""
+    """Return the address of the int64 that counts the stop requests of this process; the address never changes."""
     return _word(_REQUESTS)
 
 
 def count() -> int:
-    """Return the number of stop requests since the start of the process."""
+    """Return the number of stop requests since the start of this process."""
     return int(read_word(_word(_REQUESTS)))
 
 
@@ -191,34 +192,34 @@ def running() -> int:
 
 
 def last_signal() -> int | None:
-    """Return the signal number of the newest stop request; None if it was not a signal."""
+    """Return the number of the signal that caused the newest stop request; None if `request` or nothing caused one."""
     return int(read_word(_word(_LAST))) or None
 
 
 def requester() -> str:
-    """Return the name of the signal of the newest stop request, or "this program"."""
+    """Return, for a message, what caused the newest stop request: a signal's name ("SIGINT") or "this program"."""
     number = last_signal()
     return "this program" if number is None else signal.Signals(number).name
 
 
 def request(number: int = 0) -> int:
-    """Request all runs of this process to stop, and return how many there are.
+    """Request all runs of this process to stop, without waiting; return the number of runs in progress.
 
-    It does not wait and may be called in a signal handler. `number` is the signal that caused the request, or 0.
+    A signal handler may call this function. `number` is the signal that caused the request, or 0.
     """
     return int(_add_request(_process().table, number))
 
 
 class RunSeries:
-    """Runs that belong together: a stop request ends all of them, also if it comes between two runs.
+    """A series of runs, all of which a single stop request ends, also if the request comes between two runs.
 
-    As a context manager it applies to the runs of this thread within the context; of nested series the outermost
+    As a context manager it applies to the runs of this thread within the context. If series are nested, the outermost
     applies.
 
     Attributes
     ----------
     since
-        Number of stop requests (`count`) when the series began.
+        Number of stop requests of this process (`count`) when the series began.
     """
 
     def __init__(self) -> None:
@@ -236,20 +237,20 @@ class RunSeries:
 
     @property
     def is_stopped(self) -> bool:
-        """Return True if a stop was requested since the series began."""
+        """Return True if a stop was requested since this series of runs began, or the program is ending."""
         return _process().leaving or count() != self.since
 
     def check(self) -> None:
-        """Raise `StoppedError` if a stop was requested since the series began, before anything moves."""
+        """Raise `StoppedError` if a stop was requested since this series began; call it before each run."""
         if self.is_stopped:
             raise StoppedError(f"stopped by {requester()} before the next run began; the effort is zero")
 
 
 @contextmanager
 def listening() -> Iterator[RunSeries]:
-    """Count signals within this context, also between runs; yield the series of these runs.
+    """Count stop signals within this context and yield a `RunSeries`, by which the caller sees whether to stop.
 
-    In the main thread signals between runs are not counted: Python's own handlers act then.
+    In the main thread, signals between two runs are left to Python's own handlers.
     """
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
@@ -260,7 +261,7 @@ def listening() -> Iterator[RunSeries]:
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Make all runs of this thread within this context one series. Do not use it across a ``yield``."""
+    """Let one stop request end all runs of this thread within this context; do not use it across a ``yield``."""
     with listening() as series, series:
         yield
 
@@ -281,7 +282,7 @@ def _install_hook(process: _Process) -> Iterator[None]:
 
 
 def renew() -> None:
-    """Reinstall the signal handlers if a run or another listener needs them; call it repeatedly during a run."""
+    """Reinstall the stop-signal handlers if a run needs them and a library has replaced them; call it repeatedly."""
     process = _process()
     if process.hook is not None:
         with process.lock:
@@ -291,9 +292,9 @@ def renew() -> None:
 
 @contextmanager
 def run() -> Iterator[RunSeries]:
-    """Count signals within this context; yield the series of the run.
+    """Count stop signals during one run and yield the run's `RunSeries`.
 
-    The context must begin before the run arms a device and end after its recording is sealed. The end of the program,
+    Enter the context before the run arms a device, and leave it after the recording is sealed. The end of the program,
     and a signal whose default action would end the process, wait for the end of the context.
     """
     process = _process()
@@ -309,21 +310,18 @@ def run() -> Iterator[RunSeries]:
 
 
 def _count_runs(process: _Process, change: int) -> None:
-    """Add `change` to the number of runs; after the last run, act on a deferred signal.
-
-    While there are runs, the end of the program calls `_leave`, which is registered anew so that it is called first.
-    """
+    """Add `change` (±1) to the number of runs in progress; after the last run, raise a deferred signal."""
     runs = running() + change
     write_word(_word(_RUNS), runs)
     atexit.unregister(_leave)
     if runs:
         atexit.register(_leave)
     elif number := int(read_word(_word(_DEFERRED))):
-        _act_by_default(process, number)
+        _raise_deferred(process, number)
 
 
-def _act_by_default(process: _Process, number: int) -> None:
-    """Clear a deferred signal and send it again, so that its default action ends the process."""
+def _raise_deferred(process: _Process, number: int) -> None:
+    """Send the deferred signal `number` to this process again, now with its default action, which ends the process."""
     write_word(_word(_DEFERRED), 0)
     if process.hook is not None:
         process.hook.remove()
@@ -331,7 +329,7 @@ def _act_by_default(process: _Process, number: int) -> None:
 
 
 def _leave() -> None:
-    """Stop the runs of other threads before the interpreter ends, and wait for them, at most `LEAVE_S`."""
+    """Request the runs of all threads to stop at the end of the program, and wait for them, at most `LEAVE_S`."""
     # The interpreter does not wait for daemon threads; 3.11 and 3.12 also forget a thread whose `join` got a Ctrl-C.
     _process().leaving = True
     request()

@@ -1,10 +1,10 @@
-"""System calls of the compiled loop, without Python and without the GIL.
+"""System calls for compiled code, without Python and without the GIL: clocks, sleeping, reading, writing and polling.
 
 clock_nanosleep, ppoll and __errno_location exist only on Linux. On other systems Python functions replace all calls
 (`rig.realtime._stand_ins`).
 
-Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` call it. A kernel
-may call only functions whose existence was checked before.
+Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder and `rig.doctor` use it. A kernel may
+call only functions whose existence was checked before.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ BILLION = 1_000_000_000
 
 @kernel(_i64())
 def last_error() -> int:
-    """Return the errno of the last call in this thread."""
+    """Return the errno of the last failed system call in this thread."""
     return int(carray(_errno_location(), 1)[0])
 
 
 @kernel(NOW_SIGNATURE)
 def monotonic_now(handle: int) -> int:
-    """Return the time of CLOCK_MONOTONIC (ns); `handle` is not used."""
+    """Return the present time of CLOCK_MONOTONIC (ns); `handle` is not used."""
     timespec = _two_words()
     _clock_gettime(CLOCK_MONOTONIC, timespec)
     return int(load_word(timespec) * BILLION + load_word(timespec + 8))
@@ -68,13 +68,13 @@ def monotonic_now(handle: int) -> int:
 
 @kernel(NOW_SIGNATURE)
 def virtual_now(handle: int) -> int:
-    """Return the time of a `rig.realtime.clock.VirtualClock` (ns); `handle` is the address of its word."""
+    """Return the time of a virtual clock (ns); `handle` is the address of the int64 with this time."""
     return int(load_word(handle))
 
 
 @kernel(types.void(_i64))
 def sleep_until(deadline_ns: int) -> None:
-    """Sleep until an absolute time of CLOCK_MONOTONIC (ns); a signal does not end the sleep early."""
+    """Sleep until CLOCK_MONOTONIC reaches `deadline_ns` (ns); a signal does not end the sleep early."""
     timespec = _two_words()
     store_word(timespec, deadline_ns // BILLION)
     store_word(timespec + 8, deadline_ns % BILLION)
@@ -84,21 +84,24 @@ def sleep_until(deadline_ns: int) -> None:
 
 @kernel(WAIT_SIGNATURE)
 def monotonic_sleep(handle: int, deadline_ns: int) -> int:
-    """Call `sleep_until` for a plug point (`rig.devices.port.LoopPort.sleep`); `handle` is not used. Return 0."""
+    """Sleep until CLOCK_MONOTONIC reaches `deadline_ns` (ns) and return 0; `handle` is not used."""
     sleep_until(deadline_ns)
     return 0
 
 
 @kernel(WAIT_SIGNATURE)
 def virtual_sleep(handle: int, deadline_ns: int) -> int:
-    """Set a `VirtualClock` (`handle`: address of its word) to a deadline (ns) unless it has passed; return 0."""
+    """Set a virtual clock (int64 at address `handle`) to `deadline_ns` (ns) unless it is later; return 0."""
     store_word(handle, max(load_word(handle), deadline_ns))
     return 0
 
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_read(descriptor: int, address: int, size: int) -> int:
-    """Read by read(2); return the bytes read, 0 if none is available, or a negative errno (-ENODEV: end of file)."""
+    """Read at most `size` available bytes from a descriptor to memory at `address`, without waiting.
+
+    Returns the number of bytes, 0 if no input is available, or a negative errno (-ENODEV: the other side has closed).
+    """
     # Polled first, so that a zero from read(2) can only mean that the other side has closed.
     pollfd = _one_word()
     timespec = _two_words()
@@ -118,7 +121,10 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_write(descriptor: int, address: int, size: int) -> int:
-    """Write once by write(2) to a non-blocking descriptor; return the bytes written, 0 if full, or a negative errno."""
+    """Write up to `size` bytes from memory at `address` to a non-blocking descriptor, by one call of write(2).
+
+    Returns the number of bytes written, 0 if the descriptor's buffer is full, or a negative errno.
+    """
     done = _write(descriptor, address, size)
     if done >= 0:
         return int(done)
@@ -128,7 +134,7 @@ def descriptor_write(descriptor: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64))
 def descriptor_sync(descriptor: int) -> int:
-    """Write a file to the disk by fdatasync(2); return 0, also if the file cannot be synced, or an errno."""
+    """Write a file to the disk by fdatasync(2); return 0, also for a file that cannot be synced, or an errno."""
     if _fdatasync(descriptor) == 0:
         return 0
     error = last_error()
@@ -137,7 +143,7 @@ def descriptor_sync(descriptor: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def descriptor_wait(descriptor: int, deadline_ns: int) -> int:
-    """Wait by ppoll(2) for input until a deadline of CLOCK_MONOTONIC (ns).
+    """Wait for input on a descriptor until CLOCK_MONOTONIC reaches `deadline_ns` (ns).
 
     Returns 1 if input is available, 0 at the deadline, or a negative errno.
     """

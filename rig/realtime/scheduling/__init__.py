@@ -1,11 +1,11 @@
 """Request real-time scheduling for the loop, report what was granted, and undo it afterwards.
 
-    with obtained(experiment.host) as realtime:  # the process: memory, idle states; and a test of the thread's rights
+    with obtained(experiment.host) as realtime:  # for the process: lock memory, prevent deep sleep, test the rights
         ...
         realtime.enter_thread()                  # in the loop's own thread: policy, processor, stack
 
-The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives request it. It must not load numba.
-Nothing that was granted may remain after the context ends. On other systems than Linux nothing is requested.
+The loop, trials, `rig.doctor`, `rig serve rig` and the simulated drives use it. It must not load numba. Nothing that
+was granted may remain after the context ends. On systems other than Linux nothing is requested.
 """
 
 import sys

@@ -1,4 +1,7 @@
-"""Calls of the C library for which Python has no function. They do not raise; most return 0 or an errno."""
+"""Call C library functions that Python does not offer: memory locks, timer slack, time slice, stack address.
+
+The functions do not raise; most return 0 or an errno.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274, "riscv64": 274, "armv7l": 380}
 
 
 class _Attributes(ctypes.Structure):
-    """Struct sched_attr of linux/sched/types.h, its first version."""
+    """The C struct sched_attr of linux/sched/types.h, in its first version."""
 
     _fields_ = [
         ("size", ctypes.c_uint32),
@@ -43,32 +46,30 @@ def _call(name: str, *arguments: object) -> int:
 
 
 def lock_all() -> int:
-    """Keep each present and future page of the process in memory from its first use on; return 0 or an errno.
-
-    Without "on fault" the kernel would fill every mapping at once, which doubles the size of a process that has
-    loaded numba and makes each new thread wait for its whole stack.
-    """
+    """Lock all present and future pages of this process in memory, each from its first use on; return 0 or an errno."""
+    # Without "on fault" the kernel would fill every mapping at once: this doubles the size of a process that has
+    # loaded numba, and makes each new thread wait for its whole stack.
     return _call("mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
 
 
 def unlock_all() -> int:
-    """Remove all locks of the process's pages, also those of `lock_range`; return 0 or an errno."""
+    """Remove all locks of this process's memory pages, also locks by `lock_range`; return 0 or an errno."""
     return _call("munlockall")
 
 
 def lock_range(address: int, size: int, *, on_fault: bool) -> int:
-    """Lock the pages of an address range in memory; return 0 or an errno."""
+    """Lock `size` bytes from `address` on in memory, with `on_fault` from their first use on; return 0 or an errno."""
     flags = MLOCK_ONFAULT if on_fault else 0
     return _call("mlock2", ctypes.c_void_p(address), ctypes.c_size_t(size), ctypes.c_uint(flags))
 
 
 def set_timer_slack(slack_ns: int) -> int:
-    """Set the timer slack: the time (ns) by which sleeps of the calling thread may end late. Return 0 or an errno."""
+    """Set by how much (ns) the kernel may delay the end of the calling thread's sleeps; return 0 or an errno."""
     return _call("prctl", PR_SET_TIMERSLACK, ctypes.c_ulong(slack_ns), *(ctypes.c_ulong(0),) * 3)
 
 
 def set_slice(slice_ns: int) -> int:
-    """Set a short time slice (ns) for the calling, ordinary thread, so that it runs sooner; return 0 or an errno."""
+    """Request a time slice (ns) for the calling ordinary thread; a short one starts it sooner. Return 0 or an errno."""
     number = _SCHED_SETATTR.get(platform.machine())
     if number is None:
         return errno.ENOSYS
@@ -79,7 +80,7 @@ def set_slice(slice_ns: int) -> int:
 
 
 def timer_slack() -> int:
-    """Return the timer slack of the calling thread (ns); 0 for a real-time thread, and on systems without prctl."""
+    """Return by how much (ns) the kernel may delay this thread's wake-ups; 0 for a real-time thread."""
     function = getattr(_libc(), "prctl", None)
     return 0 if function is None else max(int(function(PR_GET_TIMERSLACK, *(ctypes.c_ulong(0),) * 4)), 0)
 
@@ -100,13 +101,13 @@ def stack_top() -> int:
 
 
 def touch(address: int, size: int) -> None:
-    """Load the pages of an address range into memory, writable, without changing their content.
+    """Load the memory pages from `address` on, `size` bytes, and make them writable, without changing their content.
 
-    On kernels before 5.14 one byte of each page is written over itself, so no other thread may write there at
-    the same time.
+    No other thread may write there at the same time: kernels before 5.14 need a write to each page.
     """
     first = address // mmap.PAGESIZE * mmap.PAGESIZE
     length = ctypes.c_size_t(address + size - first)
     if _call("madvise", ctypes.c_void_p(first), length, MADV_POPULATE_WRITE) == errno.EINVAL:
+        # Before Linux 5.14: one byte of each page is written over itself.
         for page in (address, *range(first + mmap.PAGESIZE, address + size, mmap.PAGESIZE)):
             ctypes.memmove(page, page, 1)

@@ -1,4 +1,7 @@
-"""Real-time scheduling on other systems than Linux: nothing is requested; a law in real time runs on a board there."""
+"""Replace real-time scheduling on systems other than Linux: nothing is requested.
+
+On these systems a law in real time runs on the board, not on the computer.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Realtime:
-    """Result of a request on other systems than Linux: nothing is requested, so nothing is refused."""
+    """Result of a request for real-time scheduling on systems other than Linux, where nothing is requested."""
 
     def __init__(self, host: RealtimeRequest, *, virtual: bool) -> None:
         self.messages: list[str] = []
@@ -25,18 +28,18 @@ class Realtime:
         )
 
     def enter_thread(self) -> None:
-        """Do nothing: the calling thread keeps its scheduling."""
+        """Do nothing: on this system the calling thread keeps its scheduling."""
 
     def leave_thread(self) -> None:
-        """Do nothing: no scheduling was changed."""
+        """Do nothing: on this system the scheduling of a thread is never changed."""
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
-        """Do nothing: pages are loaded when they are first used."""
+        """Do nothing: on this system memory pages of arrays are loaded when they are first used."""
 
 
 @contextmanager
 def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
-    """Yield a `Realtime` without requesting anything; on Linux see `rig.realtime.scheduling._realtime.obtained`.
+    """Yield a `Realtime` object without requesting real-time scheduling, on systems other than Linux.
 
     Raises
     ------

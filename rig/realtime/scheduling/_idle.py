@@ -1,6 +1,6 @@
-"""Keep processors from deep sleep, because waking from it takes 0.1 ms and more.
+"""Keep idle processors from deep sleep, because waking from deep sleep takes 0.1 ms and more.
 
-The kernel applies the smallest requested latency of all open descriptors.
+The kernel applies the smallest latency that any open descriptor of /dev/cpu_dma_latency requests.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ DEVICE = "dev/cpu_dma_latency"
 
 
 def hold(root: Path = ROOT) -> int:
-    """Request a latency of `LATENCY_US`; return the descriptor, which must stay open to hold it. Raises `OSError`."""
+    """Keep idle processors from deep sleep until the returned descriptor is closed; raise `OSError` if not allowed."""
     descriptor = os.open(root / DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", LATENCY_US))

@@ -1,4 +1,7 @@
-"""Lock the memory of the process, so that no page fault reads from a disk. All runs share one counted lock."""
+"""Lock the memory of the process during runs, so that no page fault waits for a disk.
+
+Runs at the same time share one lock, which ends with the last of these runs.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 
 @dataclass(frozen=True, slots=True)
 class LockedRange:
-    """A range of pages that the program had locked before a run."""
+    """Range of addresses that was locked in memory before a run; with `on_fault`, each page from its first use on."""
 
     start: int
     end: int
@@ -71,12 +74,12 @@ take, give_back = _LOCK.take, _LOCK.give_back
 
 
 def locked_bytes() -> int:
-    """Return the size of all locked mappings (bytes); with "on fault", pages are locked at their first use."""
+    """Return the size (bytes) of all locked memory mappings of this process, including pages that were not used yet."""
     return status_kilobytes("VmLck") * 1024
 
 
 def locked_before() -> list[LockedRange] | None:
-    """Return the address ranges that are locked now; None if the program has locked all present and future pages."""
+    """Return the address ranges that are locked in memory now; None if the program has locked all of its memory."""
     if locked_bytes() == 0:
         return []
     with mmap.mmap(-1, mmap.PAGESIZE) as probe:
@@ -88,7 +91,7 @@ def locked_before() -> list[LockedRange] | None:
 
 
 def locked_ranges(smaps: str) -> list[LockedRange]:
-    """Return the locked address ranges in the text of /proc/self/smaps."""
+    """Return the locked address ranges that a text in the format of /proc/self/smaps lists."""
     found = []
     start = end = 0
     for line in smaps.splitlines():

@@ -30,14 +30,14 @@ assert sys.platform == "linux"
 
 
 class Realtime:
-    """Scheduling that a run requested, and what was granted; `obtained` creates it.
+    """Real-time scheduling that a run requested, and what the system granted; `obtained` creates it.
 
     Attributes
     ----------
     messages
         One sentence to print for each refusal, with its remedy. `enter_thread` may add refusals.
     refusals
-        The refusals as checks (`rig.core.check.Check`).
+        The refusals as failed checks (`rig.core.check.Check`).
     """
 
     def __init__(self, host: RealtimeRequest, *, active: bool, virtual: bool = False) -> None:
@@ -52,14 +52,15 @@ class Realtime:
 
     @property
     def messages(self) -> list[str]:
-        """Return one sentence to print for each refusal, with its remedy; empty if nothing was refused."""
+        """Return one sentence to print for each refusal of the system, with its remedy; empty without refusals."""
         return [check.sentence for check in self.refusals]
 
     @property
     def report(self) -> dict[str, Any]:
-        """Return what was requested, granted and refused, and facts of the kernel, as JSON types for a recording.
+        """Return requested, granted and refused scheduling, and facts of the kernel, as JSON types for a recording.
 
-        Empty in virtual time. Before `enter_thread`, "obtained" has what a test thread was granted.
+        The result is empty in virtual time. Before the loop's thread calls `enter_thread`, "obtained" describes what
+        the test thread was granted.
         """
         if self._virtual:
             return {}
@@ -77,7 +78,7 @@ class Realtime:
         }
 
     def ask(self, undo: ExitStack) -> None:
-        """Request all scheduling and store the refusals; `undo` gets the functions that revoke what was granted."""
+        """Request all scheduling and store the refusals; add functions that revoke what was granted to `undo`."""
         self._thread, refused = thread.tried(self._host.priority, self._host.cpu)
         refusal = memory.take()
         if refusal is None:
@@ -94,11 +95,11 @@ class Realtime:
         self.refusals += refused
 
     def close(self) -> None:
-        """End the requests: `enter_thread` then leaves a thread as it is."""
+        """Stop requesting: after `close`, `enter_thread` does not change the scheduling of a thread."""
         self._active = False
 
     def enter_thread(self) -> ThreadState | None:
-        """Schedule the calling thread as requested and load its stack into memory; return its new state.
+        """Give the calling thread the requested scheduling, load its stack into memory, and return its new state.
 
         It never raises; refusals are added to `messages`. In virtual time it does nothing and returns None.
         """
@@ -115,12 +116,12 @@ class Realtime:
         return self._thread
 
     def leave_thread(self) -> None:
-        """Undo the last `enter_thread` of the calling thread; needed only if the thread continues afterwards."""
+        """Restore the calling thread's scheduling before `enter_thread`, if the thread continues after the run."""
         if stack := self._stack():
             thread.restore(stack.pop())
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
-        """Load the pages of arrays into memory, writable, with unchanged content; do nothing if scheduling is off."""
+        """Load the memory pages of arrays, writable, to avoid page faults in a run; do nothing without a request."""
         if not self._active:
             return
         for array in arrays:
@@ -139,7 +140,7 @@ class Realtime:
 
 @contextmanager
 def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
-    """Request real-time scheduling within this context; the previous state is restored at its end.
+    """Request real-time scheduling for a run within this context; the previous state is restored at its end.
 
     The memory of the process is locked, and processors are kept from deep sleep. The scheduling of the loop's thread is
     tested in a separate thread, so that a refusal is known before anything moves; the loop's thread must call
@@ -163,14 +164,14 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
         if not virtual and host.realtime != "off":
             realtime.ask(undo)
             if realtime.refusals and host.realtime == "enforce":
-                raise _refused(realtime.refusals)
+                raise _enforce_error(realtime.refusals)
         try:
             yield realtime
         finally:
             realtime.close()
 
 
-def _refused(refusals: list[Check]) -> RealtimeError:
+def _enforce_error(refusals: list[Check]) -> RealtimeError:
     remedies = dict.fromkeys(check.remedy for check in refusals if check.remedy)
     return RealtimeError(
         f'host.realtime = "enforce", but {"; ".join(check.text for check in refusals)}',

@@ -1,4 +1,4 @@
-"""Request of a run for real-time scheduling."""
+"""Fields by which a run requests real-time scheduling."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from typing import Protocol
 
 
 class RealtimeRequest(Protocol):
-    """Fields of the request; `rig.config._sections.Host` explains each."""
+    """Interface of a request for real-time scheduling; `rig.config._sections.Host` explains the fields."""
 
     @property
     def realtime(self) -> str:
-        """Return the request: ``enforce``, ``try`` or ``off``."""
+        """Return how strictly real-time scheduling is requested: "enforce" (a refusal is an error), "try" or "off"."""
         ...
 
     @property
     def priority(self) -> int:
-        """Return the requested priority under SCHED_FIFO, 1 to 99."""
+        """Return the requested priority of the loop's thread under SCHED_FIFO, 1 to 99."""
         ...
 
     @property
     def cpu(self) -> int | None:
-        """Return the number of the processor for the loop; None for any processor."""
+        """Return the number of the processor on which the loop must run; None for any processor."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class BoardScheduling:
-    """Request of a simulated board: its timer must not wait, so its priority is above that of a host's loop."""
+    """Request of a simulated board; its priority is above that of a host's loop, for which its timer must not wait."""
 
     realtime: str = "try"
     priority: int = 90

@@ -20,7 +20,7 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rights:
-    """Rights of this process. A limit of None means no limit; `groups` are those now active, without later changes."""
+    """Rights of this process to scheduling and locked memory; a limit of None means no limit."""
 
     user: str
     groups: frozenset[str]
@@ -32,7 +32,7 @@ class Rights:
 
         @classmethod
         def here(cls, root: Path = ROOT) -> Rights:
-            """Return the present rights of this process."""
+            """Return the present rights of this process; `root` is the directory that contains proc."""
             return cls(
                 user=_name_of_user(os.geteuid()),
                 groups=frozenset(name_of_group(number) for number in {*os.getgroups(), os.getegid()}),
@@ -42,16 +42,16 @@ class Rights:
             )
 
     def may_schedule(self, priority: int) -> bool:
-        """Return True if limits allow SCHED_FIFO at this priority; a control group or container may still refuse it."""
+        """Return True if limits or capabilities allow SCHED_FIFO at `priority`; a control group may still refuse it."""
         allowed = self.priority_limit is None or self.priority_limit >= priority
         return allowed or self.has(CAP_SYS_NICE)
 
     def may_lock(self, size: int) -> bool:
-        """Return True if the limits allow to lock `size` bytes of memory."""
+        """Return True if this process's limits or capabilities allow to lock `size` bytes of memory."""
         return self.locked_limit is None or self.locked_limit >= size or self.has(CAP_IPC_LOCK)
 
     def has(self, capability: int) -> bool:
-        """Return True if a capability is active in this process."""
+        """Return True if a Linux capability, given by its number in linux/capability.h, is active in this process."""
         return bool(self.capabilities >> capability & 1)
 
 
@@ -73,7 +73,7 @@ if sys.platform == "linux":
             return str(number)
 
     def name_of_group(number: int) -> str:
-        """Return the name of a group, or its number as a text if it has no name."""
+        """Return the name of the user group with this number; the number as a text if the group has no name."""
         try:
             return grp.getgrgid(number).gr_name
         except KeyError:

@@ -28,7 +28,7 @@ _POLICIES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadState:
-    """Scheduling of a thread; `policy` includes the bit SCHED_RESET_ON_FORK if it is set."""
+    """Scheduling of one thread; `policy` includes the bit SCHED_RESET_ON_FORK if it is set."""
 
     policy: int
     priority: int
@@ -37,7 +37,7 @@ class ThreadState:
 
     @classmethod
     def here(cls) -> ThreadState:
-        """Return the state of the calling thread."""
+        """Return the present scheduling of the calling thread."""
         return cls(
             policy=os.sched_getscheduler(0),
             priority=os.sched_getparam(0).sched_priority,
@@ -47,24 +47,25 @@ class ThreadState:
 
     @property
     def is_fifo(self) -> bool:
-        """Return True if the policy is SCHED_FIFO: the thread runs before every ordinary thread until it waits."""
+        """Return True if the thread has the policy SCHED_FIFO: it runs before every ordinary thread until it waits."""
         return self.policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
     @property
     def name(self) -> str:
-        """Return the name of the scheduling policy."""
+        """Return the name of the thread's scheduling policy, such as "SCHED_FIFO"."""
         plain = self.policy & ~os.SCHED_RESET_ON_FORK
         return _POLICIES.get(plain, str(plain))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return policy, priority, processors and timer slack (ns) as JSON types."""
+        """Return policy, priority, processors and timer slack (ns) of the thread as JSON types."""
         return {**asdict(self), "policy": self.name, "cpus": list(self.cpus)}
 
 
 def raise_thread(priority: int, cpu: int | None) -> list[Check]:
-    """Request SCHED_FIFO and a processor for the calling thread; return the refusals.
+    """Request SCHED_FIFO with a priority (1 to 99) and a processor for the calling thread; return the refusals.
 
-    If SCHED_FIFO is refused, an ordinary thread gets the shortest timer slack and time slice, which need no rights.
+    If SCHED_FIFO is refused, the thread gets the shortest timer slack and time slice instead, which need no rights.
+    With `cpu` None the thread may run on any processor.
     """
     refused = []
     if cpu is not None:
@@ -84,7 +85,7 @@ def raise_thread(priority: int, cpu: int | None) -> list[Check]:
 
 
 def restore(before: ThreadState) -> None:
-    """Restore an earlier state of the calling thread."""
+    """Restore the scheduling that the calling thread had at an earlier time (`ThreadState.here`)."""
     parameter = os.sched_param(before.priority)
     try:
         os.sched_setscheduler(0, before.policy, parameter)
@@ -99,14 +100,14 @@ def restore(before: ThreadState) -> None:
 
 
 def touch_stack() -> None:
-    """Load `STACK_BYTES` of the calling thread's stack into memory, the depth that the loop needs."""
+    """Load `STACK_BYTES` of the calling thread's stack into memory: the depth that the loop needs."""
     top = calls.stack_top()
     if top and threading.current_thread() is not threading.main_thread():  # whose stack grows by itself
         calls.touch(top - STACK_BYTES, STACK_BYTES)
 
 
 def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[Check]]:
-    """Request scheduling in a test thread, which ends at once; return its state and the refusals."""
+    """Request SCHED_FIFO and a processor for a short test thread; return the thread's scheduling and the refusals."""
     outcome: list[tuple[ThreadState, list[Check]]] = []
 
     def body() -> None:

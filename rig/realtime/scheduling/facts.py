@@ -1,8 +1,8 @@
-"""Read facts about scheduling that the kernel reports in /proc and /sys.
+"""Read facts about scheduling on this computer from the Linux kernel's files in /proc and /sys.
 
-`root` is the directory with both trees. A fact that cannot be read is an empty text, None or an empty set.
+`root` is the directory that contains proc and sys. A fact that cannot be read is an empty text, None or an empty set.
 
-Scheduling reports them and `rig.doctor` judges them. This file must not judge or change anything.
+A recording stores these facts and `rig.doctor` judges them. This file must not judge or change anything.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _CPUS = "sys/devices/system/cpu"
 
 
 def text_of(path: Path) -> str:
-    """Return the stripped content of a small file; "" if it cannot be read."""
+    """Return the content of a small file without surrounding white space; "" if the file cannot be read."""
     try:
         return path.read_text("utf-8", errors="replace").strip()
     except OSError:
@@ -28,7 +28,7 @@ def text_of(path: Path) -> str:
 
 
 def number_of(path: Path) -> int | None:
-    """Return the integer in a file; None if the file does not contain exactly one."""
+    """Return the integer in a file; None if the file cannot be read or contains anything else."""
     try:
         return int(text_of(path))
     except ValueError:
@@ -36,7 +36,7 @@ def number_of(path: Path) -> int | None:
 
 
 def preemption(root: Path = ROOT) -> str:
-    """Return how the kernel preempts tasks: PREEMPT_RT, PREEMPT_DYNAMIC (with its mode if known), PREEMPT, or none."""
+    """Return the kernel's preemption: "PREEMPT_RT", "PREEMPT_DYNAMIC" (with its mode if known), "PREEMPT" or "none"."""
     version = text_of(root / "proc/sys/kernel/version")
     if text_of(root / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in version:
         return "PREEMPT_RT"
@@ -47,14 +47,14 @@ def preemption(root: Path = ROOT) -> str:
 
 
 def _dynamic_mode(root: Path) -> str:
-    """Return the active mode of PREEMPT_DYNAMIC, from debugfs (root only), command line or build; "" if unknown."""
+    """Return the mode of a PREEMPT_DYNAMIC kernel, such as "voluntary"; "" if unknown."""
     chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
     chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
     return chosen[1] if chosen else _built_mode(root)
 
 
 def _built_mode(root: Path) -> str:
-    """Return the preemption mode that the kernel was built with; "" if its configuration cannot be read."""
+    """Return the preemption mode of the kernel's build configuration; "" if the configuration cannot be read."""
     try:
         built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
     except (OSError, EOFError, zlib.error):
@@ -66,27 +66,27 @@ def _built_mode(root: Path) -> str:
 
 
 def rt_runtime_us(root: Path = ROOT) -> int | None:
-    """Return the time (µs) that real-time tasks may run in each period (`rt_period_us`); -1 means no limit."""
+    """Return the time (µs) that real-time tasks may run per `rt_period_us`; -1 without limit, None if unknown."""
     return number_of(root / "proc/sys/kernel/sched_rt_runtime_us")
 
 
 def rt_period_us(root: Path = ROOT) -> int | None:
-    """Return the period (µs) to which `rt_runtime_us` applies."""
+    """Return the period (µs) to which the limit `rt_runtime_us` of real-time tasks applies; None if unknown."""
     return number_of(root / "proc/sys/kernel/sched_rt_period_us")
 
 
 def clock_source(root: Path = ROOT) -> str:
-    """Return the name of the hardware counter that CLOCK_MONOTONIC uses."""
+    """Return the name of the hardware counter that CLOCK_MONOTONIC uses, such as "tsc"; "" if unknown."""
     return text_of(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
 
 
 def clock_sources(root: Path = ROOT) -> list[str]:
-    """Return the names of the hardware counters that the kernel could use."""
+    """Return the names of the hardware counters that the kernel can use for CLOCK_MONOTONIC."""
     return text_of(root / "sys/devices/system/clocksource/clocksource0/available_clocksource").split()
 
 
 def governors(root: Path = ROOT) -> dict[int, str]:
-    """Return the frequency governor of each processor by its number; empty if frequencies are fixed or hidden."""
+    """Return the frequency governor ("powersave", …) by processor number; empty if frequencies are fixed or hidden."""
     found = {}
     for path in (root / _CPUS).glob("cpu[0-9]*/cpufreq/scaling_governor"):
         found[int(path.parent.parent.name[3:])] = text_of(path)
@@ -94,23 +94,23 @@ def governors(root: Path = ROOT) -> dict[int, str]:
 
 
 def idle_driver(root: Path = ROOT) -> str:
-    """Return the name of the driver that puts idle processors to sleep; "" if there is no driver."""
+    """Return the name of the kernel's driver that puts idle processors to sleep; "" if no driver is active."""
     name = text_of(root / _CPUS / "cpuidle/current_driver")
     return "" if name == "none" else name
 
 
 def online_cpus(root: Path = ROOT) -> set[int]:
-    """Return the numbers of the processors that are online."""
+    """Return the numbers of the processors that are online; empty if unknown."""
     return cpu_list(text_of(root / _CPUS / "online"))
 
 
 def isolated_cpus(root: Path = ROOT) -> set[int]:
-    """Return the processors without ordinary tasks (``isolcpus`` on the kernel's command line)."""
+    """Return the numbers of the processors without ordinary tasks (``isolcpus`` on the kernel's command line)."""
     return cpu_list(text_of(root / _CPUS / "isolated"))
 
 
 def cpu_list(text: str) -> set[int]:
-    """Return the processors in a list of the kernel such as ``0-3,8``; parts that are not numbers are skipped."""
+    """Return the processor numbers in a list of the kernel such as ``0-3,8``; parts without numbers are skipped."""
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.strip().partition("-")
@@ -120,13 +120,13 @@ def cpu_list(text: str) -> set[int]:
 
 
 def status_kilobytes(name: str, root: Path = ROOT) -> int:
-    """Return a size of this process (kB) by its name in /proc/self/status, such as VmLck; 0 if it is missing."""
+    """Return a memory size (kB) of this process by its name in /proc/self/status, such as "VmLck"; 0 if missing."""
     match = re.search(rf"^{name}:\s*(\d+) kB", text_of(root / "proc/self/status"), re.MULTILINE)
     return int(match[1]) if match else 0
 
 
 def describe_scheduling(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
-    """Return all facts for a recording; `cpu` is the processor of the loop, None for any."""
+    """Return the kernel's facts about scheduling as JSON types for a recording; `cpu` None means any processor."""
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
     return {

@@ -1,6 +1,6 @@
-"""Refusals of the kernel as checks (`rig.core.check`): the reason, and the command by which a user gets the right.
+"""Explain why the kernel refused real-time scheduling, as checks with reason and command that grants the right.
 
-Scheduling and `rig.doctor` report them. This file must not run these commands.
+Scheduling and `rig.doctor` report these checks (`rig.core.check`). This file must not run the commands.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _refused(name: str, text: str, remedy: str = "") -> Check:
 
 
 def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Check:
-    """Return the check that gives the reason why SCHED_FIFO was refused with the errno `number`."""
+    """Return a check that explains why SCHED_FIFO at `priority` (1 to 99) was refused; `number` is the errno."""
     what = f"SCHED_FIFO {priority} is refused"
     if not rights.may_schedule(priority):
         text = f"{what}: the limit of real-time priorities is {rights.priority_limit}"
@@ -60,7 +60,7 @@ def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> 
 
 
 def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
-    """Return the check that this process's control group has no share of real time; None if it has a share."""
+    """Return a check that this process's control group forbids real-time priorities; None if it allows them."""
     group = real_time_group(root)
     if group is None or (rt_runtime_us(root) or 0) < 0:
         return None
@@ -69,16 +69,16 @@ def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
         return None
     return _refused(
         PRIORITY,
-        f"SCHED_FIFO {priority} is refused: control group {name} has no share of real time (cpu.rt_runtime_us is 0)",
+        f"SCHED_FIFO {priority} is refused: control group {name} may not run real-time tasks (cpu.rt_runtime_us is 0)",
         f"run: echo 100000 | sudo tee {share}",
     )
 
 
 def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
-    """Return the control group of this process and the file with its share of real time; None without such a file.
+    """Return the name of this process's control group, and the path of the file with its limit of real-time run time.
 
-    Only version 1 of control groups has such a file; in version 2 real-time tasks of a kernel with RT_GROUP_SCHED
-    must be in the root group.
+    The result is None without such a file: it exists only in version 1 of control groups. In version 2, real-time tasks
+    of a kernel with RT_GROUP_SCHED must be in the root group.
     """
     for line in text_of(root / "proc/self/cgroup").splitlines():
         _, controllers, name = [*line.split(":", 2), "", ""][:3]
@@ -93,12 +93,12 @@ def real_time_group(root: Path = ROOT) -> tuple[str, str] | None:
 
 
 def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
-    """Return the check that gives the reason why the loop may not run on the processor `cpu`."""
+    """Return a failed check that explains why the loop may not run on processor `cpu`; `number` is the errno."""
     online = sorted(online_cpus(root))
     if online and cpu not in online:
         return _refused(
             PROCESSOR,
-            f"processor {cpu} of host.cpu is not running: this machine has {', '.join(map(str, online))}",
+            f"processor {cpu} of host.cpu is not online: this computer has {', '.join(map(str, online))}",
             "set host.cpu to one of these processors",
         )
     return _refused(
@@ -109,10 +109,7 @@ def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
 
 
 def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
-    """Return the check that gives the reason why memory is not locked.
-
-    `number` is the errno, or 0 if locking was not tried because the limit is too low.
-    """
+    """Return a check that explains why memory is not locked; `number` is the errno, 0 if the limit is too low."""
     if rights.locked_limit is not None and (number in (0, errno.ENOMEM, errno.EPERM)):
         size = status_kilobytes("VmSize", root) // 1024
         limit = rights.locked_limit // _MIB
@@ -122,7 +119,7 @@ def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
 
 
 def of_idle(number: int, root: Path = ROOT) -> Check | None:
-    """Return the check that gives the reason why processors sleep deeply; None if they have no deep sleep."""
+    """Return a check that explains why processors sleep deeply (`number`: errno); None if they have no deep sleep."""
     if number == errno.ENOENT:
         if not idle_driver(root):
             return None

@@ -69,14 +69,14 @@ def test_file_of_another_kind_is_not_overwritten(tmp_path: Path) -> None:
     other.write_text("x" * SIZE)
     os.mkfifo(tmp_path / "pipe")
     for use in (SharedHand.create, SharedHand.open):
-        with pytest.raises(ConfigError, match=r"notes\.txt is not the file of a driven hand"):
+        with pytest.raises(ConfigError, match=r"notes\.txt is another kind of file"):
             use(other)
         for odd in (tmp_path, tmp_path / "pipe"):
-            with pytest.raises(ConfigError, match=r"is not the file of a driven hand|directory"):
+            with pytest.raises(ConfigError, match=r"is another kind of file|directory"):
                 use(odd)
-    with pytest.raises(ConfigError, match="cannot open the file of a driven hand"):
+    with pytest.raises(ConfigError, match="cannot open this file"):
         SharedHand.open(tmp_path / "missing")
-    with pytest.raises(ConfigError, match="cannot be created"):
+    with pytest.raises(ConfigError, match="cannot create this file"):
         SharedHand.create(tmp_path / "missing" / "hand")
     assert other.read_text() == "x" * SIZE
 
@@ -89,7 +89,7 @@ def test_driven_hand_without_real_time_or_operator_is_refused(tmp_path: Path) ->
     with pytest.raises(ConfigError, match="the experiment has none"), serve_locally(url, rotary_rig()):
         pass
     with (
-        pytest.raises(ConfigError, match="cannot open the file of a driven hand"),
+        pytest.raises(ConfigError, match="cannot open this file"),
         serve_locally(f"{url}less", rotary_rig()),
     ):
         pass

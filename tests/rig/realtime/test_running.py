@@ -97,7 +97,7 @@ def test_only_one_of_several_loops_must_be_named(monkeypatch: pytest.MonkeyPatch
     two = replace(one, pid=one.pid + 1)
     for loops, message in (
         ([], "no loop runs in real time"),
-        ([one, two], rf"2 loops run: {one.pid}, {two.pid}; choose one by its process number \(`pid`\)"),
+        ([one, two], rf"in the processes {one.pid}, {two.pid}; choose one by its process number \(`pid`\)"),
     ):
         monkeypatch.setattr(running, "running", lambda loops=loops: loops)
         with pytest.raises(ConfigError, match=message):

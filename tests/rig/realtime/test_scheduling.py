@@ -481,7 +481,7 @@ def test_a_control_group_without_a_share_of_real_time_refuses_even_root() -> Non
     finally:
         group.rmdir()
     assert found["entered"]["policy"] == "SCHED_OTHER"
-    assert f"control group /{group.name} has no share of real time" in found["messages"][0]
+    assert f"control group /{group.name} may not run real-time tasks" in found["messages"][0]
     assert f"sudo tee {group}/cpu.rt_runtime_us" in found["messages"][0]
 
 
