@@ -1,7 +1,6 @@
-"""Helpers to write checks of a machine or device as functions that return a `Check`.
+"""Helpers to write a check of a computer or device as a function that returns a `Check`.
 
-The packages `rig.doctor`, `rig.firmware` and `rig.experiments` define checks with it. It must not examine
-anything itself.
+`rig.doctor`, `rig.firmware` and `rig.experiments` define their checks with it. It must not examine anything itself.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ Asked = ParamSpec("Asked")
 
 
 def ok(text: str) -> Check:
-    """Return a passed check, which needs no action."""
+    """Return a passed check with this result text."""
     return Check("", Outcome.OK, text)
 
 
@@ -32,12 +31,12 @@ def refused(text: str, remedy: str = "") -> Check:
 
 
 def skipped(text: str) -> Check:
-    """Return a skipped check: its subject could not be examined, or the check was not requested."""
+    """Return a skipped check; `text` says why its subject was not examined."""
     return Check("", Outcome.SKIPPED, text)
 
 
 def question(name: str, why: str = "") -> Callable[[Callable[Asked, Check]], Callable[Asked, Check]]:
-    """Return a decorator that sets name and reason (`why`) in each check that the decorated function returns."""
+    """Return a decorator for functions that return a `Check`: it sets the check's name, and why its result matters."""
 
     def named(answer: Callable[Asked, Check]) -> Callable[Asked, Check]:
         @wraps(answer)

@@ -1,6 +1,6 @@
 """Constants of a rig that its device needs: they are built into the firmware and into simulated devices.
 
-Currents are in quanta and positions in counts, the device's units; only the mechanics are in SI.
+Currents are in quanta and positions in encoder counts, the device's units; only the mechanics are in SI units.
 
 Firmware builds, simulated devices and plans use it. It must not depend on a particular board (`rig.firmware`).
 """
@@ -39,9 +39,9 @@ MOVED_QUANTITIES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedMechanics:
-    """Mechanics in SI from which the device computes how fast a large effort must move the rig.
+    """Mechanics by which the device computes how fast a large effort must move the rig, to detect a stalled motor.
 
-    It is `struct mechanics` of the firmware.
+    The firmware's `struct mechanics` has the same fields.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class MovedMechanics:
     inertia
         Inertia of all moving parts (kg·m² or kg).
     damping
-        Damping of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
+        Viscous damping of a steady motion, with back-EMF under voltage drive (N·m·s/rad or N·s/m).
     lag_s
         Sum of the amplifier's lag and its set-point delay (s).
     """
@@ -71,10 +71,10 @@ class MovedMechanics:
 
 
 def current_sensor(model: RigModel) -> CurrentSensor:
-    """Return the parameters from which the expected measured current follows from the set current.
+    """Return the parameters that predict the measured motor current from the commanded current.
 
-    `noise` is -1, and the currents are not compared, if the device does not measure the current or if a computation
-    delay is simulated, which is not modelled here.
+    `noise` is -1 (no comparison of currents) if the device does not measure the current, or if the simulation has a
+    computation delay, which the prediction does not include.
     """
     amplifier = model.amplifier
     back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum
@@ -90,19 +90,19 @@ def current_sensor(model: RigModel) -> CurrentSensor:
 
 
 def peak_current(model: RigModel) -> int:
-    """Return the largest current of the rig's amplifier (quanta)."""
+    """Return the largest current of the rig's amplifier, in whole current quanta."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     whole = model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
     return int(min(whole, CURRENT_QUANTA_LIMIT))
 
 
 def over_current(model: RigModel) -> int:
-    """Return the measured current (quanta) above which the device reports a fault."""
+    """Return the measured current (quanta) above which the device reports an overcurrent fault."""
     return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
 
 
 def moved_mechanics(model: RigModel) -> MovedMechanics:
-    """Return the mechanics that a device uses to detect a stalled or runaway motor."""
+    """Return the mechanics (SI units) by which a device detects a stalled motor."""
     mechanics, amplifier = model.mechanics, model.amplifier
     return MovedMechanics(
         effort_quantum=amplifier.effort_quantum,
@@ -116,7 +116,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
 
 
 def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
-    """Return the rig's constants that a device's monitors use, as entries of its dictionary."""
+    """Return the rig's constants for the device's monitors (overcurrent, stall), as parts of its dictionary."""
     mechanics = moved_mechanics(model)
     return (
         ConstantInfo("over_current", "quantum", over_current(model)),
@@ -138,7 +138,9 @@ def describe(
     narrower: Mapping[str, tuple[Value, Value]] | None = None,
     settings: Mapping[str, SettingValue] | None = None,
 ) -> dictionaries.Dictionary:
-    """Return the dictionary of a rig's device, with parameter ranges limited by motion, encoder and peak current.
+    """Return the data dictionary of a rig's device: its constants, settings and parameters with their ranges.
+
+    The ranges are limited by motion, encoder and peak current of the rig.
 
     Parameters
     ----------
@@ -180,7 +182,10 @@ def describe(
 
 
 def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Return each parameter whose range differs from the parameter table's, with both bounds as 32-bit numbers."""
+    """Return each parameter whose range in the dictionary differs from `PARAMETERS`, with minimum and maximum.
+
+    Both bounds are the four bytes of the value on the wire, as an unsigned 32-bit number.
+    """
     found: list[tuple[Parameter, int, int]] = []
     for parameter in PARAMETERS:
         info = dictionary.parameter(parameter.name)
@@ -192,7 +197,7 @@ def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, 
 
 
 def _bits(ctype: str, value: Value) -> int:
-    """Return the four bytes of a value in the protocol, as an unsigned number."""
+    """Return the four bytes of a parameter's value on the wire, as an unsigned number."""
     if ctype == "f32":
         (bits,) = struct.unpack("<I", struct.pack("<f", value))
         return int(bits)

@@ -1,8 +1,7 @@
-"""The type of a check: its subject, its outcome, and what to do about it.
+"""Type of a check: the result of one examination, with its outcome and what to do about it.
 
-A plan, the examination of a machine, the self test of a board and the limits of an excitation consist of checks.
-
-Every package that examines or refuses something returns checks. This file must not examine anything itself.
+A plan, the examination of a computer, a board's self test and the limits of an excitation consist of checks. Every
+package that examines or refuses something returns checks. This file must not examine anything itself.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from rig.core.errors import PlanError
 
 
 class Outcome(StrEnum):
-    """Outcome of a check."""
+    """Outcome of a check: ok, warning, refused (failed) or skipped."""
 
     OK = "ok"
     WARNING = "warning"  # it works, less well or less surely
@@ -55,17 +54,17 @@ class Check:
 
     @property
     def sentence(self) -> str:
-        """Return text and remedy as one message."""
+        """Return the check's result and remedy as one message."""
         return ". ".join(filter(None, (self.text, self.remedy)))
 
 
 def refused(checks: Iterable[Check]) -> tuple[Check, ...]:
-    """Return the checks whose outcome is REFUSED."""
+    """Return those of `checks` that failed (outcome REFUSED), in their order."""
     return tuple(check for check in checks if check.outcome is Outcome.REFUSED)
 
 
 def refuse(checks: Iterable[Check]) -> None:
-    """Raise `PlanError` with texts and remedies of all refused checks; do nothing if there is no refused check."""
+    """Raise `PlanError` with the texts and remedies of all failed checks; do nothing if no check failed."""
     if found := refused(checks):
         raise PlanError(
             "; ".join(f"{check.name}: {check.text}" for check in found),

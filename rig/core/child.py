@@ -1,6 +1,6 @@
-"""Paths of other programs, and environment of child processes of this package.
+"""Find programs to start, and set the environment of child processes of this package.
 
-Packages that start a compiler, git or a process of `rig` call it. It must not start anything itself.
+Packages that start a compiler, git or a process of `rig` use it. It must not start anything itself.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from pathlib import Path
 
 
 def with_this_package() -> dict[str, str]:
-    """Return the environment for a child process that imports this package from the same place as this process."""
+    """Return environment variables for a child process that must import this package from the same directory."""
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
 
 def installed_path() -> str:
-    """Return ``PATH`` without relative entries, so that no file of the current directory is started as a program."""
+    """Return ``PATH`` without relative directories, so that no program is started from the current directory."""
     places = os.environ.get("PATH", os.defpath).split(os.pathsep)
     return os.pathsep.join(place for place in places if os.path.isabs(place))
 
 
 def find_program(name: str) -> str | None:
-    """Return the path of a program in `installed_path`, None if it is missing; `name` may also be a path.
+    """Return the path of a program in `installed_path`; None if it is not installed. `name` may also be a path.
 
     Start the program with `installed_path` as its ``PATH``: a compiler finds its linker there.
     """

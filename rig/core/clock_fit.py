@@ -1,16 +1,17 @@
-"""Fit of host clock against device clock: a line through exchanges of four time stamps, with its uncertainty.
+"""Fit the host's clock against the device's clock: a line through exchanges of four time stamps, with its uncertainty.
 
-An exchange is host_sent → device_received → device_sent → host_received. The offset host − device is the mean of
-host_sent − device_received and host_received − device_sent. It is wrong by half the difference of the two transit
-times, which is at most half of the round trip. Exchanges with a short round trip have more weight:
+An exchange is host_sent → device_received → device_sent → host_received. Its offset, host clock − device clock, is the
+mean of host_sent − device_received and host_received − device_sent. Its round trip is (host_received − host_sent) −
+(device_sent − device_received). The offset is wrong by half the difference of the transit times in the two directions,
+which is at most half of the round trip. Exchanges with a short round trip have more weight:
 
 * the excess of an exchange is its round trip minus the least round trip. Its offset is uncertain by half the excess,
   and by half of the time that the fastest exchange may itself have waited: this is taken as the excess of the √n-th
   fastest of n exchanges, or as 1/n of the least round trip if that is more;
-* the model of the offset is a line in device time plus a share of the excess; if all delay is in one direction, the
-  share is ± ½;
-* the drift has a prior of 0 ± 100 ppm (two ordinary crystals), and the share has a prior of 0 ± 0.29 (uniform within
-  ± ½). After one exchange, or several at nearly the same time, the drift is still 0 ± 100 ppm; after exchanges over a
+* the model of the offset is a line in device time plus a fraction (the share) of the excess; if all delay is in one
+  direction, the share is ± ½;
+* the drift has a prior of 0 ± 100 ppm (two ordinary crystals), and the share has a prior of 0 ± 0.29 (uniform within ±
+  ½). After one exchange, or several at nearly the same time, the drift is still 0 ± 100 ppm; after exchanges over a
   second the measurement dominates.
 
 An exchange is rejected when it is
@@ -18,15 +19,15 @@ An exchange is rejected when it is
 1. impossible: a clock ran backwards within it, its round trip is shorter than the stamps can resolve, or a stamp is
    invalid (negative, or more than 18 years);
 2. slow: its excess is above `SLOW` times the median excess;
-3. off the line: its distance from a line is more than `OFF_LINE` times its uncertainty. The line is first that of the
-   median slope and height of the fastest exchange in each interval of time, then the fit. This detects stamps of two
-   different exchanges, and a clock that was set.
+3. off the line: its distance from a line is more than `OFF_LINE` times its uncertainty. The first line is a robust one,
+   with median slope and height of the fastest exchange in each interval of time; the next lines are the fits. This
+   detects stamps of two different exchanges, and a clock that was set.
 
 The two directions may differ: `asymmetry_bound_ns`, half of the least round trip, is a bound beside the standard
 uncertainties, not a part of them. One line serves one trial.
 
-References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope);
-R. T. Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
+References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope); R. T.
+Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
 
 Devices, trials, the timing of recordings and the extra for Lab Streaming Layer call it. It must not read a clock or
 exchange anything itself.
@@ -79,7 +80,7 @@ class ClockFit:
     offset_ns
         Host clock minus device clock at the reference.
     drift_ppm
-        Rate at which this difference grows; negative when the device's clock runs fast.
+        Rate at which host clock minus device clock grows; negative when the device's clock runs fast.
     offset_sd_ns, drift_sd_ppm
         Standard uncertainties, without the error by different transit times in the two directions.
     asymmetry_bound_ns
@@ -87,7 +88,8 @@ class ClockFit:
     round_trip_ns
         Least round trip without the time on the device.
     share
-        Part of the excess of a round trip that occurs on the way to the device, minus ½: −½ if only the way back waits.
+        Part of a round trip's excess delay that occurs on the way to the device, minus ½: −½ if only the way back
+        waits.
     residual_rms_ns
         Weighted rms distance of the exchanges from the fit.
     span_ns
@@ -110,29 +112,34 @@ class ClockFit:
     rejected: int
 
     def host_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the host times of device times (ns), exact to a nanosecond for any uptime of the device."""
+        """Convert times of the device clock (ns) to the host clock (ns), rounded to whole nanoseconds."""
         # Whole numbers, and floats for the small drift part alone: 2^53 ns, the last exact float, are 104 days.
         since: _Ints = np.asarray(device_ns, np.int64) - self.reference_ns
         return since + (self.reference_ns + self.offset_ns) + _round(since, self.drift_ppm * 1e-6)
 
     def device_of(self, host_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the device times of host times (ns): the inverse of `host_of`, to a nanosecond."""
+        """Convert times of the host clock (ns) to the device clock (ns): the inverse of `host_of` within 1 ns."""
         since: _Ints = np.asarray(host_ns, np.int64) - (self.reference_ns + self.offset_ns)
         drift = self.drift_ppm * 1e-6
         return since + self.reference_ns - _round(since, drift / (1.0 + drift))
 
     def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the standard uncertainty of `host_of` (ns), without asymmetry; it grows away from the reference."""
+        """Return the standard uncertainty (ns) of the host time for each device time (ns), smallest at the reference.
+
+        An error by different transit times in the two directions is not included (`asymmetry_bound_ns`).
+        """
         since = np.asarray(device_ns, np.int64) - self.reference_ns
         # Independent uncertainties add in squares.
         return np.asarray(np.hypot(self.offset_sd_ns, since * (self.drift_sd_ppm * 1e-6)), np.float64)
 
     def rows(self) -> list[Row]:
-        """Return rows with offset, drift and their uncertainties, to print."""
-        doubt = f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
+        """Return offset, drift and round trip of the clocks with their uncertainties, as rows to print."""
+        asymmetry_note = (
+            f"and at most {duration(self.asymmetry_bound_ns)} if the two directions take different times"
+        )
         offset = f"{self.offset_ns * 1e-9:.9f} s ± {duration(self.offset_sd_ns)}"
         return [
-            Row("clock offset", offset, note=doubt),
+            Row("clock offset", offset, note=asymmetry_note),
             Row("clock drift", f"{self.drift_ppm:.2f} ± {self.drift_sd_ppm:.2g} ppm"),
             Row("round trip", f"{duration(self.round_trip_ns)} at least"),
             Row("exchanges", self.used, note=f"over {duration(self.span_ns)}, {self.rejected} rejected"),
@@ -140,7 +147,7 @@ class ClockFit:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Return the fit from a mapping that `rig.core.present.plain` made of it; other keys are ignored.
+        """Return the clock fit that a recording contains as JSON types (`rig.core.present.plain`); ignore other keys.
 
         Raise `RecordingError` if a value is missing, not a number, or out of the range of a clock.
         """
@@ -148,7 +155,7 @@ class ClockFit:
             kinds = {"int": int, "float": float}
             found = cls(**{f.name: kinds[str(f.type)](mapping[f.name]) for f in fields(cls)})
             if not all(abs(getattr(found, f.name)) < 1 << 62 for f in fields(cls)):  # sums of two fit 64 bits
-                raise ValueError("a number is out of range")
+                raise ValueError("a number of the clock fit is not between -2^62 and 2^62")
             return found
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise RecordingError(
@@ -158,12 +165,14 @@ class ClockFit:
 
 
 def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
-    """Return an array of `EXCHANGE` from lists of four stamps (ns), as they are in a recording's trailer."""
+    """Return an array of dtype `EXCHANGE` from lists of four time stamps (ns), the form in a recording's trailer."""
     return np.array([tuple(int(stamp) for stamp in four) for four in stamps], EXCHANGE)
 
 
 def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRIOR_PPM) -> ClockFit:
-    """Return the fit of host clock against device clock, by the method in the module's docstring.
+    """Fit a line to host clock minus device clock over device time, from exchanges of four time stamps.
+
+    Exchanges with a long round trip have less weight or are rejected; the head of this file describes the method.
 
     Parameters
     ----------
@@ -177,10 +186,10 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     RigError
         No exchange can be used, or the rates of the clocks differ by more than `IMPOSSIBLE_PPM`.
     """
-    usable = exchanges[_possible(exchanges)]
+    usable = exchanges[_find_possible(exchanges)]
     if not len(usable):
         raise RigError(
-            f"none of {len(exchanges)} clock exchanges is usable",
+            f"none of {len(exchanges)} clock exchanges with the device has possible time stamps",
             remedy="check that the link works, then measure again; if the device's time stamps run "
             "backwards, report a fault of the firmware",
         )
@@ -190,7 +199,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     line = _fit(points, keep, drift_prior_ppm)
     if line.least_drift_ppm > IMPOSSIBLE_PPM:
         raise RigError(
-            f"the device's clock is off by {line.least_drift_ppm * 1e-4:.2g} % against this computer's",
+            f"the rates of the device's clock and this computer's clock differ by {line.least_drift_ppm * 1e-4:.2g} %",
             remedy="simulated board: end other programs, this computer is too busy to simulate it; real "
             "board: its firmware states a wrong unit of time, report it",
         )
@@ -201,11 +210,11 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
             break
         keep = nearer
         line = _fit(points, keep, drift_prior_ppm)
-    return _result(points, keep, line, len(exchanges))
+    return _to_clock_fit(points, keep, line, len(exchanges))
 
 
 def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
-    """Return `fit_clock` of the exchanges, or None if it raises an error."""
+    """Return the fit of host clock against device clock (`fit_clock`); None if the exchanges do not allow a fit."""
     try:
         return fit_clock(exchanges)
     except RigError:
@@ -214,7 +223,10 @@ def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    """Exchanges: device time and host time (s) and offset (ns), each from its own origin, and round trip (ns)."""
+    """Exchanges as arrays for the fit: device time, host time (s), offset host − device, round trip (ns).
+
+    Times and offset count from their own origins (ns): floating point needs small numbers.
+    """
 
     time_origin: int
     offset_origin: int
@@ -234,13 +246,13 @@ class _Points:
         return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
 
     def excess(self, keep: _Mask) -> _Floats:
-        """Return the excess of each round trip over the least one of the selected exchanges (ns)."""
+        """Return the round trip of each exchange minus the least one of the exchanges in `keep` (ns, at least 0)."""
         return np.asarray(np.maximum(self.trip - self.trip[keep].min(), 0), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClockLine:
-    """Fitted offset (ns), drift (ns/s) and share, with their covariance.
+    """Fitted offset (ns), drift (ns/s) and share of the excess delay, with their covariance.
 
     `scale` is the factor by which large residuals widened the uncertainties, `least_drift_ppm` a lower bound of the
     drift's magnitude that does not depend on its prior.
@@ -259,7 +271,7 @@ class _ClockLine:
         return np.asarray(points.offset - (offset + drift * points.time + share * excess), np.float64)
 
 
-def _possible(e: NDArray[np.void]) -> _Mask:
+def _find_possible(e: NDArray[np.void]) -> _Mask:
     stamps = np.stack([e[name] for name in EXCHANGE.names or ()])
     e = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), e, _NO_EXCHANGE)
     on_device, away = e["device_sent"] - e["device_received"], e["host_received"] - e["host_sent"]
@@ -272,7 +284,7 @@ def _not_slow(points: _Points, keep: _Mask) -> _Mask:
 
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
-    """Return the standard uncertainty of each offset that follows from its round trip (ns)."""
+    """Return the standard uncertainty (ns) of each exchange's offset, which grows with its round trip."""
     excess = points.excess(keep)
     fast = np.sort(excess[keep])
     number = len(fast)
@@ -281,9 +293,10 @@ def _sigma(points: _Points, keep: _Mask) -> _Floats:
 
 
 def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
-    """Return height (ns) and slope (ns/s) of a line, by medians over the fastest exchange of each interval of time.
+    """Return height (ns) and slope (ns/s) of a robust line of offset over host time, by medians.
 
-    The line is over host time; its slope differs from a slope over device time only by its own square.
+    Only the fastest exchange of each interval of time is used. The slope over host time differs from the slope over
+    device time only by its own square.
     """
     # Of the host's time: the device's stamps are not checked yet, and may belong to two exchanges.
     chosen = np.flatnonzero(keep)
@@ -304,9 +317,9 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
-    """Return a mask of the exchanges near a line: within `OFF_LINE` times their scaled uncertainty.
+    """Return a mask of the exchanges within `OFF_LINE` scaled uncertainties of a line of offset over host time.
 
-    The scale follows from the median of the residuals.
+    The scale follows from the median of the residuals. `height` is in ns, `slope` in ns/s.
     """
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
     # 1.4826 times the median of magnitudes is the standard deviation of a normal distribution.
@@ -316,7 +329,7 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
 
 
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
-    """Return the line by weighted regression with priors; large residuals widen its uncertainties."""
+    """Return the line of offset over device time by weighted regression with priors, and its uncertainties."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
     # Time from its weighted centre: offset and drift are then nearly independent, and the matrix well conditioned.
@@ -342,14 +355,17 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
 
 
 def _solve(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
-    """Return solution and covariance of normal equations with a prior; they are scaled to be well conditioned."""
+    """Return solution and covariance of the normal equations of a regression with prior weights.
+
+    `normal` and `right` are divided by `scale`²; the matrix is scaled to be well conditioned.
+    """
     matrix = normal / scale**2 + np.diag(prior)
     unit = 1.0 / np.sqrt(np.diag(matrix))
     covariance = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
     return covariance @ right / scale**2, covariance
 
 
-def _result(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> ClockFit:
+def _to_clock_fit(points: _Points, keep: _Mask, line: _ClockLine, total: int) -> ClockFit:
     offset, drift, share = line.values
     var, cross, var_drift = line.covariance[0, 0], line.covariance[0, 1], line.covariance[1, 1]
     reference_s = -cross / var_drift  # there offset and drift are independent

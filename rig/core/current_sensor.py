@@ -1,4 +1,4 @@
-"""Parameters from which the expected measured current follows; host and device use the same numbers.
+"""Parameters that predict the measured motor current from the commanded one; host and device use the same numbers.
 
 `rig.core.board` computes them; the loop and the C board use them. It must not import the description of a rig, because
 a loop loads only this file.
@@ -13,14 +13,14 @@ SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurrentSensor:
-    """Parameters from which the expected measured current follows (`rig.control.current`).
+    """Parameters that predict the measured motor current from the commanded current (`rig.control.current`).
 
-    It is `struct current_sensor` of the firmware.
+    The firmware's `struct current_sensor` has the same fields.
 
     Attributes
     ----------
     noise
-        Noise of a measurement (quanta, rms), including its quantisation and, with back-EMF, that of the count;
+        Noise of a measurement (quanta, rms), including its quantisation and, with back-EMF, that of the encoder count;
         negative: the currents are not compared.
     lag_s
         Time constant of the first-order lag from the set current to the motor current (s).

@@ -3,7 +3,8 @@
 `from rig.core.deferred import signal` at the top of a file costs nothing; `signal.csd(…)` loads scipy.signal, which
 takes most of a second. So a command loads only the libraries that it uses, and imports stay at the top of each file.
 
-Files of all packages import heavy libraries from it. It must not import a library before one of its names is used.
+Files of all packages import heavy libraries from here. This file must not import a library before one of its names is
+used.
 """
 
 from __future__ import annotations

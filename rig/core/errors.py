@@ -1,7 +1,7 @@
-"""Errors of the package; each class stands for one way to react, and has its own exit code.
+"""Errors of the package; each class corresponds to one reaction of the user, and most have their own exit code.
 
-An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit
-with `exit_code`.
+An error has a message (what is wrong) and a remedy (what to do about it); commands print both on one line and exit with
+`exit_code`.
 
 Every package raises them, and commands and pages show them. This file must not import another module of the package, so
 that any module can import it.
@@ -34,7 +34,7 @@ class RigError(Exception):
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return message, kind, remedy and recording as plain values, for JSON."""
+        """Return message, error class, remedy, recording, warnings and exit code as JSON types."""
         return {
             "error": self.message,
             "kind": type(self).__name__,
@@ -52,23 +52,23 @@ class ConfigError(RigError):
 
 
 class PlanError(ConfigError):
-    """A valid experiment must not run, because a limit, a rate or a wall cannot be realised."""
+    """An experiment is valid but must not run, because a limit, a rate or a wall cannot be realised."""
 
 
 class DeviceNotFoundError(RigError):
-    """A port or backend does not exist, or is in use: plug the device in, free the port, or name another."""
+    """A port or backend does not exist, or is in use: plug the device in, free the port, or name another port."""
 
     exit_code = 3
 
 
 class IncompatibleDeviceError(RigError):
-    """The device has another protocol version or lacks a capability: flash it, or install another version."""
+    """The device has another protocol version or lacks a capability: flash it, or install another haptic-rig."""
 
     exit_code = 4
 
 
 class DeviceRefusedError(RigError):
-    """The device refused a request; `status` is the reason (`firmware_protocol.faults.Status`), 0 if it has none."""
+    """The device refused a request; `status` is its reason (`firmware_protocol.faults.Status`), 0 without a reason."""
 
     exit_code = 5
 
@@ -78,7 +78,7 @@ class DeviceRefusedError(RigError):
 
 
 class LinkLostError(RigError):
-    """The device does not reply any more or is gone; its own watchdog has set the effort to zero.
+    """The device does not reply any more or is unplugged; its own watchdog has set the effort to zero.
 
     `statistics` holds the counters of the link, `rows` the last rows of the loop (`rig.core.sample.ROW`) or None.
     """
@@ -92,37 +92,40 @@ class LinkLostError(RigError):
 
 
 class UnpluggedError(LinkLostError):
-    """The device is gone from the bus, or its port hung up."""
+    """The device has disappeared from the USB bus, or the system has closed its serial port."""
 
 
 class StalledError(LinkLostError):
-    """The device halted its endpoint until it is opened again."""
+    """The device has halted (stalled) its USB endpoint, until the device is opened again."""
 
 
 class BlockedError(LinkLostError):
-    """The line is up but accepts no more bytes."""
+    """The link to the device is up but accepts no more bytes."""
 
 
 class OverflowedError(LinkLostError):
-    """More bytes arrived at once than were requested, or than there was room for."""
+    """The device sent more bytes at once than were requested or than the buffer could take."""
 
 
 class CutShortError(LinkLostError):
-    """The device accepted only part of what was sent."""
+    """The device accepted only a part of the bytes that were sent."""
 
 
 class BrokenLineError(LinkLostError):
-    """Bits are corrupted in transit: the line itself reports errors."""
+    """The link reports corrupted bits, for example parity or framing errors."""
 
 
 class DeviceFaultError(LinkLostError):
-    """The device latched a fault and cut the effort; `statistics` and `rows` as in `LinkLostError`."""
+    """The device detected a fault and set the effort to zero until it is armed again.
+
+    `statistics` holds the counters of the link, `rows` the last rows of the loop or None.
+    """
 
     exit_code = 7
 
 
 class GuardError(RigError):
-    """The guard ended the run: window, speed, energy or homing; the effort was set to zero first."""
+    """The run ended because a limit of position, speed, energy or homing time was exceeded; the effort is zero."""
 
     exit_code = 10
 
@@ -134,7 +137,7 @@ class LawError(RigError):
 
 
 class RecordingError(RigError):
-    """A recording cannot be written or read; rows that were written before stay on disk."""
+    """A recording cannot be written or read; rows that were written before remain on disk."""
 
     exit_code = 9
 
@@ -158,7 +161,7 @@ class ToolchainError(RigError):
 
 
 class RunEndedError(RigError):
-    """A change of a run's parameters has no effect, because the run has ended."""
+    """New parameters for a run have no effect, because the run has ended."""
 
     exit_code = 16
 
@@ -170,15 +173,15 @@ class UnexpectedVerdictError(RigError):
 
 
 class NoStableWallError(RigError):
-    """A design found no sampling scheme with a stable wall whose damping is rendered, and recommends no scheme."""
+    """A design found no sampling scheme that renders the wall's damping in a stable way, and recommends no scheme."""
 
     exit_code = 18
 
 
 class StoppedError(RigError):
-    """A person stopped the run; the effort is zero and the recording closed.
+    """A person stopped the run; the effort is zero and the recording is closed.
 
-    `signal` is the number of the signal that stopped it; None after `rig stop`, `rig.stop` or a missing heartbeat.
+    `signal` is the number of the signal that stopped the run; None after `rig stop`, `rig.stop` or a missing heartbeat.
     """
 
     exit_code = 130

@@ -1,9 +1,7 @@
 """Matrix exponential: the exact transition matrix of a linear system over a time.
 
-`scipy.linalg.expm` computes it too, but takes 0.1 s to load, which every simulated device would spend on one small
-matrix.
-
-Theory, experiments and simulated plants call it. It must not import scipy.
+Theory, experiments and simulated plants use it. It must not import scipy: `scipy.linalg.expm` takes 0.1 s to load,
+which every simulated device would spend on one small matrix.
 """
 
 from __future__ import annotations
@@ -18,11 +16,12 @@ _POWERS = (4, 5)  # 4·3 is less than the terms
 
 
 def expm(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(matrix) by scaling and squaring: the Taylor series of matrix / 2ⁿ, squared n times.
+    """Return exp(matrix) of a square matrix by scaling and squaring: the Taylor series of matrix / 2ⁿ, squared n times.
 
-    n is chosen from the norms of powers of the matrix, not from its own norm: these hardly depend on the units of the
-    rows, and each squaring costs precision (Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009).
+    Source of the choice of n: Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009.
     """
+    # From the norms of powers, not of the matrix itself: powers hardly depend on the units of the rows, and each
+    # squaring costs precision.
     norm = max(np.linalg.norm(np.linalg.matrix_power(matrix, p), 1) ** (1 / p) for p in _POWERS)
     squarings = max(0, math.frexp(norm)[1] + 1)
     part = matrix / 2.0**squarings

@@ -1,7 +1,7 @@
 """Find the commands, schemes and other parts that extras add to the core, by listing the folder ``rig/extras``.
 
-An extra is a package there with a ``table.json``: its commands, URL schemes and so on by their names, each with a
-target ``module:attribute`` that is imported on use. A package of `rig` can have such a table for lower packages.
+An extra is a package in that folder with a ``table.json``: its commands, URL schemes and so on by their names, each
+with a target ``module:attribute`` that is imported on use. A package of `rig` can have such a table for lower packages.
 Packages that can be extended look names up here; this file must not import an extra, or contain the name of one.
 
 An extra whose table cannot be read is broken: a name that it may have added is refused with the reason, and nothing of
@@ -34,7 +34,7 @@ _REMEDY = "install haptic-rig again"
 
 
 class ExtraRow(NamedTuple):
-    """Entry that an extra adds under a name, with the other keys of its row."""
+    """One part (command, URL scheme, …) that an extra adds: its name, its import target, and further keys."""
 
     name: str
     target: str
@@ -43,7 +43,7 @@ class ExtraRow(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """Table of an extra or of a package: its rows by kind and name, or the reason why it cannot be read."""
+    """Parts that one extra or package adds, by kind and name; `broken` is the reason why its table is not readable."""
 
     owner: str
     folder: str
@@ -53,7 +53,7 @@ class ExtraTable(NamedTuple):
 
 @cache
 def tables() -> tuple[ExtraTable, ...]:
-    """Return the tables of packages and of all extras, including broken ones."""
+    """Return the table of each package and each extra that adds parts, including broken tables."""
     found: list[ExtraTable] = []
     for folder in _folders():
         table = _read(folder)
@@ -69,7 +69,7 @@ def tables() -> tuple[ExtraTable, ...]:
 
 
 def added(kind: str) -> dict[str, ExtraRow]:
-    """Return all rows of a kind by name, without those of broken extras."""
+    """Return all parts of one kind (a key of `KINDS`) by name, without those of broken extras."""
     return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
 
 
@@ -79,18 +79,21 @@ def broken() -> dict[str, str]:
 
 
 def find(kind: str, name: str, extra: str = "") -> ExtraRow:
-    """Return the row of a name; raise `ConfigError` if no extra has it. `extra` is the extra that should have it."""
+    """Return the part with this kind and name; raise `ConfigError` if no extra adds it.
+
+    `extra` is the extra that should add the part, for the message.
+    """
     rows = added(kind)
     if name in rows:
         return rows[name]
     reasons = {owner: why for owner, why in broken().items() if extra in ("", owner)}
     problem = "; ".join(f"the extra {owner} is broken: {why}" for owner, why in reasons.items())
     missing = "no installed extra has it" + (f", it belongs to the extra {extra}" if extra else "")
-    raise ConfigError(f"{KINDS[kind]} {name}: {problem or missing}", remedy=_REMEDY)
+    raise ConfigError(f"cannot find the {KINDS[kind]} {name}: {problem or missing}", remedy=_REMEDY)
 
 
 def load(kind: str, name: str) -> Any:
-    """Import and return the target of a name; raise `ConfigError` if no extra has the name or the import fails."""
+    """Import and return the object that an extra adds under a name; raise `ConfigError` if it is missing or fails."""
     row = find(kind, name)
     try:
         return resolve_name(row.target)
@@ -98,7 +101,7 @@ def load(kind: str, name: str) -> Any:
         raise
     except Exception as error:
         raise ConfigError(
-            f"{KINDS[kind]} {name}: the extra {row.extra} does not load ({row.target}): {error}",
+            f"{KINDS[kind]} {name}: cannot import {row.target} of the extra {row.extra}: {error}",
             remedy=_REMEDY,
         ) from error
 
@@ -120,14 +123,16 @@ def _read(folder: str) -> ExtraTable:
     try:
         with open(path, encoding="utf-8") as file:
             content = json.load(file)
-        return ExtraTable(owner, folder, {kind: _rows(kind, rows, owner) for kind, rows in content.items()})
+        return ExtraTable(
+            owner, folder, {kind: _parse_rows(kind, rows, owner) for kind, rows in content.items()}
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         return ExtraTable(owner, folder, broken=f"{path}: {error!r}")
 
 
-def _rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, ExtraRow]:
+def _parse_rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, ExtraRow]:
     if kind not in KINDS:
-        raise ValueError(f"unknown kind {kind!r}, known are {', '.join(KINDS)}")
+        raise ValueError(f"unknown kind of part {kind!r}; the known kinds are {', '.join(KINDS)}")
     found = {}
     for name, row in rows.items():
         more = dict(row)

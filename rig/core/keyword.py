@@ -1,4 +1,4 @@
-"""Value that users give by name: an argument in Python, an option of a command, a field of a page's request.
+"""Declare a value that users give by name: an argument in Python, an option of a command, a field of a page's request.
 
 The field of a request declares it once: ``Annotated[int, Ge(1), Keyword("How many hits.", key="trial.repeats")]``. Code
 that checks, explains or asks for the value reads type, range, default and text there.
@@ -24,7 +24,7 @@ class Keyword:
     Attributes
     ----------
     key
-        Dotted key of the experiment that it changes; empty for a field of the request itself.
+        Dotted key of the experiment that the value changes; empty for a field of the request itself.
     names
         Names of the command-line option; if empty, the name of the field.
     group
@@ -49,7 +49,7 @@ class Keyword:
 
 @cache
 def keywords(request: type) -> Mapping[str, Keyword]:
-    """Return the `Keyword` of each field of a dataclass or TypedDict that has one, by field name, in order."""
+    """Return the `Keyword` of each field of a dataclass or TypedDict, by field name; fields without it are left out."""
     defaults = {one.name: one.default for one in fields(request)} if is_dataclass(request) else {}
     found = {}
     for name, hint in get_type_hints(request, include_extras=True).items():

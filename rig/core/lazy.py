@@ -1,6 +1,6 @@
-"""Public names of a package, listed only in the stub beside its ``__init__`` and loaded on first use.
+"""Public names of a package, listed only in the stub file beside its ``__init__.py`` and loaded on first use.
 
-A type checker and an editor read the stub (``__init__.pyi``). Here its lines ``from module import name as alias`` are
+A type checker and an editor read the stub (``__init__.pyi``). Its lines ``from module import name as alias`` are also
 the table from which the package resolves attributes. So stub and package cannot differ, and an import loads nothing.
 
 `rig` and `rig.testing` use it, and the documentation build reads the tables. It must not import a module that would
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 
 def public_names(init: str) -> dict[str, tuple[str, str]]:
-    """Return, by public name, the module and the name in it, from the stub of the package with this ``__init__.py``.
+    """Return (module, name in the module) by public name, from the stub of the package with this ``__init__.py``.
 
-    Names of an extra that is not installed are omitted.
+    Names of an extra that is not installed are left out.
     """
     table = {}
     with open(f"{init}i", encoding="utf-8") as stub:
@@ -34,13 +34,13 @@ def public_names(init: str) -> dict[str, tuple[str, str]]:
 
 
 def _is_installed(module: str) -> bool:
-    """Return False if a module belongs to an extra whose folder does not exist; other modules are not checked."""
+    """Return False if a module belongs to an extra whose folder does not exist, else True without a check."""
     _, *parts = module.split(".")
     return parts[:1] != ["extras"] or os.path.isdir(os.path.join(_ROOMS, *parts[:2]))
 
 
 def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:
-    """Return a function ``__getattr__`` for a package that loads the names in `table` on first use."""
+    """Return a function ``__getattr__`` for a package; it imports a name of `table` (module, name) on first use."""
 
     def loaded(name: str) -> Any:
         if name not in table:

@@ -1,6 +1,6 @@
 """Lock open files between processes; a lock ends with its process: flock(2), or LockFile on Windows.
 
-Devices, recordings, shared memory of `rig.realtime` and scratch directories call it. It must not wait for a lock, nor
+Devices, recordings, shared memory of `rig.realtime` and scratch directories use it. It must not wait for a lock, nor
 write to or remove the file.
 """
 
@@ -24,7 +24,7 @@ if sys.platform == "win32":
             os.lseek(descriptor, before, os.SEEK_SET)
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; return False if another process holds the lock. Raise `OSError` without support of locks."""
+        """Lock an open file; return False if another process has locked it; raise `OSError` without lock support."""
         try:
             _call(descriptor, msvcrt.LK_NBLCK)
         except PermissionError:
@@ -32,14 +32,14 @@ if sys.platform == "win32":
         return True
 
     def unlock(descriptor: int) -> None:
-        """Release the lock before the file is closed."""
+        """Release the lock of an open file."""
         _call(descriptor, msvcrt.LK_UNLCK)
 
 else:
     import fcntl
 
     def lock(descriptor: int) -> bool:
-        """Lock a file; return False if another process holds the lock. Raise `OSError` without support of locks."""
+        """Lock an open file; return False if another process has locked it; raise `OSError` without lock support."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -47,12 +47,12 @@ else:
         return True
 
     def unlock(descriptor: int) -> None:
-        """Release the lock before the file is closed."""
+        """Release the lock of an open file."""
         fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def is_locked(path: str | os.PathLike[str]) -> bool:
-    """Return True if a process holds the lock of a file; only systems other than Linux lock it briefly to test."""
+    """Return True if a process has locked the file; on systems other than Linux, test by a short lock."""
     try:
         # Read and not tried: to take the lock even for a moment would make another process's attempt fail.
         if sys.platform == "linux":

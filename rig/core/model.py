@@ -1,8 +1,8 @@
 """Physics of a rig as data: mechanics, amplifier, encoder, and the continuous state space model that follows.
 
-This file does no time stepping: `sim_backend.mechanics.plant` discretises and simulates this model, and theory uses
-the same matrices. Everything is reflected to the link (the moving side that a person holds), in SI units; for
-a linear rig read mass for inertia and force for effort.
+This file does no time stepping: `sim_backend.mechanics.plant` discretises and simulates this model, and theory uses the
+same matrices. Everything is referred to the link (the moving side that a person holds), in SI units; for a linear rig
+read mass for inertia and force for effort.
 
 State of the continuous model, in this order:
 
@@ -10,9 +10,9 @@ State of the continuous model, in this order:
 * rigid: position, velocity, motor effort
 * coupled to a person's hand: hand position and hand velocity after the others
 
-Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for
-each mass; with a person then the intended position, the intended velocity and the press on the hand. Saturation,
-gravity and computation delay are no part of the matrices.
+Inputs, in this order: commanded effort, external effort on the link, then one Coulomb friction effort for each mass;
+with a person then the intended position, the intended velocity and the press force on the hand. Saturation, gravity and
+computation delay are no part of the matrices.
 
 Theory, identification, experiment files, devices, firmware, drives and the simulation read it. They index the matrices
 by the order of states and inputs, so a change of this order must include all of them.
@@ -36,7 +36,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mechanics:
-    """Mechanics of a rig, all referred to the link: inertias, the transmission between them, and friction."""
+    """Mechanics of a rig, referred to the link: inertias, friction, and the transmission between motor and link."""
 
     structure: Annotated[
         Literal["rigid", "two-mass"],
@@ -74,17 +74,21 @@ class Mechanics:
 
     @property
     def loaded_link_inertia(self) -> float:
-        """Return the link inertia including the end mass (kg·m² or kg)."""
+        """Return the inertia of link and end mass (kg·m² or kg)."""
         return self.link_inertia + self.end_mass * self.handle_radius**2
 
     @property
     def gravity_effort(self) -> float:
-        """Return the constant effort of the end mass's weight on the link (N·m or N), positive along the motion."""
+        """Return the constant effort (N·m or N) of the end mass's weight on the link, positive along the motion."""
         return self.end_mass * self.gravity * self.handle_radius
 
     @property
     def transmission_damping(self) -> float:
-        """Return the damping across the capstan (N·m·s/rad or N·s/m), from the free-free mode's damping ratio."""
+        """Return the viscous damping between motor and link (N·m·s/rad or N·s/m).
+
+        It follows from `transmission_damping_ratio`, the damping ratio of the mode in which motor and link oscillate
+        freely.
+        """
         # Without the end mass: a mass on the handle changes no property of the cable.
         reduced = self.motor_inertia * self.link_inertia / (self.motor_inertia + self.link_inertia)
         return 2.0 * self.transmission_damping_ratio * math.sqrt(self.transmission_stiffness * reduced)
@@ -138,7 +142,7 @@ class Amplifier:
 
     @property
     def effort_quantum(self) -> float:
-        """Return the effort of one current quantum (N·m or N)."""
+        """Return the effort (N·m or N) of one current quantum, the smallest step of the commanded current."""
         return self.effort_per_ampere * self.current_quantum_a
 
     @property
@@ -147,17 +151,18 @@ class Amplifier:
         return self.back_emf_damping if self.drive == "voltage" else 0.0
 
     def set_point_ticks(self, tick_s: float) -> int:
-        """Return the set-point delay in ticks of `tick_s` (s), rounded up."""
+        """Return the delay from a set-point to the amplifier's response in ticks of `tick_s` (s), rounded up."""
         # Without the margin 250 µs in ticks of 50 µs would be 6: the quotient of two decimals is 5.000…1.
         return math.ceil(self.set_point_delay_s / tick_s - 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cogging:
-    """Cogging: effort of the motor that depends only on its position, as a sum of harmonics, referred to the link.
+    """Cogging and torque ripple of the motor, as sums of harmonics over position, referred to the link.
 
-    effort(x) = Σ cosine·cos(order·2π·x/period) + sine·sin(order·2π·x/period). Slots against magnets cog like this, and
-    any periodic map of effort over position can be written so. Without orders there is no cogging.
+    Cogging is an effort that depends only on position x: effort(x) = Σ cosine·cos(order·2π·x/period) +
+    sine·sin(order·2π·x/period). Slots against magnets cog like this, and any periodic map of effort over position can
+    be written so. Without orders there is no cogging.
 
     Ripple is a variation of the torque constant: the motor's effort is (1 + r(x)) times the commanded effort, where r
     is a sum of harmonics of the same orders. Without ripple coefficients, r is 0.
@@ -197,12 +202,15 @@ class Cogging:
 
     @property
     def harmonics(self) -> NDArray[np.float64]:
-        """Return wavenumber (rad per rad or m), cosine and sine (N·m or N) of each harmonic, in a flat array."""
+        """Return wavenumber (rad per rad or m), cosine and sine (N·m or N) of each cogging harmonic, as flat array."""
         return self._rows(self.cosine, self.sine)
 
     @property
     def ripple(self) -> NDArray[np.float64]:
-        """Return wavenumber, cosine and sine (shares of the effort) of each ripple harmonic, flat; may be empty."""
+        """Return wavenumber (rad per rad or m), cosine and sine (ratios) of each ripple harmonic, in a flat array.
+
+        The array is empty without ripple.
+        """
         return self._rows(self.ripple_cosine, self.ripple_sine) if self.ripple_cosine else np.empty(0)
 
     def _rows(self, cosine: tuple[float, ...], sine: tuple[float, ...]) -> NDArray[np.float64]:
@@ -212,31 +220,31 @@ class Cogging:
 
     @property
     def ripple_crest(self) -> float:
-        """Return an upper bound of the ripple (share of the effort): the sum of all amplitudes."""
+        """Return an upper bound of the torque ripple (ratio to the effort): the sum of all harmonics' amplitudes."""
         return math.fsum(math.hypot(c, s) for c, s in zip(self.ripple_cosine, self.ripple_sine, strict=True))
 
     @property
     def crest(self) -> float:
-        """Return an upper bound of the cogging effort (N·m or N): the sum of all amplitudes."""
+        """Return an upper bound of the cogging effort (N·m or N): the sum of all harmonics' amplitudes."""
         # Not the largest value of the sum, which would need a search: the crests need not lie at one place.
         return math.fsum(math.hypot(c, s) for c, s in zip(self.cosine, self.sine, strict=True))
 
     def effort(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the cogging effort at positions (N·m or N)."""
+        """Return the cogging effort (N·m or N) at each position (rad or m)."""
         return _sum_harmonics(self.harmonics, position)
 
     def share(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the ripple r(x) at positions: the share by which the motor's effort exceeds the commanded effort."""
+        """Return the torque ripple at each position (rad or m): the ratio motor effort / commanded effort, minus 1."""
         return _sum_harmonics(self.ripple, position)
 
     def slope(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the derivative of the cogging effort over position (N·m/rad or N/m): the negative of a stiffness."""
+        """Return d(cogging effort)/dx (N·m/rad or N/m) at each position: minus the stiffness of the cogging."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (k * s) - np.sin(angle) @ (k * c))
 
     def energy(self, position: ArrayLike) -> NDArray[np.float64]:
-        """Return the potential energy of the cogging (J), with mean 0; the effort is minus its derivative."""
+        """Return the cogging's potential energy (J) at each position (rad or m), with mean 0; effort = −dE/dx."""
         k, c, s = self.harmonics.reshape(-1, 3).T
         angle = np.multiply.outer(np.asarray(position, dtype=np.float64), k)
         return np.asarray(np.cos(angle) @ (s / k) - np.sin(angle) @ (c / k))
@@ -252,8 +260,8 @@ def _sum_harmonics(harmonics: NDArray[np.float64], position: ArrayLike) -> NDArr
 class Encoder:
     """Incremental encoder on the motor side.
 
-    A rotary encoder is given by `counts_per_revolution`, `decoding` and `ratio`; a linear one by `quantum`.
-    A position reads as ``sign · floor(position / resolution + offset)`` counts.
+    A rotary encoder is given by `counts_per_revolution`, `decoding` and `ratio`; a linear one by `quantum`. A position
+    reads as ``sign · floor(position / resolution + offset)`` counts.
     """
 
     counts_per_revolution: Annotated[int | None, Quantity("1", "lines of the encoder disc")] = None
@@ -274,7 +282,7 @@ class Encoder:
 
     @property
     def resolution(self) -> float:
-        """Return the travel for one count at the link (rad or m)."""
+        """Return the travel of the link for one encoder count (rad or m)."""
         if self.counts_per_revolution is None:
             assert self.quantum is not None
             return self.quantum
@@ -322,7 +330,7 @@ class Reference:
         return {"none": 0, "minimum": 1, "maximum": -1}[self.limit_switch]
 
     def index_counts(self, encoder: Encoder) -> int:
-        """Return the counts from one index to the next; 0 without an index, or if the distance is not described."""
+        """Return the encoder counts from one index pulse to the next; 0 without an index or with unknown distance."""
         if not self.index:
             return 0
         if self.index_distance is not None:
@@ -352,11 +360,11 @@ class Simulation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Operator:
-    """A person who holds the handle: finger pads, a hand behind them, and what the hand does in a trial.
+    """A simulated person who holds the handle: finger pads, a hand behind them, and what the hand does in a trial.
 
     The pads (spring and damper, with their mass on the link) couple the link to the hand. A spring and a damper pull
-    the hand to its intended position, and it presses. All numbers are at the handle, for rotary rigs too:
-    `Mechanics.handle_radius` converts them. `rig.core.operators` has the grips.
+    the hand to its intended position, and the hand presses into the wall. All numbers are at the handle, for rotary
+    rigs too: `Mechanics.handle_radius` converts them. `rig.core.operators` has numbers for three grips.
     """
 
     grip: Annotated[
@@ -392,7 +400,7 @@ class Operator:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OperatorReach:
-    """Intended motion of an operator in one trial, at the link: to the start, and then into the wall."""
+    """Intended motion of a simulated person in one trial, at the link: to the start, and then into the wall."""
 
     start: float  # where the trial begins (rad or m)
     target: float  # where the intended position ends, inside the wall (rad or m)
@@ -406,8 +414,8 @@ class OperatorReach:
 class RigModel:
     """Complete description of a rig, from which it can be simulated.
 
-    With an `operator` a person holds the handle, still or moving along `reach`. `board` has settings, by name, with
-    which the firmware of the board must have been built.
+    With an `operator` a simulated person holds the handle, still or moving along `reach`. `board` lists settings (name,
+    value) with which the firmware of the board must have been built.
     """
 
     name: str
@@ -424,18 +432,18 @@ class RigModel:
 
     @property
     def damping(self) -> float:
-        """Return the damping of slow rigid motion (N·m·s/rad or N·s/m): motor, link, and back-EMF under voltage drive.
+        """Return the viscous damping of slow rigid motion (N·m·s/rad or N·s/m): motor, link and back-EMF.
 
         Above the frequency 1/(2π·lag) the damping by back-EMF decreases, because its current lags behind.
         """
         return self.mechanics.motor_damping + self.mechanics.link_damping + self.amplifier.back_emf
 
     def delay_ticks(self, tick_s: float) -> int:
-        """Return the ticks of `tick_s` (s) from a command to its effort: computation delay plus set-point delay."""
+        """Return the delay from a command to its effort, in ticks of `tick_s` (s): computation plus set-point delay."""
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
-        """Return the rig with an operator at its handle and no end mass; unchanged if `operator` is None."""
+        """Return a copy of the rig with a simulated person at its handle and no end mass; the same rig without one."""
         if operator is None:
             return self
         bare = replace(self.mechanics, end_mass=0.0)
@@ -444,7 +452,7 @@ class RigModel:
 
 @dataclass(frozen=True, slots=True)
 class StateSpace:
-    """State space model ẋ = A x + B u, with indices of its states (order: see the module's docstring)."""
+    """Continuous state space model ẋ = A x + B u of a rig, with the indices of its states (see `rig.core.model`)."""
 
     a: Matrix
     b: Matrix
@@ -458,22 +466,22 @@ class StateSpace:
 
     @property
     def order(self) -> int:
-        """Return the number of states: the size of A."""
+        """Return the number of states of the model."""
         return int(self.a.shape[0])
 
     @property
     def friction_inputs(self) -> slice:
-        """Return the columns of ``b`` through which friction acts."""
+        """Return the columns of ``b`` (inputs) through which Coulomb friction acts, one for each mass."""
         return slice(2, 2 + len(self.friction))
 
     @property
     def operator_inputs(self) -> slice:
-        """Return the columns of ``b`` for intended position, intended velocity and press; empty without an operator."""
+        """Return the columns of ``b`` for a person's intended position, intended velocity and press; may be empty."""
         return slice(2 + len(self.friction), int(self.b.shape[1]))
 
 
 def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator | None = None) -> StateSpace:
-    """Return the continuous matrices of the rig.
+    """Return the continuous state space model of a rig, optionally held by a simulated person.
 
     Parameters
     ----------
@@ -491,25 +499,26 @@ def state_space(mechanics: Mechanics, amplifier: Amplifier, operator: Operator |
     -----
     The effort state is k_t times the current that flows. With an electrical lag (L/R under voltage drive) it obeys
     lag_s · effort' = command − back_emf · motor velocity − effort; back_emf is 0 under current drive. Without a lag
-    (``lag_s = 0``) no finite matrix makes it follow at once: the command then drives the velocity directly, the
-    back-EMF damps the motor, and the effort state stands alone, its rows and column zero (the plant writes into it).
+    (``lag_s = 0``) no finite matrix lets the effort state follow at once: the command then drives the velocity
+    directly, the back-EMF damps the motor, and the effort state is not connected, its rows and column zero (the plant
+    writes into it).
 
     An operator adds the pads' mass to the link and two states. With k₁, b₁ of the pads and m, k₂, b₂ of the hand,
-    turned to the link, y the handle and h the hand: m h″ = k₁(y − h) + b₁(y′ − h′) + k₂(intended position − h) +
-    b₂(intended velocity − h′) + press, and the link feels k₁(h − y) + b₁(h′ − y′).
+    referred to the link, y the handle and h the hand: m h″ = k₁(y − h) + b₁(y′ − h′) + k₂(intended position − h) +
+    b₂(intended velocity − h′) + press, and on the link acts k₁(h − y) + b₁(h′ − y′).
 
     Source: Koul et al. 2013, section III (capstan drive 10:1, non-collocated hinge).
     """
     pads = 0.0 if operator is None else operator.pads_mass * mechanics.handle_radius**2
     link = mechanics.loaded_link_inertia + pads
-    free = (_rigid if mechanics.structure == "rigid" else _two_mass)(mechanics, amplifier, link)
+    free = (_build_rigid if mechanics.structure == "rigid" else _build_two_mass)(mechanics, amplifier, link)
     if operator is None:
         return free
     moved = link + (mechanics.motor_inertia if mechanics.structure == "rigid" else 0.0)
     return _couple_hand(free, operator, mechanics.handle_radius, moved)
 
 
-def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+def _build_rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
     inertia = mechanics.motor_inertia + link
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
     a, b = np.zeros((3, 3)), np.zeros((3, 3))
@@ -529,7 +538,7 @@ def _rigid(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpac
     )
 
 
-def _two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
+def _build_two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> StateSpace:
     k, c, motor = mechanics.transmission_stiffness, mechanics.transmission_damping, mechanics.motor_inertia
     a, b = np.zeros((5, 5)), np.zeros((5, 4))
     a[0, 1] = a[2, 3] = 1.0
@@ -570,7 +579,7 @@ def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_ine
 
 
 def _connect_effort(a: Matrix, b: Matrix, amplifier: Amplifier, *, effort: int, inertia: float) -> None:
-    """Add the amplifier to A and B in place; with a lag through the effort state, else directly on the velocity."""
+    """Add the amplifier to A and B in place: with a lag through the effort state, else directly to the velocity."""
     motor_velocity, lag = 1, amplifier.lag_s
     if lag > 0.0:
         a[effort, effort] = -1.0 / lag

@@ -1,4 +1,4 @@
-"""Detect other packages with the import name of a needed package; pip may install them over it without warning.
+"""Detect another package with the import name of a needed package; pip may install it over the needed one silently.
 
 Commands and devices call it after a failed import. It must not install or remove a package.
 """
@@ -23,12 +23,12 @@ NEEDED: Mapping[str, tuple[str, Callable[[], Any]]] = {
 
 
 def explain_failure() -> ConfigError | None:
-    """Return the error for the first needed package that is missing or replaced by a namesake, else None."""
+    """Return the error for the first needed package that is missing or replaced by another one, else None."""
     return next((wrong for package in NEEDED if (wrong := wrong_package(package))), None)
 
 
 def wrong_package(package: str) -> ConfigError | None:
-    """Return the error if the package of an import name is missing or replaced by a namesake, else None."""
+    """Return an error if the package with this import name is missing or replaced by another one, else None."""
     distribution, find_own_name = NEEDED[package]
     try:
         find_own_name()

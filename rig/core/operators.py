@@ -1,12 +1,13 @@
-"""Parameters of three grips of a handle. A verdict about a wall should be taken over all of them.
+"""Parameters of a simulated person's hand for three grips of a handle: relaxed, normal and firm.
+
+A verdict about a wall should be taken over all three. Theory, experiment files, `rig.doctor`, the design and sessions
+use them. This file must not simulate a hand.
 
 The values of *normal* are those of the simulation behind the reproduction of Koul et al.: pads of 10 g on 1500 N/m, a
-hand of 150 g on 300 N/m, a press of about 0.4 N·m at 0.1 m with a slow swell of ±20 % (a perfectly still hand hides
-a buzz behind Coulomb friction). *Relaxed* and *firm* span what the literature gives for hands: 50 to 800 N/m, 1 to 10
+hand of 150 g on 300 N/m, a press of about 0.4 N·m at 0.1 m with a slow swell of ±20 % (a perfectly still hand hides a
+buzz behind Coulomb friction). *Relaxed* and *firm* span what the literature gives for hands: 50 to 800 N/m, 1 to 10
 N·s/m, 5 to 40 g at the handle; stiffness and damping rise with grip force while inertia hardly does (Hasser and
 Cutkosky), and so does the force of tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
-
-Theory, experiment files, `rig.doctor`, the design and sessions use them. It must not simulate a hand.
 """
 
 from __future__ import annotations
@@ -67,5 +68,5 @@ GRIPS: dict[str, Operator] = {
 
 
 def hand_text(name: str) -> str:
-    """Return the text for a grip or for `NO_OPERATOR`: ``relaxed hand`` or ``no hand``."""
+    """Return a grip as text, for example "relaxed hand"; "no hand" for `NO_OPERATOR`."""
     return "no hand" if name == NO_OPERATOR else f"{name} hand"

@@ -1,6 +1,6 @@
-"""Plug-ins that third parties add by entry points: estimators, laws, backends. A broken one affects no other.
+"""Find plug-ins that third parties add by entry points: estimators, laws, backends. A broken one affects no other.
 
-A program can temporarily register its own plug-in under a name; in this process it is then found like an installed
+A program can also register its own plug-in temporarily under a name; in this process it is then found like an installed
 one.
 
 Devices, `rig.control`, commands and `rig.experiments.lab` look plug-ins up here. It must not import a plug-in before it
@@ -24,13 +24,15 @@ _registered: list[
 
 @contextmanager
 def register_temporarily(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
-    """Register a plug-in by name until the block ends, for all threads; raise `ConfigError` for a built-in name.
+    """Register an object as a plug-in of an entry-point group under a name, within this context and for all threads.
 
-    Other processes, such as workers of a cluster or a later run that resumes a map, find only installed plug-ins.
+    Other processes, such as workers of a cluster or a later run that resumes a map, find only installed plug-ins. Raise
+    `ConfigError` if the name is in `built_in`, the names that this package itself provides.
     """
     if name in built_in:
         raise ConfigError(
-            f"{name!r} is already the name of a built-in part", remedy='choose another name: name="…"'
+            f"{name!r} is already the name of a built-in estimator, law or backend",
+            remedy='choose another name: name="…"',
         )
     entry = (group, name, part)
     _registered.append(entry)
@@ -45,14 +47,14 @@ def _registered_for(group: str) -> dict[str, Any]:
 
 
 def names(group: str, built_in: Container[str]) -> list[str]:
-    """Return the names of registered and installed plug-ins of a group, without built-in names, each once."""
+    """Return the names of all registered and installed plug-ins of an entry-point group, without built-in names."""
     return list(
         dict.fromkeys([*_registered_for(group), *(point.name for point in find_plugins(group, built_in))])
     )
 
 
 def find_plugins(group: str, built_in: Container[str]) -> list[EntryPoint]:
-    """Return the installed plug-ins of a group, sorted by name, without those that have a built-in name."""
+    """Return the installed plug-ins of an entry-point group, sorted by name, without those with a built-in name."""
     return [point for point in _find_plugins(entry_points, group) if point.name not in built_in]
 
 
@@ -63,22 +65,24 @@ def _find_plugins(find: Callable[..., Any], group: str) -> tuple[EntryPoint, ...
 
 
 def load(group: str, kind: str, name: str, fits: Callable[[Any], bool]) -> Any:
-    """Return the object that a plug-in of a group provides, None if the name is not found.
+    """Import and return the plug-in `name` of an entry-point group; None if it is not registered or installed.
 
-    `kind` names it in messages (estimator, law, backend). Raise `ConfigError` if it does not load, or if `fits`
-    returns False for it.
+    `kind` is its kind in messages (estimator, law, backend). Raise `ConfigError` if the import fails, or if `fits`, a
+    function, returns False for the object.
     """
     if name in (parts := _registered_for(group)):
         return parts[name]
     point = next((point for point in _find_plugins(entry_points, group) if point.name == name), None)
     if point is None:
         return None
-    where = f"{kind} {name!r} ({point.value})"
+    plugin = f"{kind} {name!r} ({point.value})"
     remedy = f"fix or remove {point.dist.name if point.dist else 'that package'}"
     try:
         part = point.load()
     except (Exception, SystemExit) as error:  # a third party's module may raise anything
-        raise ConfigError(f"{where} does not load: {error!r}", remedy=remedy) from error
+        raise ConfigError(f"cannot import the plug-in {plugin}: {error!r}", remedy=remedy) from error
     if not fits(part):
-        raise ConfigError(f"{where} must be a {kind}, and is a {type(part).__name__}", remedy=remedy)
+        raise ConfigError(
+            f"the plug-in {plugin} must provide a {kind}, but provides a {type(part).__name__}", remedy=remedy
+        )
     return part

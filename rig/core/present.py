@@ -1,4 +1,4 @@
-"""Output forms of every result: fields for machines, rows for people.
+"""Output forms of every result: JSON types for machines, rows and tables for people.
 
 A result is a frozen dataclass. `plain` converts it to JSON types: its fields under their names, and the properties
 marked `reported`. Fields that are not in its ``repr`` (traces, raw rows) are not in JSON either.
@@ -27,7 +27,7 @@ _AS_IT_IS = {type(None), bool, int, str}  # most of what a header holds; `plain`
 
 
 class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
-    """Property of a result that `plain` includes like a field."""
+    """Decorator like `property`; the function `plain` includes the value in a result's JSON like a field."""
 
     def __init__(self, getter: Callable[[Any], Value]) -> None:
         self.getter = getter
@@ -38,7 +38,7 @@ class reported(Generic[Value]):  # noqa: N801  (used as `property` is)
     @overload
     def __get__(self, instance: object, owner: type) -> Value: ...
     def __get__(self, instance: object | None, owner: type) -> reported[Value] | Value:
-        """Return the value of the property; on the class, return the descriptor itself."""
+        """Return the property's value for an instance of the result; for the class, return the descriptor itself."""
         return self if instance is None else self.getter(instance)
 
 
@@ -88,19 +88,19 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         return inner(value.as_mapping())
     if is_dataclass(value) and not isinstance(value, type):
         return {name: inner(getattr(value, name)) for name in _names(type(value))}
-    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
+    raise TypeError(f"a value of type {type(value).__name__} cannot be written as JSON")
 
 
 def _key(key: Any) -> str:
     key = key.value if isinstance(key, Enum) else key
     if not isinstance(key, str | int):
-        raise TypeError(f"a key in JSON must be text, and is a {type(key).__name__}")
+        raise TypeError(f"a key of a JSON object must be text or an integer, and is a {type(key).__name__}")
     return str(key)
 
 
 @cache
 def _names(result: type) -> list[str]:
-    """Return the names of the fields in ``repr``, then of the reported properties, base classes first."""
+    """Return the names of the fields in a result's ``repr``, then of its reported properties, base classes first."""
     also = [
         name
         for base in reversed(result.__mro__)
@@ -117,11 +117,11 @@ class Row:
     Attributes
     ----------
     label
-        Name of the value; empty on a line that continues the one before.
+        Name of the value; empty on a line that continues the previous line.
     value
         A number or a text; None if it is unknown.
     unit
-        Unit of a number; empty for a pure one.
+        Unit of a number; empty for a pure number.
     note
         Context of the value: a limit, a comparison, an uncertainty.
     digits
@@ -136,14 +136,14 @@ class Row:
 
     @property
     def text(self) -> str:
-        """Return value, unit and note as one text."""
+        """Return value, unit and note of this line as one text, for example ``412 ns, at most``."""
         shown = " ".join(part for part in (written(self.value, self.digits), self.unit) if part)
         return ", ".join(part for part in (shown, self.note) if part)
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Table with a head. The first `words` columns are texts, aligned left; the others are numbers, aligned right."""
+    """Table of a result for people. The first `words` columns are texts, aligned left; the others are numbers."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -152,7 +152,7 @@ class Table:
 
     @property
     def cells(self) -> list[list[str]]:
-        """Return the cells of all rows as formatted texts."""
+        """Return the cells of all rows of the table as formatted texts."""
         return [[written(cell) for cell in row] for row in self.rows]
 
 
@@ -161,7 +161,7 @@ Item = str | Row | Table | Check
 
 
 def page_items(items: Sequence[Item]) -> list[dict[str, Any]]:
-    """Return each item as a dict of texts for a page; its first key names the kind of the item."""
+    """Return each item of a result as a dict of texts for a web page; the first key names the kind of the item."""
 
     def one(item: Item) -> dict[str, Any]:
         match item:
@@ -187,7 +187,7 @@ def page_items(items: Sequence[Item]) -> list[dict[str, Any]]:
 
 
 def written(value: Any, digits: int = 4) -> str:
-    """Return a value as text: a float with `digits` digits, ``yes`` or ``no``, ``unknown`` for None and NaN."""
+    """Return a value as text: a float with `digits` digits, "yes" or "no" for a bool, "unknown" for None and NaN."""
     match value:
         case None:
             return "unknown"

@@ -1,6 +1,6 @@
 """Child process that serves something to this process: it announces its address, and ends with this process.
 
-`rig.devices.local`, the bridge of drives and the simulation call it. It must not depend on what a process serves.
+`rig.devices.local`, the bridge of drives and the simulation use it. It must not depend on what a process serves.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ STOP_TIMEOUT_S = 5.0
 def start_announced(
     serve: Callable[..., None], *arguments: Any, name: str, by_hand: str, descriptors: Sequence[int] = ()
 ) -> Iterator[Any]:
-    """Start a process, yield the object that it announces, and end it with the context.
+    """Start a child process, yield the object (such as an address) that it announces, and end it with this context.
 
-    The process also ends when this process ends, even by kill -9, but not when the thread that started it ends.
+    The child also ends when this process ends, even by kill -9, but not when the thread that started it ends.
 
     Parameters
     ----------
     serve
-        Function of a module. The process calls it with a function to announce an object, and with `arguments`, which
-        are pickled.
+        Function of a module. The child calls it with a function to announce an object, and with `arguments`, which are
+        pickled.
     name
-        Name of the process.
+        Name of the child process.
     by_hand
         Command with which a user can start the same process, to see why it did not start.
     descriptors
-        File descriptors that the process inherits, under the same numbers.
+        File descriptors that the child inherits, under the same numbers.
 
     Raises
     ------
     DeviceNotFoundError
-        The process does not start.
+        The child does not start.
     RigError
         Error that `serve` raised before it announced anything.
     """
@@ -71,7 +71,7 @@ def start_announced(
                 )
             _lifelines.add(ours)
             try:
-                yield _first(ours, served, name, by_hand)
+                yield _receive_first(ours, served, name, by_hand)
             finally:
                 _lifelines.discard(ours)
                 _end(process)
@@ -81,7 +81,7 @@ _lifelines: set[Connection] = set()
 
 
 def _close_lifelines() -> None:
-    """Close inherited connections in a forked child: they would keep served processes of a killed parent alive."""
+    """Close the parent's connections to its child processes in a forked copy, where they would keep them alive."""
     while _lifelines:
         _lifelines.pop().close()
 
@@ -108,7 +108,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait(STOP_TIMEOUT_S)
 
 
-def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
+def _receive_first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
     with suppress(EOFError, OSError):
         ours.send_bytes(served)
         if ours.poll(START_TIMEOUT_S):
@@ -122,7 +122,7 @@ def _first(ours: Connection, served: bytes, name: str, by_hand: str) -> Any:
 
 
 def serve_parent(descriptor: int) -> None:
-    """Call the function that the parent sends through a connection; this is the main function of the child process."""
+    """Call the function that the parent process sends through a connection: the main function of a child process."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this may take no signals
     parent = Connection(descriptor)
@@ -130,7 +130,7 @@ def serve_parent(descriptor: int) -> None:
         served = parent.recv_bytes()
     except EOFError:
         return
-    threading.Thread(target=_end_with, args=(descriptor,), name="rig-parent", daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(descriptor,), name="rig-parent", daemon=True).start()
     program.begin()
     serve, arguments = pickle.loads(served)
     try:
@@ -139,7 +139,7 @@ def serve_parent(descriptor: int) -> None:
         parent.send(error)
 
 
-def _end_with(descriptor: int) -> None:
+def _end_with_parent(descriptor: int) -> None:
     """Send this process SIGTERM when its parent closes the connection or dies, and SIGKILL `STOP_TIMEOUT_S` later."""
     # Not PR_SET_PDEATHSIG: it acts when the thread ends that started this process.
     if sys.platform != "win32":  # where `start_announced` refuses

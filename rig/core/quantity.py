@@ -1,8 +1,8 @@
-"""Unit, meaning and range of a field of a typed description, declared once in its annotation.
+"""Unit, meaning and range of a dataclass field, declared once in the field's annotation.
 
 Descriptions (`rig.core.model`, `rig.config`) are frozen dataclasses whose fields are ``Annotated[float, Gt(0),
-Quantity("inertia", "…")]``. The validator, the error messages, the documentation and the metadata of
-recordings all read these annotations.
+Quantity("inertia", "…")]``. The validator, the error messages, the documentation and the metadata of recordings all
+read these annotations.
 
 This file must not validate a value; `rig.config` does.
 """
@@ -20,7 +20,11 @@ STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False, "strict": T
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Unit of a field (or its quantity, from which `rig.core.sample.unit_of` finds the unit), and its meaning."""
+    """Unit and meaning of a dataclass field.
+
+    Instead of a unit it may have a quantity such as "effort", whose unit (N·m or N) depends on the rig
+    (`rig.core.sample.unit_of`).
+    """
 
     unit: str
     meaning: str
@@ -28,7 +32,7 @@ class Quantity:
 
 @cache
 def quantities(described: type) -> dict[str, Quantity]:
-    """Return unit and meaning of each annotated field of a dataclass, by field name, in order."""
+    """Return unit and meaning (`Quantity`) of each annotated field of a dataclass, by field name, in order."""
     return {
         name: mark
         for name, hint in get_type_hints(described, include_extras=True).items()

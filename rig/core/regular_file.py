@@ -1,7 +1,5 @@
 """Read files that a user or a page names: only regular files, without waiting, and up to a largest size.
 
-A FIFO would wait for its writer, a device would never end, and opening a serial port can reset its board.
-
 Experiment files, maps, journals, recordings, studies and images of firmware are read through it. It must not write.
 """
 
@@ -47,6 +45,7 @@ def read_regular(path: str | Path, most: int = TEXT_BYTES) -> bytes:
 def _check(facts: os.stat_result, path: str | Path, most: int | None) -> None:
     if stat.S_ISDIR(facts.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    # A FIFO would wait for its writer, a device would never end, and opening a serial port can reset its board.
     if not stat.S_ISREG(facts.st_mode):
         raise OSError(errno.ENXIO, "not a regular file", str(path))
     if most is not None and facts.st_size > most:

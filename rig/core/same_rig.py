@@ -22,7 +22,7 @@ ROUNDING = 1e-6
 
 
 def check_rig(model: RigModel, device: Dictionary) -> Check:
-    """Check that a device was built for a rig.
+    """Check that a device was built for the experiment's rig.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     Returns
     -------
     Check
-        Refused check with both values of each difference; or passed check with the device's name.
+        Failed check with both values of each difference; or passed check with the device's name.
     """
     ours = describe(
         model,
@@ -51,7 +51,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     ]
     differ += [] if device.simulated else _other_settings(model, device)
     if device.device != ours.device:
-        differ = [f"its name is {device.device}", *differ]
+        differ = [f"the device is named {device.device}", *differ]
     if differ:
         return Check(
             "rig of the device",
@@ -60,13 +60,15 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
             f"open another device, give `rig` {device.device}, or build and flash the firmware of "
             f"{model.name}",
         )
-    untold = ", ".join(name for name in wanted if name not in theirs)
+    unreported = ", ".join(name for name in wanted if name not in theirs)
     text = f"{device.device}, of the same scales and limits as {model.name}"
-    return Check("rig of the device", Outcome.OK, f"{text}; it does not report {untold}" if untold else text)
+    return Check(
+        "rig of the device", Outcome.OK, f"{text}; it does not report {unreported}" if unreported else text
+    )
 
 
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
-    """Return a text for each setting of the experiment's board that differs from the device's setting."""
+    """Return a text for each board setting whose value in the experiment differs from the device's value."""
     of_device = {info.name: info.value for info in device.settings}
     wanted = {
         **{name: value for name, value in _inputs(model).items() if name in of_device},
@@ -80,7 +82,7 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
 
 
 def _inputs(model: RigModel) -> dict[str, SettingValue]:
-    """Return the board's input settings that the rig's reference needs, by the names of the Pico's settings."""
+    """Return the board settings that wire encoder index and limit switch, if the rig's reference needs these inputs."""
     given = model.reference
     needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
     return {name: "wired" for name, wanted in needed.items() if wanted}
@@ -92,7 +94,7 @@ def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:
 
 
 def _known(dictionary: Dictionary) -> dict[str, float]:
-    """Return the rig's constants in a dictionary, by name with unit."""
+    """Return the rig's constants in a device's dictionary, keyed by name with unit."""
     found = {"current quantum (A)": dictionary.current_quantum_a}
     for name, unit in (("motion", ""), ("encoder_sign", ""), ("current_limit", " (quantum)")):
         if (info := dictionary.parameter(name)) is not None:

@@ -1,14 +1,14 @@
-"""Columns of a recorded row, which is one tick of the loop.
+"""Columns of a recorded row (sample), which is one tick of the loop.
 
 The table `COLUMNS` defines the dtype of the ring, the schema of the files, and the documentation. Measured, estimated,
 wanted, sent and applied quantities are different columns.
 
-Where the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, at
-most about 5 ms old. Columns that only a STATE carries (commands, limits, fault, state, inputs, sync time, missed ticks,
+If the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, at most
+about 5 ms old. Columns that only a STATE carries (commands, limits, fault, state, inputs, sync time, missed ticks,
 execution time) are as old as this STATE.
 
-Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and
-resolved by `unit_of`; counts and times are 64-bit integers.
+Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and resolved by
+`unit_of`; counts and times are 64-bit integers.
 
 The loop, recordings, verdicts, experiments, sessions, the console and pictures read it. A change of names, order or
 types of columns is a new format version: the layout of the ring and of every recording depends on them.
@@ -38,13 +38,13 @@ UNITS: dict[str, dict[str, str]] = {
 
 
 def unit_of(quantity: str, motion: Motion) -> str:
-    """Return the SI unit of a quantity for a rotary or linear rig; return a plain unit (``ns``, ``A``) unchanged."""
+    """Return the SI unit of a quantity such as "effort" for this motion; return a unit such as "ns" unchanged."""
     return UNITS[quantity][motion] if quantity in UNITS else quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Column of a row: its name, numpy dtype, unit (or quantity, see `unit_of`) and meaning."""
+    """Column of a recorded row: name, numpy dtype, unit (or quantity, see `unit_of`) and meaning."""
 
     name: str
     dtype: str
@@ -53,7 +53,7 @@ class Column:
 
 
 class Phase(IntEnum):
-    """Phase of the loop in a tick. The first tick of TRIAL is the person's cue to begin."""
+    """Phase of a run in a tick. The first tick of TRIAL is the person's cue to begin."""
 
     WAIT = 0
     HOMING = 1
@@ -69,12 +69,12 @@ _PHASE_NAMES = {int(phase): phase.name.lower() for phase in Phase} | {HOLD: "hol
 
 
 def phase_name(phase: int) -> str:
-    """Return the name of a phase (`Phase` or `HOLD`) in small letters, "unknown" for another number."""
+    """Return the name of a phase (`Phase` or `HOLD`) in small letters; "unknown" for another number."""
     return _PHASE_NAMES.get(phase, "unknown")
 
 
 class RowFlag(IntFlag):
-    """Bits of the column ``flags``: events that the host's law and loop detected in the tick."""
+    """Bits of the recorded column ``flags``: events that the host's law and loop detected in the tick."""
 
     INSIDE = 1  # penetration > 0
     VELOCITY_UPDATED = 2  # the estimator ran in this tick

@@ -21,8 +21,8 @@ YOUNG_S = 60.0  # between a directory and its lock: far longer than that takes
 
 @contextmanager
 def scratch(kind: str) -> Iterator[Path]:
-    """Yield a temporary directory until the block ends; also remove directories of killed processes."""
-    _remove_left()
+    """Yield a new temporary directory, removed at the end of this context; also remove those of killed processes."""
+    _remove_abandoned()
     with (
         tempfile.TemporaryDirectory(prefix=f"rig-{kind}-") as place,
         open(Path(place, OWNER), "wb") as owner,
@@ -32,7 +32,7 @@ def scratch(kind: str) -> Iterator[Path]:
         yield Path(place)
 
 
-def _remove_left() -> None:
+def _remove_abandoned() -> None:
     for owner in Path(tempfile.gettempdir()).glob(f"rig-*/{OWNER}"):
         with suppress(OSError):
             if not _is_ours(owner.parent):

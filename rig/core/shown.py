@@ -1,6 +1,6 @@
 """Display of a result at a Python prompt and in a notebook: a few lines (`Shown`), and a picture (`Drawn`).
 
-Results of all packages inherit from these classes, commands and notebooks call them. A package or an extra that draws
+Results of all packages inherit from these classes; commands and notebooks call them. A package or an extra that draws
 has a table (`rig.core.extras`) with a function for each class name of a result; the function returns the figure, and is
 imported when a picture is drawn. This file must not import drawing code or results. The forms of a result for commands
 and pages are in `rig.core.present`.
@@ -23,16 +23,16 @@ LINES, WIDTH = 10, 200  # at a prompt
 
 
 class Shown:
-    """Result with a short form for the prompt. A dataclass that inherits from it must have ``repr=False``."""
+    """Base of results that a Python prompt shows in a few lines; a dataclass with this base needs ``repr=False``."""
 
     __slots__ = ()
 
     def brief(self) -> Sequence[Item]:
-        """Return the most important results as a heading and rows, at most `LINES` lines."""
+        """Return the most important facts of this result as a heading and rows, at most `LINES` lines."""
         raise NotImplementedError
 
     def detailed(self) -> Sequence[Item]:
-        """Return the items that a notebook shows; those of `brief` unless overridden."""
+        """Return the items (headings, rows, tables) of this result for a notebook; by default those of `brief`."""
         return self.brief()
 
     def __repr__(self) -> str:
@@ -80,7 +80,10 @@ class Picture:
     figure: Any
 
     def save(self, path: str | Path) -> Path:
-        """Write the picture as PNG, SVG or PDF, by the suffix of `path`; raise `RecordingError` on failure."""
+        """Write the picture as PNG, SVG or PDF, by the suffix of `path`, and return the path.
+
+        Raise `RecordingError` if it cannot be written.
+        """
         written: Path = extras.load("writers", "file")(self.figure, Path(path))
         return written
 
@@ -90,17 +93,17 @@ class Picture:
 
 
 class Drawn:
-    """Result that has a picture."""
+    """Base of results that have a picture."""
 
     __slots__ = ()
 
     def plot(self) -> Picture:
-        """Draw the result as a matplotlib figure."""
+        """Draw this result as a matplotlib figure."""
         return plot(self)
 
 
 def plot(result: object) -> Picture:
-    """Draw a result that has a picture, such as a hit, a recording or a column of it, a map or an impedance.
+    """Draw a result that has a picture, such as a hit, a recording or one of its columns, a map or an impedance.
 
     Raise `ConfigError` for a result without a picture.
     """

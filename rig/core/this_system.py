@@ -1,4 +1,4 @@
-"""Processors that this process may use, and refusal of real time on systems other than Linux.
+"""List the processors that this process may use, and refuse real time on systems other than Linux.
 
 Devices, experiments and the bridge of drives call it before they run in real time. It must not set anything up;
 `rig.realtime.scheduling` does.
@@ -13,7 +13,7 @@ from rig.core.errors import PlanError
 
 
 def processors() -> list[int]:
-    """Return the numbers of the processors that this process may use."""
+    """Return the numbers of the processors that this process may use, in ascending order."""
     if sys.platform == "linux":
         return sorted(os.sched_getaffinity(0))
     else:
@@ -29,7 +29,7 @@ def refuse_real_time(what: str, remedy: str = ON_THE_BOARD) -> None:
     Parameters
     ----------
     what
-        Subject of the message: the thing that would run in real time.
+        What would run in real time, as the subject of the message.
     remedy
         What to do instead.
     """

@@ -138,7 +138,7 @@ def test_a_scheduler_is_refused_without_its_extra(install: Install) -> None:
 
 def test_a_target_that_does_not_load_is_refused_with_its_extra(install: Install, tmp_path: Path) -> None:
     install("cluster", {"executors": {"dask": row("no_such_module_here:Cluster")}})
-    with pytest.raises(ConfigError, match=r"the extra cluster does not load \(no_such_module_here:Cluster\)"):
+    with pytest.raises(ConfigError, match="cannot import no_such_module_here:Cluster of the extra cluster"):
         executor_for("tcp://127.0.0.1:1", None)
 
 
@@ -162,7 +162,7 @@ def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_pa
     assert "Broken extras:\n  console" in shown.stdout
     refused = run(tmp_path, "serve", "lsl")
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "the extra lsl does not load" in refused.stderr
+    assert "of the extra lsl" in refused.stderr
 
 
 def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_device_of_the_rig_is_accepted(name: str) -> None:
 
 
 OTHERS = {
-    "name": (replace(MODEL, name="other"), "its name is other"),
+    "name": (replace(MODEL, name="other"), "the device is named other"),
     "quantum": (
         with_amplifier(current_quantum_a=2e-3),
         "quantum (A): 0.002 on the device, 0.001 in the experiment",

@@ -510,7 +510,7 @@ def test_a_rate_at_which_friction_holds_the_strokes_is_refused_with_the_one_that
         ({"changes": {"controller.position_rate": 50, "controller.velocity_rate": 50,
                       "controller.parameters.cutoff_hz": 5.0, "verdict.lowpass_hz": 20.0,
                       "verdict.highpass_hz": 5.0}}, "too low"),
-        ({"url": "sim://koul-rigid"}, "its name is koul-rigid"),
+        ({"url": "sim://koul-rigid"}, "the device is named koul-rigid"),
     ],
 )  # fmt: skip
 def test_impossible_options_are_refused(options: Any, message: str, tmp_path: Path) -> None:

@@ -281,7 +281,7 @@ def test_a_real_rig_of_unverified_polarity_gets_no_pulse(real: None, tmp_path: P
 
 def test_a_device_of_another_rig_gets_no_pulse(tmp_path: Path) -> None:
     chawda = FreeRigRequest(experiment=presets.load("chawda-linear"), url="sim://koul-rigid", output=tmp_path)
-    with pytest.raises(PlanError, match="its name is koul-rigid"):
+    with pytest.raises(PlanError, match="the device is named koul-rigid"):
         check_rig_moves(chawda)
 
 

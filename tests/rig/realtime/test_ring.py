@@ -205,7 +205,7 @@ def test_other_memory_and_vanished_memory_are_refused_without_harm(tmp_path: Pat
     try:
         for descriptor, why in (
             (plain, "not the memory"),
-            (small, "shorter"),
+            (small, "fewer than the memory"),
             (growing, "not the memory"),  # its owner could shrink it while it is mapped
             (half, "still being created"),
         ):

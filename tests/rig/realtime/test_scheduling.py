@@ -534,7 +534,7 @@ def test_idle_states_are_missed_only_where_there_are_any(tmp_path: Path) -> None
 
 def test_a_processor_that_does_not_run_is_named_with_those_that_do(tmp_path: Path) -> None:
     tree(tmp_path, sys__devices__system__cpu__online="0-1,4")
-    assert "this machine has 0, 1, 4" in str(refusals.of_processor(2, errno.EINVAL, tmp_path))
+    assert "this computer has 0, 1, 4" in str(refusals.of_processor(2, errno.EINVAL, tmp_path))
     assert "Invalid argument" in str(refusals.of_processor(4, errno.EINVAL, tmp_path))
 
 
