@@ -1,4 +1,4 @@
-"""Links and framed devices, by URL.
+"""Open the device at a URL: find the backend of the URL's scheme, open the link, speak the protocol.
 
 A backend is a function ``open_link(url: DeviceUrl, model: RigModel | None) -> Link``. Extras add URL schemes by their
 tables (`rig.core.extras`), third parties by the entry-point group ``rig.devices``. No built-in scheme can be replaced.
@@ -49,7 +49,7 @@ DISTRIBUTION = "haptic-rig"
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """Backend of a URL scheme: its opener as ``module:function``, and the distribution that provides it."""
+    """Backend of a URL scheme: its function as ``module:function``, and the distribution that provides it."""
 
     scheme: str
     target: str
@@ -70,7 +70,7 @@ def backends() -> list[Backend]:
 
 
 def broken(scheme: str) -> str:
-    """Return the reason why the backend of a scheme cannot be used, "" if it can."""
+    """Return the reason why devices with this URL scheme cannot be opened; "" if they can."""
     if scheme in NEEDED and (wrong := wrong_package(scheme)):  # serial and usb are the names of both
         return str(wrong)
     try:
@@ -81,7 +81,10 @@ def broken(scheme: str) -> str:
 
 
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
-    """Import the backend of a URL and return its opener; errors as `open_link`."""
+    """Import the backend of a device URL and return its function, which opens a link.
+
+    Raise `ConfigError` if the scheme is unknown, and `DeviceNotFoundError` if the import fails.
+    """
     scheme = DeviceUrl.parse(url).scheme
     if scheme in BUILT_IN:
         opener = loaded(BUILT_IN[scheme], scheme)
@@ -92,13 +95,13 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
     if opener is None:
         schemes = ", ".join(f"{backend.scheme}://" for backend in backends())
         raise ConfigError(
-            f"no backend for {scheme}:// (in {url!r})", remedy=f"use one of the known schemes: {schemes}"
+            f"there is no backend for {scheme}:// (in {url!r})", remedy=f"use one of these schemes: {schemes}"
         )
     return cast("Callable[[DeviceUrl, RigModel | None], Link]", opener)
 
 
 def _row_of_extra(scheme: str) -> extras.ExtraRow | None:
-    """Return the extra's table row for a scheme, None for other schemes; raise `ConfigError` if the row is missing."""
+    """Return the table row of the extra that adds a URL scheme, else None; raise `ConfigError` if it is missing."""
     if scheme in RESERVED or scheme in extras.added("schemes"):
         return extras.find("schemes", scheme, RESERVED.get(scheme, ""))
     return None
@@ -116,13 +119,13 @@ def loaded(target: str, scheme: str = "sim") -> Any:
         if wrong := explain_failure():
             raise wrong from error
         raise DeviceNotFoundError(
-            f"the backend for {scheme}:// ({target}) does not load: {error}",
+            f"cannot import the backend for {scheme}:// ({target}): {error}",
             remedy=f"reinstall {DISTRIBUTION}",
         ) from error
 
 
 def open_link(url: str, model: RigModel | None = None) -> Link:
-    """Open the device at a URL and return the link to it.
+    """Open the device at a URL and return the link (byte stream) to it.
 
     Parameters
     ----------
@@ -149,7 +152,10 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
 
 
 def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:
-    """Open a simulated rig in virtual time with a script of faults of link and device; errors as `open_link`."""
+    """Open a simulated rig in virtual time, with scripted faults of link and device, for tests.
+
+    Errors as `open_link`, and `ConfigError` if the URL is not ``sim://…``.
+    """
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
@@ -161,9 +167,9 @@ def open_watched(url: str, model: RigModel | None = None, faults: Faults | None 
 
 
 def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
-    """Return the physics of the preset that a ``sim://`` URL names, else `model`.
+    """Return the physics of the preset that a ``sim://`` URL names; without a preset return `model`.
 
-    The operator at the handle is always that of `model`, because it belongs to the experiment.
+    The person at the handle is always that of `model`, because the person belongs to the experiment.
     """
     if url.scheme == "sim" and url.place:
         named = config.rig_model(presets.load(url.place))
@@ -172,7 +178,10 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
 
 
 def is_made_for_a_rig(url: str) -> bool:
-    """Return True if the backend builds the device from the experiment's rig; errors as `open_link`."""
+    """Return True if the backend of a device URL builds the device from the experiment's rig, as a simulation does.
+
+    Raise `ConfigError` if the scheme belongs to an extra that is missing or broken.
+    """
     scheme = url.partition(":")[0]
     if scheme in BUILT_IN:
         return scheme == "sim"
@@ -181,27 +190,36 @@ def is_made_for_a_rig(url: str) -> bool:
 
 
 def url_for(url: str, loop: str) -> str:
-    """Return the URL to open for a ``controller.loop``: "device" adds ``firmware=1`` to the URL of a simulated rig."""
+    """Return the URL of the device to open; for a law on a simulated device (`loop` is "device") add ``firmware=1``."""
     if loop != "device" or not url.startswith("sim:") or FIRMWARE in DeviceUrl.parse(url).options:
         return url
     return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"
 
 
 def simulated_rig() -> OpenRig:
-    """Return the factory of simulated rigs for fast hits without a link; raise `DeviceNotFoundError` if missing."""
+    """Return the function that creates simulated rigs for fast hits without a link.
+
+    Raise `DeviceNotFoundError` if the simulation is not installed.
+    """
     return cast("OpenRig", loaded(HITS))
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return the factory of simulated rigs for excitation without a link; errors as `simulated_rig`."""
+    """Return the function that creates simulated rigs with a second actuator for excitation, without a link.
+
+    Raise `DeviceNotFoundError` if the simulation is not installed.
+    """
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return the functions that build a plant and that run a traced trial on it; errors as `simulated_rig`."""
+    """Return two functions of the simulation: one builds a plant, one runs a trial with recorded signals on a plant.
+
+    Raise `DeviceNotFoundError` if the simulation is not installed.
+    """
     return loaded(PLANT).build, loaded(TRIAL)
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
-    """Open the device at a URL; parameters and errors as `open_link`."""
+    """Open the device at a URL and return it with the protocol's requests; parameters and errors as `open_link`."""
     return FramedDevice(open_link(url, model))

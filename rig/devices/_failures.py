@@ -1,4 +1,4 @@
-"""Errors of a link by error number (errno), with cause and remedy for the user.
+"""Error class, cause and remedy of a failed link, by error number (errno).
 
 The table serves serial ports and USB, calls from Python and the compiled loop, which can report only a number.
 """
@@ -28,7 +28,7 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Class of an error, its cause as the end of a sentence that begins with the link's name, and its remedy."""
+    """Error class of a failed link, its cause (text that follows the name of the link), and its remedy."""
 
     kind: type[LinkLostError]
     cause: str
@@ -52,11 +52,11 @@ FAILURES: dict[int, Failure] = {
     errno.EPIPE: Failure(
         StalledError,
         "is stalled by the device",
-        "start again, which clears the halt; if it comes back, update the firmware",
+        "start again, which clears the stall; if this happens again, update the firmware",
     ),
     errno.ETIMEDOUT: Failure(
         BlockedError,
-        "takes no more bytes",
+        "accepts no more bytes",
         "restart the device, whose firmware does not read its input",
     ),
     errno.EOVERFLOW: Failure(
@@ -66,8 +66,8 @@ FAILURES: dict[int, Failure] = {
     ),
     EREMOTEIO: Failure(
         CutShortError,
-        "took only a part of what was sent",
-        "start again; if it comes back, update the firmware",
+        "accepted only a part of the bytes that were sent",
+        "start again; if this happens again, update the firmware",
     ),
     errno.EPROTO: _BROKEN,
     errno.EILSEQ: _BROKEN,
@@ -79,7 +79,7 @@ _OF_DESCRIPTORS = FAILURES | dict.fromkeys((errno.EIO, errno.EPIPE, errno.ECONNR
 
 
 def failure(number: int, url: str) -> Failure:
-    """Return error class, cause and remedy for an errno (positive) of the link at a URL.
+    """Return error class, cause and remedy for a positive errno of the link at a URL.
 
     For numbers that are not in the table, the cause is the text of the operating system.
     """
@@ -92,7 +92,7 @@ def failure(number: int, url: str) -> Failure:
 
 
 def link_error(number: int, url: str, place: str = "") -> LinkLostError:
-    """Return the exception for a call on a link that failed with errno `number`; it names `place`, or else the URL."""
+    """Return the exception for a call on a link that failed with this errno; it names `place` or else the URL."""
     found = failure(number, url)
     why = f" ({os.strerror(number)})" if number else ""
     return found.kind(f"{place or url} {found.cause}{why}", remedy=found.remedy)

@@ -1,8 +1,8 @@
-"""Link to a program on this computer through a Unix socket, by the path of the socket.
+"""Link to a program on this computer through a Unix socket, such as a simulated device that is started for a run.
 
-A pseudo-terminal passes its bytes on in a kernel worker, which waits for a processor like an ordinary program: beside
-two busy programs it is milliseconds late, whatever the priorities at both ends are. A socket wakes its reader directly.
-So a simulated device that is started for a run (`rig.devices.local`) uses a socket.
+A socket, not a pseudo-terminal: the kernel passes on the bytes of a pseudo-terminal in a worker thread, which waits for
+a processor like an ordinary program. Beside two busy programs it is milliseconds late, whatever the priorities at both
+ends are. A socket wakes its reader directly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
-    """Open ``unix:///run/rig?cpu=1``; errors as `rig.devices.open_link`.
+    """Open the Unix socket of a URL such as ``unix:///run/rig?cpu=1``; errors as `rig.devices.open_link`.
 
     `cpu` is the number of the processor on which the program runs; the loop runs on this processor too.
     """
@@ -33,13 +33,13 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
     cpu = url.options.get("cpu")
     if cpu is not None and not cpu.isdecimal():
         raise ConfigError(
-            f"{url.text}: cpu = {cpu!r} is not the number of a processor", remedy="give a number from 0"
+            f"{url.text}: cpu = {cpu!r} is not the number of a processor", remedy="give an integer from 0 on"
         )
     if not url.place:
         raise ConfigError(
             f"{url.text}: the path of the socket is missing", remedy="write it like unix:///run/rig"
         )
-    lock = _locked(url.place)
+    lock = _lock_socket(url.place)
     end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     end.setblocking(False)
     try:
@@ -48,31 +48,32 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
         end.close()
         os.close(lock)
         raise DeviceNotFoundError(
-            f"no program answers at {url.place}: {error.strerror or error}",
-            remedy="start it, or name the path of its socket",
+            f"no program listens at the socket {url.place}: {error.strerror or error}",
+            remedy="start the program, or give the path of its socket",
         ) from None
     return SocketLink(url, end.detach(), lock, cpu=None if cpu is None else int(cpu))
 
 
-def _locked(place: str) -> int:
-    """Lock a file beside the socket and return its descriptor, so that a second host is refused and does not wait."""
+def _lock_socket(place: str) -> int:
+    """Lock a file beside the socket and return its descriptor; raise `DeviceNotFoundError` if it is locked."""
     try:
         lock = os.open(f"{place}.lock", os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise DeviceNotFoundError(
-            f"no program answers at {place}: {error.strerror or error}",
-            remedy="start it, or name the path of its socket",
+            f"no program listens at the socket {place}: {error.strerror or error}",
+            remedy="start the program, or give the path of its socket",
         ) from None
     if not locks.lock(lock):
         os.close(lock)
         raise DeviceNotFoundError(
-            f"{place} is in use by another program", remedy=f"close it (fuser {quote(place)}.lock names it)"
+            f"{place} is in use by another program",
+            remedy=f"close that program (fuser {quote(place)}.lock shows it)",
         )
     return lock
 
 
 class SocketLink(DescriptorLink):
-    """`rig.devices.device.Link` over a connected socket."""
+    """Link (`rig.devices.device.Link`) over a connected Unix socket."""
 
     bytes_per_second: float | None = None
     messages: tuple[str, ...] = ()
@@ -83,7 +84,7 @@ class SocketLink(DescriptorLink):
         self.cpu = cpu
 
     def close(self) -> None:
-        """Release the socket."""
+        """Close the socket and release its lock; a second call does nothing."""
         if self._descriptor != CLOSED:
             with suppress(OSError):
                 os.close(self._descriptor)

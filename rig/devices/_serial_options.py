@@ -16,14 +16,14 @@ OPTIONS = ("baud", "dtr")
 
 @dataclass(frozen=True, slots=True)
 class SerialOptions:
-    """Baud rate of a serial port (bits per second), and whether DTR and RTS are asserted."""
+    """Baud rate of a serial port (bits per second); `dtr` is True if DTR and RTS are to be asserted."""
 
     baud: int
     dtr: bool
 
     @classmethod
     def of(cls, url: DeviceUrl) -> Self:
-        """Return the options in ``serial:///dev/ttyACM0?baud=921600&dtr=on``; raise `ConfigError` if one is invalid."""
+        """Return the options in a URL like ``serial://PORT?baud=921600&dtr=on``; raise `ConfigError` if invalid."""
         url.allow(OPTIONS)
         text = url.options.get("baud", str(DEFAULT_BAUD))
         if not text.isdecimal() or not 300 <= int(text) <= 20_000_000:
@@ -34,14 +34,14 @@ class SerialOptions:
         dtr = url.choice("dtr", ("on", "off"), "on")
         if not url.place:
             raise ConfigError(
-                f"{url.text} names no port",
-                remedy=f"name a port, like serial:///dev/ttyACM0; {ports_in_words()}",
+                f"the URL {url.text} contains no serial port",
+                remedy=f"write it like serial:///dev/ttyACM0; {ports_in_words()}",
             )
         return cls(int(text), dtr == "on")
 
 
 def capacity(port: str, baud: int) -> float | None:
-    """Return the capacity in each direction (bytes/s); None for ports that ignore the baud rate (USB CDC, pty)."""
+    """Return the bytes/s that a serial port carries in each direction; None if it ignores the baud rate (USB, pty)."""
     real = os.path.realpath(port)
     if real.startswith("/dev/pts/") or os.path.basename(real).startswith(
         ("ttyACM", "cu.usbmodem", "tty.usbmodem")

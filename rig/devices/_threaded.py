@@ -1,8 +1,8 @@
 """Link whose bytes a Python thread reads, for ports that compiled code cannot access directly.
 
-Its functions for the loop are Python callbacks with the contracts of `rig.realtime.system.descriptor_read`,
+The loop's functions are Python callbacks with the arguments and results of `rig.realtime.system.descriptor_read`,
 `descriptor_write` and `descriptor_wait`. Thread and callbacks need the GIL, so a busy interpreter delays a loop by
-milliseconds, which the latency ledger shows.
+milliseconds, which the latency ledger (five time stamps in each recorded row) shows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PENDING_BYTES = 65536
 
 
 class ThreadedLine:
-    """Base class of links that a Python thread reads; a subclass implements `receive` and `send`, and calls `start`.
+    """Base of links that a Python thread reads; a subclass implements `receive` and `send`, and calls `start`.
 
     Errors are `OSError` with the numbers of `rig.devices._failures`.
     """
@@ -37,15 +37,15 @@ class ThreadedLine:
         self._reader.start()
 
     def receive(self) -> bytes:
-        """Return the bytes that have arrived, after at most `WAIT_S`; raise `OSError` on failure."""
+        """Return the bytes that have arrived at the port, after at most `WAIT_S`; raise `OSError` on failure."""
         raise NotImplementedError
 
     def send(self, data: bytes) -> int:
-        """Write once, and return the number of accepted bytes; raise `OSError` if none was accepted for long."""
+        """Write to the port once; return the number of accepted bytes. Raise `OSError` if none is accepted for long."""
         raise NotImplementedError
 
     def _fetch(self) -> None:
-        """Read into the buffer until the port is closed or fails; store the errno of a failure."""
+        """Read the port into the buffer until the port is closed or fails; store the errno of a failure."""
         while not self._closing:
             data, error = b"", 0
             try:
@@ -64,7 +64,10 @@ class ThreadedLine:
                 return
 
     def _ready(self, timeout_s: float) -> bool:
-        """Wait for bytes; return True if there are some. Raise the reader's `OSError` after its last bytes."""
+        """Wait at most `timeout_s` (s) for bytes in the buffer; return True if there are some.
+
+        A failure of the reader thread is raised as `OSError` after its last bytes were read.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
             if self._error and not self._pending:
@@ -79,7 +82,7 @@ class ThreadedLine:
         return data
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
+        """Return the bytes that the thread has read; wait at most `timeout_s` (s) for the first byte."""
         self._ready(timeout_s)
         return self._take(PENDING_BYTES)
 
@@ -89,7 +92,7 @@ class ThreadedLine:
             data = data[self.send(data) :]
 
     def plugs(self) -> CallbackPlugs:
-        """Return the functions read, write and wait for the loop, and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the read, write and wait functions for the loop, and their handle (`rig.devices.port.LoopPort`)."""
         if self._plugs is None:
             self._plugs = callback_plugs(read=self._read_now, write=self.send, wait=self._wait)
         return self._plugs
@@ -105,7 +108,7 @@ class ThreadedLine:
                 return ready
 
     def close(self) -> None:
-        """End the reader thread; may be called twice."""
+        """End the reader thread; a second call does nothing."""
         self._closing = True
         with self._changed:
             self._changed.notify_all()

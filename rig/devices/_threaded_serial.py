@@ -2,8 +2,7 @@
 
 It is for a board that runs the law itself and needs a message from the host every few milliseconds
 (`controller.supervise_lifetime_s`). A loop on the host is not fast enough on such a system and is refused
-(`rig.experiments.trials.preparation.prepared_on`). DTR and RTS are set before the port opens; Windows drops both when
-it closes, which resets many boards.
+(`rig.experiments.trials.preparation.prepared_on`).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ FRAME_BYTES = 64
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> ThreadedSerialLink:
-    """Open ``serial://COM3?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
+    """Open the port of a URL such as ``serial://COM3?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
     options = SerialOptions.of(url)
     port = serial.Serial(
         baudrate=options.baud,
@@ -36,16 +35,17 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> ThreadedSerialLi
         timeout=WAIT_S,
         write_timeout=BUFFER_S + 20.0 * FRAME_BYTES / options.baud,  # Windows waits until the bytes have left
     )
+    # Before the port opens. Windows drops both when it closes, which resets many boards.
     port.dtr = port.rts = options.dtr
     port.port = url.place
     try:
         port.open()
     except (OSError, ValueError) as error:  # a SerialException is an OSError
-        raise _not_opened(url.place, error) from None
+        raise _opening_error(url.place, error) from None
     return ThreadedSerialLink(url, port)
 
 
-def _not_opened(place: str, error: Exception) -> DeviceNotFoundError:
+def _opening_error(place: str, error: Exception) -> DeviceNotFoundError:
     number, text = getattr(error, "errno", None), str(error)
     if number == errno.ENOENT or "FileNotFoundError" in text:
         return DeviceNotFoundError(
@@ -54,19 +54,19 @@ def _not_opened(place: str, error: Exception) -> DeviceNotFoundError:
     if number in (errno.EACCES, errno.EAGAIN, errno.EBUSY) or "PermissionError" in text or "lock" in text:
         return DeviceNotFoundError(f"{place} is in use by another program", remedy="close that program")
     return DeviceNotFoundError(
-        f"{place} does not open: {error}", remedy=f"plug the device in again; {ports_in_words()}"
+        f"cannot open {place}: {error}", remedy=f"plug the device in again; {ports_in_words()}"
     )
 
 
 class ThreadedSerialLink(RealLink):
-    """`rig.devices.device.Link` over an open port of pyserial.
+    """Link (`rig.devices.device.Link`) over an open port of pyserial, on systems other than Linux.
 
     Attributes
     ----------
     facts
         Facts about the port.
     messages
-        Settings of the port that could not be obtained.
+        Settings of the port that could not be set; always empty.
     """
 
     messages: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ class ThreadedSerialLink(RealLink):
         self._line: _Line | None = _Line(port)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
+        """Return the bytes that the device has sent; wait at most `timeout_s` (s) for the first byte."""
         line = self._open()
         try:
             return line.read(timeout_s)
@@ -88,7 +88,7 @@ class ThreadedSerialLink(RealLink):
             raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; raise `LinkLostError` when the port accepts no more bytes or is gone."""
+        """Send all of `data`; raise `LinkLostError` if the port accepts no more bytes or is gone."""
         line = self._open()
         try:
             line.write(data)
@@ -101,14 +101,14 @@ class ThreadedSerialLink(RealLink):
         return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
 
     def close(self) -> None:
-        """Release the port; may be called twice."""
+        """Release the serial port; a second call does nothing."""
         line, self._line = self._line, None
         if line is not None:
             line.close()
 
     def _open(self) -> _Line:
         if self._line is None:
-            raise UnpluggedError(f"{self.url.text} is closed", remedy="open it again")
+            raise UnpluggedError(f"the link to {self.url.text} is closed", remedy="open the device again")
         return self._line
 
     def _lost(self, error: OSError) -> LinkLostError:
@@ -116,7 +116,7 @@ class ThreadedSerialLink(RealLink):
 
 
 class _Line(ThreadedLine):
-    """Open port of pyserial. An error without errno means that the port is gone (ENODEV)."""
+    """Open serial port of pyserial, read by a thread. An error without errno means that the port is gone (ENODEV)."""
 
     def __init__(self, port: serial.Serial) -> None:
         super().__init__()
@@ -139,7 +139,7 @@ class _Line(ThreadedLine):
             raise OSError(getattr(error, "errno", None) or errno.ENODEV, os.strerror(errno.ENODEV)) from None
 
     def close(self) -> None:
-        """End the reader thread, then close the port."""
+        """End the reader thread, then close the serial port."""
         super().close()
         try:
             self._port.close()

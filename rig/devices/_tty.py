@@ -1,6 +1,6 @@
-"""Settings of a serial line, by its descriptor. A setting that the line does not have is returned as None.
+"""Read and change settings of a serial line by its descriptor; None means that the line does not have the setting.
 
-The serial links and their facts call it. It must not open or close a line.
+The serial links and `rig.devices.port_facts` use it. It must not open or close a line.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ def _serial_struct(descriptor: int) -> array[int] | None:
 
 
 def low_latency(descriptor: int) -> bool | None:
-    """Return True if the driver passes received bytes on at once; None if it has no such setting."""
+    """Return True if the serial driver passes received bytes on at once; None if it has no such setting."""
     settings = _serial_struct(descriptor)
     return None if settings is None else bool(settings[_FLAGS] & ASYNC_LOW_LATENCY)
 
 
 def set_low_latency(descriptor: int) -> bool | None:
-    """Set the driver to pass received bytes on at once; return `low_latency` afterwards."""
+    """Set the serial driver to pass received bytes on at once; return the setting that it reports afterwards."""
     settings = _serial_struct(descriptor)
     if settings is None:
         return None
@@ -52,7 +52,7 @@ def set_low_latency(descriptor: int) -> bool | None:
 
 
 def is_exclusive(descriptor: int) -> bool | None:
-    """Return True if the kernel refuses other programs the line (except root); None if it does not report this."""
+    """Return True if the kernel refuses the line to other programs (except root's); None if it does not report this."""
     answer = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, _TIOCGEXCL, answer)
@@ -62,14 +62,14 @@ def is_exclusive(descriptor: int) -> bool | None:
 
 
 def set_exclusive(descriptor: int, wanted: bool) -> bool | None:
-    """Refuse other programs the line if `wanted`, else allow them; return `is_exclusive` afterwards."""
+    """Refuse the line to other programs if `wanted`, else allow them; return the setting as reported afterwards."""
     with suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCEXCL if wanted else termios.TIOCNXCL)
     return is_exclusive(descriptor)
 
 
 def dtr(descriptor: int) -> bool | None:
-    """Return True if DTR is asserted; None if the line has no DTR."""
+    """Return True if the modem line DTR is asserted; None if the line has no DTR."""
     lines = bytearray(struct.calcsize("i"))
     try:
         fcntl.ioctl(descriptor, termios.TIOCMGET, lines)
@@ -87,23 +87,23 @@ def set_dtr_rts(descriptor: int, asserted: bool) -> bool | None:
 
 
 def hangs_up(descriptor: int) -> bool:
-    """Return True if closing the line drops DTR."""
+    """Return True if closing the serial line drops DTR."""
     return bool(termios.tcgetattr(descriptor)[_CFLAG] & termios.HUPCL)
 
 
 def blocks_for_a_byte(descriptor: int) -> bool:
-    """Return True if VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean hang-up."""
+    """Return True if VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean a hang-up."""
     characters = termios.tcgetattr(descriptor)[_CC]
     return _number(characters[termios.VMIN]) == 1 and _number(characters[termios.VTIME]) == 0
 
 
 def _number(character: int | bytes) -> int:
-    """Return a control character as a number; termios gives a byte, or a number when the line is raw."""
+    """Return a control character of termios as a number; termios gives a byte, or a number when the line is raw."""
     return character if isinstance(character, int) else character[0]
 
 
 def configure(descriptor: int) -> None:
-    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raise `termios.error` when the line is gone."""
+    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raise `termios.error` if the line is gone."""
     attributes = termios.tcgetattr(descriptor)
     # pyserial leaves VMIN at 0, where "nothing available" and "unplugged" both read 0 bytes.
     attributes[_CC][termios.VMIN] = 1

@@ -1,4 +1,4 @@
-"""Addresses of libusb's functions, context and handle of an open device, from the private attributes of pyusb.
+"""Find the addresses of libusb's functions, context and device handle in the private attributes of pyusb.
 
 This is the only file that uses pyusb's private names. `unsuitable` compares them with the tested versions, and returns
 the reason if the addresses cannot be used; then the device is used through pyusb's own calls
@@ -40,7 +40,7 @@ _FUNCTIONS = (
 
 
 class Transfer(ctypes.Structure):
-    """``struct libusb_transfer``, as libusb.h declares it."""
+    """The C struct libusb_transfer, as libusb.h declares it."""
 
     _fields_ = (
         ("dev_handle", ctypes.c_void_p),
@@ -64,7 +64,7 @@ class _PollFd(ctypes.Structure):
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """Addresses of libusb's functions, of its context and of the handle of an open device."""
+    """Addresses of libusb's functions, of its context and of the handle of an open device, for compiled code."""
 
     submit: int
     cancel: int
@@ -83,12 +83,12 @@ class Handle:
         return int(address)
 
     def free_transfer(self, address: int) -> None:
-        """Free a libusb transfer that is no longer in use."""
+        """Free the libusb transfer at this address, which must no longer be in use."""
         _function(self._library, "libusb_free_transfer", None, ctypes.c_void_p)(address)
 
 
 class UsbBus:
-    """USB devices that are present now, in their own libusb context. Close it after the device.
+    """All USB devices that are connected now, in their own libusb context. Close the bus after its devices.
 
     Raises
     ------
@@ -110,7 +110,7 @@ class UsbBus:
             ) from None
 
     def close(self) -> None:
-        """Close all devices, then the context; may be called twice."""
+        """Close all devices of the bus, then the libusb context; a second call does nothing."""
         devices, self.devices = self.devices, []
         for device in devices:
             with suppress(usb.core.USBError):
@@ -125,7 +125,7 @@ class UsbBus:
 
 
 def _own_backend() -> Any:
-    """Return a pyusb backend with a new context, made like pyusb's `get_backend`; None for an untested pyusb."""
+    """Return a pyusb backend with a new libusb context; None for a version of pyusb that is not tested."""
     if _version() not in TESTED:
         return None
     try:
@@ -142,7 +142,7 @@ def _version() -> tuple[int, int]:
 
 
 def unsuitable(device: usb.core.Device) -> str:
-    """Return the reason why the addresses of an open device cannot be used, "" if they can."""
+    """Return the reason why compiled code cannot use libusb's addresses of an open device; "" if it can."""
     if not _is_known():
         return "the layout of a transfer is known for 64-bit Linux alone"
     if _version() not in TESTED:
@@ -150,7 +150,7 @@ def unsuitable(device: usb.core.Device) -> str:
         return f"pyusb {usb.__version__} is not among the tested ones ({tested})"
     if numba.config.DISABLE_JIT:
         return "numba does not compile"
-    return _strange(device)
+    return _find_difference(device)
 
 
 def _is_known() -> bool:
@@ -160,8 +160,8 @@ def _is_known() -> bool:
         return False
 
 
-def _strange(device: usb.core.Device) -> str:
-    """Return the first difference between pyusb's private names and the tested ones, "" if there is no difference."""
+def _find_difference(device: usb.core.Device) -> str:
+    """Return the first difference between pyusb's private names and those of tested versions; "" without one."""
     try:
         backend = device.backend
         if not isinstance(backend, libusb1._LibUSB):  # noqa: SLF001
@@ -181,7 +181,7 @@ def _strange(device: usb.core.Device) -> str:
 
 
 def handle_of(device: usb.core.Device) -> Handle:
-    """Return the addresses of an open device for which `unsuitable` returns ""."""
+    """Return libusb's addresses for an open device, for which `unsuitable` must return ""."""
     library, context = device.backend.lib, device.backend.ctx.value
     return Handle(
         submit=_address(library, "libusb_submit_transfer"),

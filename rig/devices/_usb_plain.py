@@ -1,4 +1,4 @@
-"""Bulk pipes of a USB device through pyusb's own calls, if the addresses of `_usb_handle` cannot be used.
+"""Transfer bytes of a USB device by pyusb's own calls, if compiled code cannot use libusb (`_usb_handle`).
 
 A busy Python interpreter then delays the loop (see `rig.devices._threaded`); the link's `note` warns of this.
 """
@@ -18,7 +18,7 @@ OUT_LIMIT_S = 0.5
 
 
 class PlainTransfers(ThreadedLine):
-    """Bulk pipes of one USB interface, read by a Python thread."""
+    """The two bulk endpoints of a USB interface by pyusb's own calls, read by a Python thread."""
 
     def __init__(
         self, device: usb.core.Device, endpoint_in: int, endpoint_out: int, packet: int, why: str
@@ -31,14 +31,17 @@ class PlainTransfers(ThreadedLine):
         self.start()
 
     def receive(self) -> bytes:
-        """Return one packet; empty if none arrives within `WAIT_S`."""
+        """Return one packet of the USB device; empty if none arrives within `WAIT_S`."""
         try:
             return bytes(self._device.read(self._in, self._packet, round(WAIT_S * 1e3)))
         except usb.core.USBTimeoutError:
             return b""
 
     def send(self, data: bytes) -> int:
-        """Write once; return the number of accepted bytes. Raise ETIMEDOUT if it is 0 for `OUT_LIMIT_S`."""
+        """Write to the USB device once; return the number of accepted bytes.
+
+        Raise `OSError` (ETIMEDOUT) if the device has accepted nothing for `OUT_LIMIT_S`.
+        """
         try:
             sent = int(self._device.write(self._out, data, WRITE_TIMEOUT_MS))
         except usb.core.USBTimeoutError:

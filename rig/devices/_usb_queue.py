@@ -28,7 +28,10 @@ _BULK = 2
 
 
 class QueuedTransfers:
-    """Bulk pipes of one USB interface, by queued transfers; errors are `OSError` with numbers of `_failures`."""
+    """The two bulk endpoints of a USB interface by queued libusb transfers, for Python and the compiled loop.
+
+    Errors are `OSError` with the numbers of `rig.devices._failures`.
+    """
 
     note = ""
 
@@ -58,20 +61,20 @@ class QueuedTransfers:
         for index, buffer in enumerate([*self._incoming, *self._outgoing]):
             endpoint = endpoint_in if index < IN_TRANSFERS else endpoint_out
             slot = SLOTS_AT + SLOT_WORDS * index
-            block[slot + Slot.TRANSFER] = self._prepared(
+            block[slot + Slot.TRANSFER] = self._prepare_transfer(
                 endpoint, buffer, self._address + 8 * (slot + Slot.STATE)
             )
             block[slot + Slot.BUFFER] = buffer.ctypes.data
         failed = compiled.start(self._address)
         if failed < 0:
             self.close()
-            raise OSError(-failed, "the transfers cannot be queued")
+            raise OSError(-failed, "the USB transfers cannot be queued")
 
     @property
     def _address(self) -> int:
         return int(self._block.ctypes.data)
 
-    def _prepared(self, endpoint: int, buffer: Any, state_address: int) -> int:
+    def _prepare_transfer(self, endpoint: int, buffer: Any, state_address: int) -> int:
         address = self._handle.make_transfer()
         self._transfers.append(address)
         transfer = Transfer.from_address(address)
@@ -87,7 +90,7 @@ class QueuedTransfers:
         return address
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
+        """Return the bytes that the USB device has sent; wait at most `timeout_s` (s) for the first byte."""
         deadline_ns = time.monotonic_ns() + max(0, round(timeout_s * 1e9))
         ready = 0
         while ready == 0:
@@ -102,7 +105,7 @@ class QueuedTransfers:
         return self._read_buffer[:ready].tobytes()
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; wait while all OUT transfers are in use, and raise `OSError` if this takes too long."""
+        """Send all of `data`; wait while no transfer is free, and raise `OSError` if this takes too long."""
         left = np.frombuffer(data, np.uint8)
         while len(left):
             taken = compiled.usb_write(self._address, left.ctypes.data, len(left))
@@ -113,11 +116,11 @@ class QueuedTransfers:
                 compiled.flush(self._address, time.monotonic_ns() + round(_SLICE_S * 1e9), 0)
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return the functions read, write and wait for the loop, and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the read, write and wait functions for the loop, and their handle (`rig.devices.port.LoopPort`)."""
         return compiled.usb_read, compiled.usb_write, compiled.usb_wait, self._address
 
     def close(self) -> None:
-        """Complete the last writes, cancel all other transfers, and free their memory; may be called twice."""
+        """Complete the last writes, cancel all other transfers, and free their memory; a second call does nothing."""
         transfers, self._transfers = self._transfers, []
         if not transfers:
             return

@@ -1,11 +1,11 @@
-"""Bulk pipes of a USB device for the compiled loop: libusb transfers without Python and without the GIL.
+"""Compiled functions that read and write a USB device by libusb transfers, without Python and without the GIL.
 
-`usb_read`, `usb_write` and `usb_wait` have the contracts of `rig.realtime.system.descriptor_read`, `descriptor_write`
-and `descriptor_wait`. libusb calls `mark_completed` at the end of a transfer, in the thread that handles events. No
-call may wait without a bound.
+`usb_read`, `usb_write` and `usb_wait` have the arguments and results of `rig.realtime.system.descriptor_read`,
+`descriptor_write` and `descriptor_wait`. libusb calls `mark_completed` at the end of a transfer, in the thread that
+handles events. No call may wait without a bound.
 
 The handle of these functions is the address of a block of int64 words: the fields of `Word`, then a slot (`Slot`) for
-each transfer. `rig.devices._usb_queue` makes it with the addresses of libusb's functions, which come from
+each transfer. `rig.devices._usb_queue` fills it with the addresses of libusb's functions, which come from
 `rig.devices._usb_handle`; that file also checks the layout of `struct libusb_transfer`.
 """
 
@@ -23,7 +23,7 @@ from rig.realtime.system import BILLION, EINTR, last_error, monotonic_now
 
 
 class Word(IntEnum):
-    """Indices of the fields at the begin of the block (64-bit words)."""
+    """Indices of the fields at the beginning of the block of words that describes a USB link."""
 
     CONTEXT = 0  # libusb_context *
     SUBMIT = 1  # addresses of libusb_submit_transfer,
@@ -43,7 +43,7 @@ class Word(IntEnum):
 
 
 class Slot(IntEnum):
-    """Indices of the fields of a transfer's slot (64-bit words)."""
+    """Indices of the fields that describe one USB transfer, in its slot of the block (64-bit words)."""
 
     TRANSFER = 0  # struct libusb_transfer *
     BUFFER = 1
@@ -113,25 +113,25 @@ def _put(block: int, index: int, value: int) -> None:
 
 @kernel(_i64(_i64, _i64))
 def _slot(block: int, index: int) -> int:
-    """Return the address of a transfer's slot; the IN transfers come first, then the OUT transfers."""
+    """Return the address of the slot of transfer `index`; IN transfers come first, then OUT transfers."""
     return block + 8 * (SLOTS_AT + SLOT_WORDS * index)
 
 
 @kernel(_i64(_i64))
 def _actual(slot: int) -> int:
-    """Return the number of bytes that a transfer has moved."""
+    """Return the number of bytes that the transfer of a slot has moved."""
     return int(load_word(_word(slot, _TRANSFER) + ACTUAL_AT)) & 0x7FFFFFFF
 
 
 @kernel(_i64(_i64))
 def _status(slot: int) -> int:
-    """Return the errno with which a transfer ended, 0 without an error."""
+    """Return the errno with which the transfer of a slot ended; 0 without an error."""
     return int(errno_of_status(int(load_word(_word(slot, _TRANSFER) + STATUS_AT)) & 0xFFFFFFFF))
 
 
 @kernel(_i64(_i64, _i64, _i64))
 def _submit(block: int, slot: int, length: int) -> int:
-    """Submit a transfer of `length` bytes; return 0 or a positive errno."""
+    """Submit the USB transfer of a slot for `length` bytes; return 0 or a positive errno."""
     transfer = _word(slot, _TRANSFER)
     store_word(transfer + STATUS_AT, length << 32)
     _put(slot, _STARTED, monotonic_now(0))
@@ -154,7 +154,7 @@ def _handle_events(block: int) -> int:
 
 @kernel(_i64(_i64))
 def _settle_out(block: int) -> int:
-    """Mark completed OUT transfers as free; return 0, or the errno that ended the pipe."""
+    """Mark completed OUT transfers as free; return 0, or the errno of the first OUT transfer that failed."""
     first = _word(block, _IN_COUNT)
     for index in range(first, first + _word(block, _OUT_COUNT)):
         slot = _slot(block, index)
@@ -172,7 +172,7 @@ def _settle_out(block: int) -> int:
 
 @kernel(types.void(_i64))
 def _pass_head(block: int) -> None:
-    """Submit the IN transfer at the head again, after its bytes were read, and advance the head to the next one."""
+    """Submit the oldest IN transfer again after its bytes were read; the next IN transfer becomes the oldest."""
     head = _word(block, _IN_HEAD)
     slot = _slot(block, head)
     error = _status(slot)
@@ -187,7 +187,7 @@ def _pass_head(block: int) -> None:
 
 @kernel(_i64(_i64))
 def _look(block: int) -> int:
-    """Return the number of unread bytes in the IN transfer at the head, 0 without any, or a negative errno."""
+    """Return the number of unread bytes in the oldest IN transfer; 0 without any, or a negative errno."""
     # Bytes that arrived before an error are delivered before it.
     for _ in range(_word(block, _IN_COUNT)):
         slot = _slot(block, _word(block, _IN_HEAD))
@@ -207,7 +207,10 @@ def _look(block: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def usb_read(block: int, address: int, size: int) -> int:
-    """Read up to `size` bytes without waiting; return their number, 0 if none is available, or -errno."""
+    """Read up to `size` bytes to memory at `address`, without waiting; return their number.
+
+    Return 0 if no bytes are available, or a negative errno.
+    """
     total = 0
     fresh = False
     while total < size:
@@ -235,7 +238,7 @@ def usb_read(block: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64))
 def _free_out(block: int) -> int:
-    """Return the address of a free OUT slot, 0 if all OUT transfers are in transit."""
+    """Return the address of the slot of a free OUT transfer; 0 if all are in transit."""
     first = _word(block, _IN_COUNT)
     for index in range(first, first + _word(block, _OUT_COUNT)):
         slot = _slot(block, index)
@@ -246,7 +249,7 @@ def _free_out(block: int) -> int:
 
 @kernel(_i64(_i64))
 def _oldest_out(block: int) -> int:
-    """Return the time at which the oldest OUT transfer was submitted (ns); call it when none is free."""
+    """Return the time (ns) at which the oldest OUT transfer was submitted; call it when no transfer is free."""
     first = _word(block, _IN_COUNT)
     oldest = _word(_slot(block, first), _STARTED)
     for index in range(first + 1, first + _word(block, _OUT_COUNT)):
@@ -256,9 +259,10 @@ def _oldest_out(block: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def usb_write(block: int, address: int, size: int) -> int:
-    """Queue up to `size` bytes without waiting; return their number, 0 if no transfer is free, or a negative errno.
+    """Queue up to `size` bytes of memory at `address` for sending, without waiting; return their number.
 
-    Return -ETIMEDOUT if the device has accepted nothing for OUT_LIMIT (ns).
+    Return 0 if no transfer is free, or a negative errno: -ETIMEDOUT if the device has accepted nothing for OUT_LIMIT
+    (ns).
     """
     error = _settle_out(block)
     if error != 0:
@@ -288,7 +292,10 @@ def usb_write(block: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64, _i64))
 def _sleep_until_event(block: int, deadline_ns: int) -> int:
-    """Wait by ppoll(2) for an event of libusb; return 1 on an event, 0 at the deadline, or a negative errno."""
+    """Wait by ppoll(2) for an event of libusb, at most until `deadline_ns`; return 1 after the wait.
+
+    Return 0 without waiting if the deadline has passed, or a negative errno.
+    """
     timespec = _two_words()
     remaining = deadline_ns - monotonic_now(0)
     if remaining <= 0:
@@ -305,7 +312,10 @@ def _sleep_until_event(block: int, deadline_ns: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def usb_wait(block: int, deadline_ns: int) -> int:
-    """Wait for bytes until a deadline on CLOCK_MONOTONIC (ns); return 1 if readable, 0 at the deadline, or -errno."""
+    """Wait for received bytes until CLOCK_MONOTONIC reaches `deadline_ns` (ns).
+
+    Return 1 if bytes are available, 0 at the deadline, or a negative errno.
+    """
     while True:
         ready = _look(block)
         if ready == 0:
@@ -320,7 +330,7 @@ def usb_wait(block: int, deadline_ns: int) -> int:
 
 @kernel(_i64(_i64))
 def start(block: int) -> int:
-    """Submit all IN transfers; return 0 or a negative errno."""
+    """Submit all IN transfers of a USB link, so that it receives; return 0 or a negative errno."""
     # Several, so that no packet waits for the host. One packet each: a full packet ends its transfer as a short one
     # does, so that a frame never waits for its successor and the device need not send empty packets.
     for index in range(_word(block, _IN_COUNT)):
@@ -342,7 +352,10 @@ def _count_flying(block: int) -> int:
 
 @kernel(_i64(_i64, _i64, _i64))
 def flush(block: int, deadline_ns: int, cancel: int) -> int:
-    """Wait until no OUT transfer is in transit (`cancel`: cancel all, wait for all); return the number left."""
+    """Wait until `deadline_ns` (ns) for all OUT transfers to end; return the number of those still in transit.
+
+    With `cancel` 1, cancel all IN and OUT transfers first, and wait for all of them.
+    """
     if cancel != 0:
         for index in range(_word(block, _IN_COUNT) + _word(block, _OUT_COUNT)):
             slot = _slot(block, index)
@@ -361,5 +374,5 @@ def flush(block: int, deadline_ns: int, cancel: int) -> int:
 
 @kernel(COMPLETED_SIGNATURE)
 def mark_completed(transfer: int) -> None:
-    """Store DONE in the word to which `user_data` of a transfer points; libusb calls it when a transfer ends."""
+    """Store DONE in the word to which a transfer's `user_data` points; libusb calls it when the transfer ends."""
     store_word(load_word(transfer + USER_DATA_AT), DONE)

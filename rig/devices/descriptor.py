@@ -1,7 +1,7 @@
-"""Link that reads and writes an open file descriptor by read(2), write(2) and poll(2).
+"""Link that reads and writes an open file descriptor by read(2), write(2) and poll(2), on Linux.
 
-Serial ports, the local socket of a simulated device and the bridge of drives inherit from it, only on Linux. It must
-not open a descriptor: a subclass does.
+Serial ports, the local socket of a simulated device and the bridge of drives inherit from it. It must not open a
+descriptor: a subclass does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CLOSED = -1
 
 
 class DescriptorLink(RealLink):
-    """Base class of links over a non-blocking descriptor; a subclass opens it, and sets it to `CLOSED` at the end."""
+    """Base of links over a non-blocking descriptor, which a subclass opens and sets to `CLOSED` at the end."""
 
     def __init__(self, url: DeviceUrl, descriptor: int) -> None:
         self.url = url
@@ -40,7 +40,10 @@ class DescriptorLink(RealLink):
         self._writable.register(descriptor, select.POLLOUT)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte."""
+        """Return the bytes that the device has sent; wait at most `timeout_s` (s) for the first byte.
+
+        Raise `LinkLostError` if the device is gone.
+        """
         if self._descriptor == CLOSED:
             raise self._lost(None)
         try:
@@ -56,7 +59,7 @@ class DescriptorLink(RealLink):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; raise `LinkLostError` when the line stays full for `WRITE_TIMEOUT_S` or is gone."""
+        """Send all of `data`; raise `LinkLostError` if the device is gone or accepts no byte for `WRITE_TIMEOUT_S`."""
         deadline = time.monotonic() + WRITE_TIMEOUT_S
         view = memoryview(data)
         while view:
@@ -64,13 +67,13 @@ class DescriptorLink(RealLink):
                 view = view[os.write(self._descriptor, view) :]
             except BlockingIOError:
                 if time.monotonic() > deadline:
-                    raise self._lost(TimeoutError("it takes no more bytes")) from None
+                    raise self._lost(TimeoutError("the line accepts no more bytes")) from None
                 self._writable.poll(FULL_PAUSE_MS)
             except (OSError, ValueError) as error:
                 raise self._lost(error) from error
 
     def port(self) -> LoopPort:
-        """Return the system calls with which the loop uses this descriptor."""
+        """Return the compiled functions with which the loop reads and writes this descriptor."""
         return LoopPort.on(
             self.clock,
             read=system.descriptor_read,

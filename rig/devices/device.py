@@ -45,11 +45,11 @@ _NO_ESCAPE = re.compile(r"%(?![0-9A-Fa-f]{2})|%00")
 
 @dataclass(frozen=True, slots=True)
 class DeviceUrl:
-    """``scheme://place?key=value``: for example ``sim://koul-compliant?seed=3`` or ``serial:///dev/ttyACM0?baud=921600``.
+    """URL of a device, ``scheme://place?key=value``, such as ``serial:///dev/ttyACM0?baud=921600``.
 
-    A place or value may be a path of any bytes. In the text, ``%XX`` is a byte, ``?`` begins the options, and ``&`` and
-    ``=`` separate them; every other character stands for itself, ``#`` and ``+`` too. `place` and `options` have no
-    escapes. (`urllib` would drop what follows a ``#``, and line ends.)
+    A place or value may be a path of any bytes. In `text`, ``%XX`` is a byte, ``?`` begins the options, and ``&`` and
+    ``=`` separate them; every other character means itself, ``#`` and ``+`` too. `place` and `options` contain no
+    ``%XX``.
     """
 
     scheme: str
@@ -59,14 +59,17 @@ class DeviceUrl:
 
     @classmethod
     def of(cls, scheme: str, place: str, options: Mapping[str, str] | None = None) -> DeviceUrl:
-        """Return the URL of a place and options, with escapes, so that `parse` and a shell give them back exactly."""
+        """Return the URL of a place and options; special characters are escaped, so that `parse` returns the same."""
         options = options or {}
         query = "&".join(f"{_encode(name)}={_encode(value)}" for name, value in options.items())
         return cls(scheme, place, options, f"{scheme}://{_encode(place)}{'?' if query else ''}{query}")
 
     @classmethod
     def parse(cls, text: str) -> DeviceUrl:
-        """Split a URL; raise `ConfigError` for a missing scheme, a repeated option, or an invalid character."""
+        """Split a device URL into scheme, place and options.
+
+        Raise `ConfigError` for a missing scheme, a repeated option, or an invalid character.
+        """
         scheme, separator, rest = text.partition("://")
         if not separator or not _SCHEME.fullmatch(scheme):
             raise ConfigError(
@@ -98,7 +101,7 @@ class DeviceUrl:
         return cls(scheme, _decode(place), options, text)
 
     def allow(self, options: Iterable[str]) -> None:
-        """Raise `ConfigError` if the URL has an option that is not in `options`."""
+        """Raise `ConfigError` if this device URL has an option that is not in `options`."""
         for name in self.options:
             if name not in options:
                 raise ConfigError(
@@ -107,11 +110,11 @@ class DeviceUrl:
                 )
 
     def choice(self, name: str, allowed: Sequence[str], default: str) -> str:
-        """Return the value of an option, or `default`; raise `ConfigError` if it is not one of `allowed`."""
+        """Return the value of a URL option, or `default`; raise `ConfigError` if the value is not in `allowed`."""
         value = self.options.get(name, default)
         if name in self.options and value not in allowed:
             raise ConfigError(
-                f"{self.text}: {name} = {value!r} is not allowed",
+                f"{self.text}: the option {name} = {value!r} is not allowed",
                 remedy=f"give one of: {', '.join(allowed)}; or leave {name} out",
             )
         return value
@@ -137,11 +140,11 @@ class Link(Protocol):
     messages: Sequence[str]  # what could not be obtained, each with its remedy: for the user to read
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that have arrived; wait at most `timeout_s` for the first byte; empty after a timeout."""
+        """Return the bytes that the device has sent; wait at most `timeout_s` (s) for the first; may be empty."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`."""
+        """Send all of `data` to the device; raise `LinkLostError` if the device is gone or accepts no bytes."""
         ...
 
     def port(self) -> LoopPort:
@@ -149,7 +152,7 @@ class Link(Protocol):
         ...
 
     def failure(self) -> BaseException | None:
-        """Return the exception that the simulated device raised while the loop ran, or None."""
+        """Return the exception that a simulated device raised while the loop ran; None without one."""
         ...
 
     def truth(self) -> NDArray[np.void] | None:
@@ -157,17 +160,17 @@ class Link(Protocol):
         ...
 
     def close(self) -> None:
-        """Release the port; may be called twice."""
+        """Release the device's port or interface; a second call does nothing."""
         ...
 
 
 class RealLink:
-    """Mixin of a `Link` to a device that does not run in this process."""
+    """Mixin for a `Link` to a device outside of this process: its exceptions and true signals are unknown."""
 
     def failure(self) -> BaseException | None:
-        """Return None: a real device reports no exception."""
+        """Return None: a device outside of this process reports no Python exception."""
         return None
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return None: the true state of a real rig is unknown."""
+        """Return None: the true signals of a device outside of this process are unknown."""
         return None

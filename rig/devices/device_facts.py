@@ -1,6 +1,6 @@
 """Facts about a device: from its dictionary (its description of itself), and from the open device.
 
-`rig device`, `rig firmware` and the examination before a hit call it. It only reads: it must not set a parameter or arm
+`rig device`, `rig firmware` and the examination before a hit use it. It only reads: it must not set a parameter or arm
 a device.
 """
 
@@ -28,7 +28,7 @@ class FirmwareFacts:
     Attributes
     ----------
     device, firmware, simulated
-        Name of the rig, version of the firmware, and whether the device is simulated.
+        Name of the rig, version of the firmware, and True if the device is simulated.
     protocol, our_protocol
         Protocol version of the device, and that of this package.
     dictionary_hash
@@ -56,7 +56,7 @@ class FirmwareFacts:
     settings: Mapping[str, SettingValue]
 
     def rows(self) -> list[Row]:
-        """Return the facts as rows to print."""
+        """Return the facts about the firmware as rows to print."""
         kind = "simulated" if self.simulated else ""
         law = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
         return [
@@ -75,7 +75,7 @@ class FirmwareFacts:
 
 
 def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
-    """Return the fields of `FirmwareFacts` from a dictionary and its hash."""
+    """Return the fields of `FirmwareFacts` from a device's dictionary and the dictionary's 64-bit hash."""
     law = dictionary.parameter("law")
     return {
         "device": dictionary.device,
@@ -94,7 +94,7 @@ def stated(dictionary: Dictionary, fingerprint: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class ActiveParameter:
-    """Active parameter of a device; `meaning` is empty if this package does not contain the parameter."""
+    """One active parameter of a device; `meaning` is empty if this package does not know the parameter."""
 
     name: str
     value: Value
@@ -105,7 +105,7 @@ class ActiveParameter:
 
 @dataclass(frozen=True, slots=True)
 class ActiveParameters:
-    """All active parameters of a device, in the order of their ids; `crc` is the CRC of them that ARM must repeat."""
+    """All active parameters of a device, in the order of their ids, with the CRC that the message ARM repeats."""
 
     url: str
     state: str
@@ -113,7 +113,7 @@ class ActiveParameters:
     parameters: tuple[ActiveParameter, ...]
 
     def rows(self) -> list[Row]:
-        """Return rows to print: each parameter with its meaning, and with its default if the value differs from it."""
+        """Return rows to print: each active parameter with its meaning, and with its default if it was changed."""
 
         def note(one: ActiveParameter) -> str:
             default = f"default {one.default:g}" if one.value != one.default else ""
@@ -128,7 +128,10 @@ class ActiveParameters:
 
 
 def active_parameters(device: FramedDevice) -> ActiveParameters:
-    """Return the active parameters of an open device, without changing them; errors as `FramedDevice`."""
+    """Return the active parameters of an open device, without changing them.
+
+    Raise `LinkLostError` if the device does not reply.
+    """
     values = device.active_parameters()
     known = {info.name: info for info in device.dictionary.parameters}
     found = [
@@ -148,16 +151,16 @@ def active_parameters(device: FramedDevice) -> ActiveParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceFacts(FirmwareFacts):
-    """Facts about an open device.
+    """Facts about an open device: those of its firmware, its state and its fault.
 
     Attributes
     ----------
     url
         URL of the device.
     state, fault
-        State of the device, and its latched fault with the remedy, None without a fault.
+        State of the device, and its stored fault with the remedy, None without a fault.
     messages
-        Settings that the link could not obtain when it was opened, with remedies.
+        Settings that the link could not set when it was opened, with remedies.
     """
 
     url: str
@@ -167,7 +170,7 @@ class DeviceFacts(FirmwareFacts):
 
     @classmethod
     def of(cls, device: FramedDevice) -> DeviceFacts:
-        """Read the facts from an open device; errors as the requests of `FramedDevice`."""
+        """Read the facts about an open device; raise `LinkLostError` if the device does not reply."""
         dictionary = device.dictionary
         faulty = device.connection.state is State.FAULT
         report = device.fault_report() if faulty else None
@@ -180,7 +183,7 @@ class DeviceFacts(FirmwareFacts):
         )
 
     def rows(self) -> list[Row]:
-        """Return the facts as rows to print."""
+        """Return the facts about the open device as rows to print."""
         return [
             Row("url", self.url),
             *super().rows(),

@@ -1,7 +1,7 @@
 """Script of faults for a simulated run: faults of single frames of a link, and faults of the device at given ticks.
 
 A simulation executes it (`rig.devices.open_watched`). A test that runs it for every frame of a short run covers every
-place where a link can break.
+moment at which a link can break.
 
 The faults are those of USB and serial lines: noise (corrupt), full buffers (drop, truncate), retries of a hub
 (duplicate, delay), a dead cable (silence), a pulled plug.
@@ -20,7 +20,7 @@ from firmware_protocol.faults import Fault
 
 
 class Direction(Enum):
-    """Direction of the bytes on a link."""
+    """Direction of a frame on a link: to the device or to the host."""
 
     TO_DEVICE = "to device"
     TO_HOST = "to host"
@@ -30,7 +30,7 @@ class Direction(Enum):
 
 
 class FaultKind(Enum):
-    """Kinds of faults of a frame."""
+    """Kind of a simulated fault of one frame on a link."""
 
     DROP = "drop"
     CORRUPT = "corrupt"  # bit `bit` of byte `byte` flips; a 0x00 may appear or vanish
@@ -45,7 +45,7 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFault:
-    """Fault of one frame of a direction: frame number `frame` (from 0), or the first frame sent at or after `tick`.
+    """Simulated fault of frame number `frame` (from 0) in one direction, or of the first frame sent at or after `tick`.
 
     `tick` counts device ticks since the link was opened; `byte` is taken modulo the frame's length.
     """
@@ -62,7 +62,7 @@ class FrameFault:
 
 @dataclass(frozen=True, slots=True)
 class DeviceFault:
-    """Fault that the device detects after `tick` ticks; EMERGENCY_STOP means that the button is pressed."""
+    """Fault that a simulated device detects after `tick` ticks; EMERGENCY_STOP means that the button is pressed."""
 
     tick: int
     fault: Fault
@@ -70,7 +70,7 @@ class DeviceFault:
 
 @dataclass(frozen=True, slots=True)
 class Happening:
-    """Action on the simulated device after `tick` ticks: `act` is called with the device."""
+    """Action in a simulated run: after `tick` device ticks, the function `act` is called with the simulated device."""
 
     tick: int
     act: Callable[[Any], None]
@@ -78,7 +78,7 @@ class Happening:
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Script of the faults in one run: of frames, and of the device."""
+    """Script of all simulated faults in one run: faults of single frames, and faults of the device."""
 
     frames: tuple[FrameFault, ...] = ()
     device: tuple[DeviceFault | Happening, ...] = ()

@@ -1,10 +1,10 @@
 """Host side of the protocol with a device: transactions with retries, arming, and reports of faults.
 
-`firmware_protocol.connection` decides what may be sent; this file does the waiting: a request is repeated after 20, 40
+`firmware_protocol.connection` decides what may be sent; this file waits for replies: a request is repeated after 20, 40
 and 80 ms, and then a typed error is raised. While the compiled loop (`rig.loop`) runs, it owns the streams COMMAND and
 STATE; afterwards `take_back` continues from their counters.
 
-`rig.doctor`, `rig.experiments`, self tests of `rig.firmware`, sessions and `rig.testing` call it. It must not decide
+`rig.doctor`, `rig.experiments`, self tests of `rig.firmware`, sessions and `rig.testing` use it. It must not decide
 whether a wall may be armed: `rig.doctor.gate` and `rig.experiments.hits.admission` do, before they let a caller arm.
 """
 
@@ -54,7 +54,7 @@ _dictionaries: dict[int, dictionaries.Dictionary] = {}
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """All active parameters of the device after a change, their CRC, and the sample from which they are active."""
+    """Reply of the device to a change of parameters: all active values, their CRC, and the first sample with them."""
 
     values: dict[str, Value]
     crc: int
@@ -63,9 +63,9 @@ class Echo:
 
 @dataclass(frozen=True, slots=True)
 class FaultReport:
-    """Latched fault with text, remedy and device time (ns), and the device's last ticks, oldest first.
+    """The fault that the device has stored, with text, remedy and device time (ns), and its last ticks, oldest first.
 
-    `later` is a bit set of the fault codes that occurred after the latched one.
+    The device stores the first fault until it is cleared. `later` is a bit set of the codes of faults that followed.
     """
 
     code: int
@@ -77,12 +77,12 @@ class FaultReport:
     entries: list[dict[str, int]]
 
     def has(self, fault: Fault) -> bool:
-        """Return True if `fault` is the latched fault or occurred after it."""
+        """Return True if `fault` is the stored fault or occurred after it."""
         return self.code == fault or bool(self.later >> fault & 1)
 
 
 class FramedDevice:
-    """Device of a rig as the host uses it: identify, configure, arm, read, stop.
+    """A device as the host uses it: identify, configure, arm, read and stop it by requests of the protocol.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class FramedDevice:
         # position zero by its index (`rig.experiments.motion.reference`)
         self.reference_count: int | None = None
         self._session = 0  # used last
-        self._answers = True  # unless the last transaction was given up
+        self._device_replies = True  # unless the last transaction was given up
         # host time of the last request's first frame, and of the last bytes read
         self._sent_ns = self._received_ns = 0
 
@@ -111,13 +111,16 @@ class FramedDevice:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """Return the device's description of itself; it is read from the device once."""
+        """Return the device's dictionary: its description of its parameters, constants, settings and faults.
+
+        It is read from the device at the first use.
+        """
         if self._dictionary is None:
             self._dictionary = self.identify()
         return self._dictionary
 
     def identify(self) -> dictionaries.Dictionary:
-        """Return the device's dictionary; read only its hash if this process has already read that dictionary.
+        """Read the device's dictionary; if this process has read the same dictionary before, request only its hash.
 
         Raises
         ------
@@ -133,9 +136,11 @@ class FramedDevice:
             if reply.dictionary_hash in _dictionaries:
                 return _dictionaries[reply.dictionary_hash]
             self._add_page(reader, reply, reply.dictionary_hash)
-        with self._understood():
+        with self._translate_errors():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
-                raise RemoteProtocolError("the dictionary does not have the hash that the device announced")
+                raise RemoteProtocolError(
+                    "the hash of the received dictionary differs from the hash that it announced"
+                )
             read = dictionaries.decode(reader.content)
         while len(_dictionaries) >= DICTIONARIES_KEPT:
             _dictionaries.pop(next(iter(_dictionaries)), None)
@@ -144,19 +149,19 @@ class FramedDevice:
 
     @property
     def dictionary_hash(self) -> int:
-        """Return the hash of the device's dictionary, as the device reports it."""
+        """Return the 64-bit hash of the device's dictionary, as the device reports it."""
         self.dictionary  # noqa: B018
         return self._dictionary_hash
 
     # ------------------------------------------------------------------ configuring
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
-        """Activate parameters, either all of `values` or none, and return all active parameters.
+        """Set parameters of the device, either all of `values` or none, and return all active parameters.
 
         Raises
         ------
         DeviceRefusedError
-            The device does not accept a value; then nothing has changed. Or a real device has restarted or lost
+            The device does not accept a value; then nothing has changed. Or a real device has restarted or lost encoder
             counts since this object first read its dictionary: its position zero is no longer valid.
         """
         self._make_configurable()
@@ -171,18 +176,18 @@ class FramedDevice:
         block = self._expected_block(values)
         if block is None or block_crc(block) != ack.crc:
             block = self._read_parameters()
-        with self._understood():
+        with self._translate_errors():
             active = decode_block(block)
         if block_crc(block) != ack.crc:
             raise DeviceRefusedError(
-                "the active parameters are not those that were sent",
+                "the device's active parameters differ from those that were sent",
                 remedy="report this as a fault of the firmware",
             )
         self._crc, self._known = ack.crc, active
         return Echo(dict(active), ack.crc, ack.sample_index)
 
     def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
-        """Return the block of all parameters that is expected after `values` are set; None if it is unknown."""
+        """Return the bytes of all parameters that the device should have after `values` are set; None if unknown."""
         known = self._known or {info.name: info.default for info in self.dictionary.parameters}
         try:
             return encode_block({**known, "verified": 0, **values})
@@ -213,12 +218,12 @@ class FramedDevice:
         )
 
     def has_restarted(self) -> bool:
-        """Return True if the device has restarted and received no IDENTIFY since; errors as for every request."""
+        """Return True if the device has restarted and received no IDENTIFY since; `LinkLostError` without a reply."""
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         return bool(about.state == State.BOOT)
 
     def _has_forgotten(self, about: m.Identity) -> bool:
-        """Return True if the device has restarted or was configured by another host since this object configured it."""
+        """Return True if the device has restarted, or another host has configured it, since this object did."""
         if about.state == State.BOOT:
             return True
         if self._crc is None:
@@ -238,14 +243,15 @@ class FramedDevice:
             if isinstance(event.message, m.State):
                 return event.message.count
         raise DeviceRefusedError(
-            f"the device sent no encoder count within {COUNT_TIMEOUT_S:g} s", remedy="update its firmware"
+            f"the device sent no encoder count within {COUNT_TIMEOUT_S:g} s",
+            remedy="update the device's firmware",
         )
 
     def active_parameters(self) -> dict[str, Value]:
-        """Read the active parameters from the device, without changing them."""
+        """Read all active parameters from the device, by name, without changing them."""
         self.dictionary  # noqa: B018  (a device in BOOT answers nothing else)
         block = self._read_parameters()
-        with self._understood():
+        with self._translate_errors():
             return decode_block(block)
 
     def _read_parameters(self) -> bytes:
@@ -256,18 +262,18 @@ class FramedDevice:
         return reader.content
 
     def _add_page(self, reader: PageReader, reply: m.Identity | m.Parameters, fingerprint: int) -> None:
-        """Add a page to `reader`; raise an error if its offset is wrong, which would repeat the request forever."""
-        with self._understood():
+        """Add a page of the device's reply to `reader`; raise an error if its offset is not the requested one."""
+        with self._translate_errors():
             if reply.offset != reader.offset:
                 raise RemoteProtocolError(
-                    f"the page at byte {reply.offset} came in reply to a request for byte {reader.offset}"
+                    f"the device sent the page from byte {reply.offset} on; requested was byte {reader.offset}"
                 )
             reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
     # ------------------------------------------------------------------ running
 
     def arm(self) -> int:
-        """Arm the device and return the number of the new session; it then streams STATE, with zero effort.
+        """Arm the device and return the number of the new session; the device then sends STATE, with zero effort.
 
         ARM is repeated for at most `READY_S` while the device computes its excitation or switches its amplifier on.
         Raise `DeviceRefusedError` if the device is not homed or not verified, its parameters are not those of this
@@ -275,14 +281,14 @@ class FramedDevice:
         """
         # From the nonce, which begins with the clock, so that a restarted host seldom takes the number of the run
         # before: the device refuses that one (STALE_SESSION).
-        session, used_before = self._other_than(self._next_nonce() % 0xFF, self._session), False
+        session, used_before = self._next_session(self._next_nonce() % 0xFF, self._session), False
         deadline_ns = self.link.clock.now_ns() + round(READY_S * 1e9)
         while True:
             try:
                 self._arm(session)
             except DeviceRefusedError as error:
                 if error.status == Status.STALE_SESSION and not used_before:
-                    session, used_before = self._other_than(session, self._session), True
+                    session, used_before = self._next_session(session, self._session), True
                 elif error.status == Status.NOT_READY and self.link.clock.now_ns() < deadline_ns:
                     self._listen_until(self.link.clock.now_ns() + round(READY_AGAIN_S * 1e9))
                 elif self.connection.state == State.FAULT:  # found while its amplifier was being switched on
@@ -298,14 +304,14 @@ class FramedDevice:
         self._command(m.Arm(self._next_nonce(), self._dictionary_hash, self._crc or 0), session=session)
 
     @staticmethod
-    def _other_than(previous: int, used: int) -> int:
+    def _next_session(previous: int, used: int) -> int:
         """Return the session number (1 … 255, cyclic) that follows `previous`, skipping `used`."""
         session = 1 + previous % 0xFF
         return session if session != used else 1 + session % 0xFF
 
     @property
     def nonce(self) -> int:
-        """Return the nonce of the last transaction, from which the compiled loop continues for its clock exchanges."""
+        """Return the number of the last transaction, from which the compiled loop continues for its clock exchanges."""
         return self._nonce
 
     def take_back(
@@ -317,10 +323,11 @@ class FramedDevice:
         nonce: int,
         parameters_crc: int | None = None,
     ) -> None:
-        """Continue streams and nonces from where the compiled loop has ended (see `Connection.resume`).
+        """Continue the protocol with the device after the compiled loop has ended.
 
-        An unknown `state` is treated as RUNNING, so that the host can still stop the device. `parameters_crc` is the
-        CRC of the active parameters if the loop has changed some, else None.
+        The counters come from the loop: the next COMMAND, the newest STATE, and the last transaction (`nonce`). An
+        unknown `state` is treated as RUNNING, so that the host can still stop the device. `parameters_crc` is the CRC
+        of the active parameters if the loop has changed some, else None.
         """
         self._nonce = nonce
         if parameters_crc is not None:
@@ -331,7 +338,8 @@ class FramedDevice:
     def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
         """Keep the law of an armed device running for `seconds` (s); return the received STATE and BATCH frames.
 
-        Return early if the device reports a fault. Only for checks: in a run, the compiled loop supervises.
+        Each command keeps the law running for `lifetime_us` (µs). Return early if the device reports a fault. Use it
+        only for checks: in a run, the compiled loop sends these commands.
         """
         received: list[m.Message] = []
         end_ns = self.link.clock.now_ns() + math.ceil(seconds * 1e9)
@@ -343,18 +351,18 @@ class FramedDevice:
         return [message for message in received if isinstance(message, m.State | m.Batch)]
 
     def stop(self) -> None:
-        """Send STOP (zero effort) several times. Never raise: the next call reports a lost link."""
+        """Send STOP (zero effort) to the device several times. Never raise: the next call reports a lost link."""
         for _ in range(m.STOP_FRAMES):
             with suppress(Exception):
                 self.link.write(self.connection.send(m.Command(0, 1000, int(m.Mode.STOP), 0, 0)))
 
     def disarm(self, *, clear_fault: bool = False) -> None:
-        """End the session: zero effort, amplifier off."""
+        """End the device's session: zero effort, amplifier off; with `clear_fault` also clear its stored fault."""
         flags = int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0
         self._command(m.Disarm(self._next_nonce(), flags))
 
     def enter_bootloader(self) -> None:
-        """Request a reset into the boot loader; the device resets 50 ms after its reply.
+        """Request a reset of the device into its boot loader; the reset follows 50 ms after the reply.
 
         Raise `DeviceRefusedError` if the device is armed or has no boot loader.
         """
@@ -364,10 +372,10 @@ class FramedDevice:
     # ------------------------------------------------------------------ asking
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
-        """Return the four time stamps (ns) of each clock exchange, as an array of `rig.core.clock_fit.EXCHANGE`.
+        """Exchange time stamps with the device; return four stamps (ns) per exchange (`rig.core.clock_fit.EXCHANGE`).
 
-        The exchanges follow each other at once, or at irregular intervals over `over_s` (s). Errors as for every
-        request.
+        The exchanges follow each other at once, or at irregular intervals over `over_s` (s). Raise `LinkLostError` if
+        the device does not reply.
         """
         stamps = np.zeros(exchanges, EXCHANGE)
         tick_ps = round(self.dictionary.time_unit_ns * 1000)
@@ -383,17 +391,17 @@ class FramedDevice:
         return stamps
 
     def _counted_ns(self, stamp: int, tick_ps: int) -> int:
-        """Return a device time in ns; raise `IncompatibleDeviceError` above `MOST_NS`."""
+        """Convert a time stamp of the device to ns; raise `IncompatibleDeviceError` above `MOST_NS`."""
         time_ns = stamp * tick_ps // 1000
-        with self._understood():
+        with self._translate_errors():
             if time_ns > MOST_NS:
                 raise RemoteProtocolError(
-                    f"a device time of {time_ns * 1e-9:.3g} s, above {MOST_NS * 1e-9:.3g} s"
+                    f"a device time of {time_ns * 1e-9:.3g} s is above the largest possible {MOST_NS * 1e-9:.3g} s"
                 )
         return time_ns
 
     def clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> ClockFit:
-        """Return a fit of host clock against device clock, by `exchange_clock`; its drift needs `over_s`."""
+        """Return a fit of host clock against device clock from new exchanges; for a useful drift, give `over_s` (s)."""
         return fit_clock(self.exchange_clock(exchanges, over_s=over_s))
 
     def drift(self) -> ClockFit:
@@ -402,7 +410,7 @@ class FramedDevice:
         return self.clock(DRIFT_EXCHANGES, over_s=over_s)
 
     def statistics(self) -> m.Statistics:
-        """Return the device's counters of frames and errors on the link since it started."""
+        """Return the device's counters of frames and errors on the link since the device started."""
         reply: m.Statistics = self._ask(m.GetStatistics(self._next_nonce()), m.Statistics)
         return reply
 
@@ -417,7 +425,7 @@ class FramedDevice:
         return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
 
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
-        """Send a request that the caller built, with a fresh nonce, and return the status of the reply.
+        """Send a request of the caller with a new number (nonce) and return the status of the device's reply.
 
         It is for requests that the device must refuse; the caller must undo an accepted one. Raise `DeviceRefusedError`
         for a status that is not in `Status`.
@@ -430,7 +438,7 @@ class FramedDevice:
         return Status(answer.status)
 
     def _listen_until(self, deadline_ns: int) -> None:
-        """Wait until `deadline_ns` on the link's clock, and discard received frames."""
+        """Receive and discard frames until `deadline_ns` on the link's clock."""
         # Unread frames would delay the next reply.
         remaining_ns = deadline_ns - self.link.clock.now_ns()
         for _ in self._events(max(0, remaining_ns) * 1e-9):
@@ -442,16 +450,16 @@ class FramedDevice:
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 
     def fault_report(self) -> FaultReport:
-        """Return the latched fault and the device's log of the ticks before it.
+        """Read the fault that the device has stored, and its log of the ticks before the fault.
 
-        Reading stops after `FAULT_LOG_S`; the entries that were read until then are returned.
+        Reading stops after `FAULT_LOG_S`; the report then contains the ticks that were read.
         """
         # The ring takes eighty requests: on a busy computer, the cause of many faults, longer than a person waits.
         entries: list[dict[str, int]] = []
         deadline = self.link.clock.now_ns() + round(FAULT_LOG_S * 1e9)
         while True:
             reply = self._ask(m.GetFaultLog(self._next_nonce(), len(entries)), m.FaultLog)
-            with self._understood():
+            with self._translate_errors():
                 page = [asdict(entry) for entry in unpack_fault_entries(reply.data)]
             entries += page
             if not page or len(entries) >= reply.total or self.link.clock.now_ns() > deadline:
@@ -469,13 +477,13 @@ class FramedDevice:
         if self.connection.session:
             self.stop()
             with suppress(Exception):
-                if self._answers:
+                if self._device_replies:
                     self.disarm(clear_fault=True)
                 else:
-                    self._tell_to_disarm()
+                    self._send_disarm()
         self.link.close()
 
-    def _tell_to_disarm(self) -> None:
+    def _send_disarm(self) -> None:
         """Send DISARM and all its retries at once, without waiting for a reply."""
         self.connection.begin(m.Disarm(self._next_nonce(), int(m.DisarmFlag.CLEAR_FAULT)))
         while frame := self.connection.say(self.connection.transaction.again_at):
@@ -494,7 +502,7 @@ class FramedDevice:
         return self._nonce
 
     def _ask(self, question: m.Message, reply: type[Any]) -> Any:
-        """Send a request and return its reply; raise `DeviceRefusedError` if the device refuses."""
+        """Send a request and return the device's reply of type `reply`; raise `DeviceRefusedError` for another."""
         answer = self._transact(question)
         if isinstance(answer, reply):
             return answer
@@ -507,12 +515,12 @@ class FramedDevice:
         raise self._refusal(answer)
 
     def _transact(self, *requests: m.Message, session: int | None = None) -> m.Message:
-        """Send the requests of a transaction in turn, each with retries; return the last reply."""
+        """Send the requests of a transaction one after another, each with retries; return the last reply."""
         connection, clock, request = self.connection, self.link.clock, requests[0]
         connection.begin(*requests, session=session)
         while connection.transaction.step != UNANSWERED:
             now_ns = clock.now_ns()
-            with self._understood():
+            with self._translate_errors():
                 frame = connection.say(now_ns)
             if frame:
                 request = connection.request
@@ -523,11 +531,11 @@ class FramedDevice:
             before = connection.transaction
             for event in self._events((before.again_at - now_ns) * 1e-9):  # a write may have taken a while
                 if connection.transaction.step < 0:
-                    self._answers = True
+                    self._device_replies = True
                     return event.message
                 if connection.transaction != before:
                     break
-        self._answers = False
+        self._device_replies = False
         raise LinkLostError(
             f"no reply to {type(request).__name__} from the device at {self.link.url.text}",
             remedy="check cable and power, the port in the URL, the baud rate, and that the device runs this firmware",
@@ -535,14 +543,14 @@ class FramedDevice:
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
-        """Yield the frames that the device sends within `timeout_s`."""
+        """Yield the frames that the device sends within `timeout_s` (s)."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)
             self._received_ns = self.link.clock.now_ns()
             self.connection.receive_data(data)
             while True:
-                with self._understood():
+                with self._translate_errors():
                     event = self.connection.next_event()
                 if event is None:
                     break
@@ -553,7 +561,7 @@ class FramedDevice:
         if not isinstance(message, m.Ack):
             return DeviceRefusedError(
                 f"the device replied {type(message).__name__}, which does not belong to the request",
-                remedy="check that it runs the firmware of this project",
+                remedy="check that the device runs the firmware of this project",
             )
         known = () if self._dictionary is None else self._dictionary.statuses
         info = dictionaries.explain_status(message.status, known)
@@ -578,11 +586,11 @@ class FramedDevice:
                     return f" ({info.name}, allowed {info.minimum:g} … {info.maximum:g})"
         return ""
 
-    def _understood(self) -> _Translated:
-        return _Translated(self.link.url.text)
+    def _translate_errors(self) -> _ErrorTranslator:
+        return _ErrorTranslator(self.link.url.text)
 
 
-class _Translated:
+class _ErrorTranslator:
     """Context manager that converts an error of the protocol into a `RigError` for the user."""
 
     def __init__(self, url: str) -> None:
@@ -599,12 +607,12 @@ class _Translated:
             ) from error
         if isinstance(error, LocalProtocolError):  # nothing was sent: the device's state forbids it
             raise DeviceRefusedError(
-                f"the device at {self._url} cannot do this in its present state: {error}",
-                remedy="configure it again, which also clears a fault",
+                f"the device at {self._url} cannot accept this request in its present state: {error}",
+                remedy="configure the device again, which also clears a fault",
                 status=Status.BAD_STATE,
             ) from error
         if isinstance(error, RemoteProtocolError | ParameterError):
             raise IncompatibleDeviceError(
                 f"the device at {self._url} sends invalid data: {error}",
-                remedy="check that it runs the firmware of this project",
+                remedy="check that the device runs the firmware of this project",
             ) from error

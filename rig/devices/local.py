@@ -1,10 +1,10 @@
-"""Simulated device in its own process, for a run in real time on this machine.
+"""Run a simulated device in its own process, for a run in real time on this computer.
 
 The process communicates through a socket (`rig.devices._local_socket`); everything above the link is as with a real
 rig. `rig serve rig` communicates through a pseudo-terminal, which exercises pyserial too.
 
-`rig serve rig`, hits, trials, identification, `rig.doctor`, sessions and `rig.testing` call it. It must not give
-real-time scheduling to the process before the device has been compiled.
+`rig serve rig`, hits, trials, identification, `rig.doctor`, sessions and `rig.testing` use it. It must not request
+real-time scheduling for the process before the device has been compiled.
 """
 
 from __future__ import annotations
@@ -39,19 +39,20 @@ def serve(
     announce: Callable[[str], None] = print,
     **options: Any,
 ) -> None:
-    """Serve a simulated rig in this process until stopped (see `sim_backend.ends.pty.serve`).
+    """Serve a simulated rig in this process until it is stopped (see `sim_backend.ends.pty.serve`).
 
-    When the device is ready, the calling thread gets real-time scheduling and its processor if the system grants them;
-    then `scheduled` is called with the result. ``realtime="off"`` requests nothing. Scheduling does not begin earlier,
-    because compiling takes more than a second, in which no other device, loop or drive on that processor would run: of
-    three devices that were opened at once with the priority from the start, every third sent no reply.
-    Raise `DeviceNotFoundError` if the simulation does not load, and `PlanError` if the system is not Linux.
+    When the device is ready, the calling thread gets real-time scheduling and processor `cpu` if the system grants them
+    (``realtime="off"``: no request); then `scheduled` is called with the result, and `announce` with the path of the
+    port. `options` are those of the server. Raise `DeviceNotFoundError` if the simulation is not installed, and
+    `PlanError` if the system is not Linux.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
     with obtained(BoardScheduling(realtime, cpu=cpu)) as granted:
 
         def ready(place: str) -> None:
+            # Not earlier: compiling takes more than a second, in which no other device, loop or drive on this processor
+            # would run. With the priority from the start, every third of three devices opened at once sent no reply.
             granted.enter_thread()
             scheduled(granted)
             announce(place)
@@ -63,15 +64,16 @@ def serve(
 
 
 def host_beside(host: Host, link: Link) -> Host:
-    """Return the loop's scheduling with the processor of a device that is a program here, unless the user names one.
+    """Return the loop's scheduling request, with the processor of a device that runs as a program on this computer.
 
-    So a pause of this processor (of a virtual machine, by another program) stops loop and device, and loses no sample.
+    A processor that the user names has precedence. If loop and device share a processor, a pause of this processor (of
+    a virtual machine, by another program) stops both at once, and no sample is lost.
     """
     cpu = getattr(link, "cpu", None)
     return replace(host, cpu=cpu) if host.cpu is None and cpu is not None else host
 
 
-def _child(
+def _serve_in_child(
     announce: Callable[[str], None], model: RigModel, realtime: str, options: Mapping[str, Any]
 ) -> None:
     serve(model, realtime=realtime, announce=announce, **options)
@@ -81,17 +83,19 @@ def _child(
 def serve_locally(
     url: str, model: RigModel, *, seed: int = 0, realtime: str = "try", terminal: bool = False
 ) -> Iterator[str]:
-    """Start a device process and yield the URL of its port; the process ends with the context.
+    """Start a process with a simulated device and yield the URL of its port; the process ends with this context.
 
     A preset in the URL takes precedence over `model`; ``firmware=1`` simulates the firmware. With ``hand=PATH`` another
-    program moves the hand at the handle, through an existing file (`rig.realtime.hand`). `realtime` is that of `serve`.
-    With `terminal` the port is a pseudo-terminal, for programs of any language; else it is a Unix socket.
+    program moves the simulated hand, through an existing file (`rig.realtime.hand`). `realtime` is "try" or "off". With
+    `terminal` the port is a pseudo-terminal, for programs of any language; else it is a Unix socket.
 
     Raises
     ------
     ConfigError
-        The scheme is not ``sim``, the preset or the hand's file does not exist, the experiment has no hand, another
-        option is given, or the system is not Linux.
+        The scheme is not ``sim``, the preset or the hand's file does not exist, the experiment has no hand, or another
+        option is given.
+    PlanError
+        The system is not Linux.
     DeviceNotFoundError
         The process does not start.
     """
@@ -99,17 +103,18 @@ def serve_locally(
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
-            f"{url} cannot be served", remedy="give the URL of a simulated rig, like sim://koul-compliant"
+            f"{url} cannot be served: only a simulated rig runs in a process of its own",
+            remedy="give the URL of a simulated rig, like sim://koul-compliant",
         )
     options = _served_options(parsed)
     described = simulated_model(parsed, model)
     if "hand" in options:
-        _check_led(options["hand"], described)
+        _check_hand_file(options["hand"], described)
     cpu = max(processors())
     with scratch("device") as place:
         options |= {"seed": seed, "cpu": cpu} | ({} if terminal else {"socket": f"{place}/port"})
         with start_announced(
-            _child, described, realtime, options, name="rig-device", by_hand="rig serve rig"
+            _serve_in_child, described, realtime, options, name="rig-device", by_hand="rig serve rig"
         ) as port:
             yield f"serial://{port}" if terminal else DeviceUrl.of("unix", port, {"cpu": str(cpu)}).text
 
@@ -118,7 +123,7 @@ def serve_locally(
 def open_for_run(
     url: str, model: RigModel | None, *, in_real_time: bool, seed: int = 0, realtime: str = "try"
 ) -> Iterator[FramedDevice]:
-    """Open a device; in real time, a simulated device runs in its own process, which ends with the context.
+    """Open a device within this context; for a run in real time, a simulated device runs in its own process.
 
     Parameters
     ----------
@@ -148,27 +153,29 @@ def open_for_run(
 
 
 def _served_options(url: DeviceUrl) -> dict[str, Any]:
-    """Return the options of a URL that are valid in real time (``firmware``, ``hand``); else raise `ConfigError`."""
+    """Return the URL's options that are valid in real time (``firmware``, ``hand``); raise `ConfigError` for others."""
     options = dict(url.options)
     firmware, hand = options.pop("firmware", None), options.pop("hand", None)
     if options:
         raise ConfigError(
-            f"{url.text}: {next(iter(options))} has no effect in real time",
+            f"{url.text}: the option {next(iter(options))} has no effect in real time",
             remedy="remove this option, or run in virtual time",
         )
     if firmware not in (None, "0", "1"):
         raise ConfigError(
-            f"{url.text}: firmware = {firmware} is neither 0 nor 1", remedy="give 1, or leave it out"
+            f"{url.text}: firmware = {firmware} is not allowed; it must be 0 or 1",
+            remedy="give firmware=1 to simulate the compiled firmware, or leave it out",
         )
     return ({} if firmware is None else {"firmware": firmware == "1"}) | (
         {} if hand is None else {"hand": hand}
     )
 
 
-def _check_led(path: str, model: RigModel | None) -> None:
-    """Raise `ConfigError` if the hand at `path` cannot be used: the device process could not report it."""
+def _check_hand_file(path: str, model: RigModel | None) -> None:
+    """Raise `ConfigError` if the file at `path` cannot drive a hand, because the device process cannot report it."""
     SharedHand.open(path).close()
     if model is None or model.operator is None:
         raise ConfigError(
-            f"{path} drives a hand, but the experiment has none", remedy='set trial.kind = "human"'
+            f"the file {path} drives a simulated hand, but the experiment has no hand",
+            remedy='set trial.kind = "human"',
         )

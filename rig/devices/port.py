@@ -1,7 +1,7 @@
-"""Functions of a link that the compiled loop calls, as one group of arguments.
+"""Functions of a link and its clock that the compiled loop calls, as one argument.
 
-Links of `rig.devices` and of the simulation make it; kernels of `rig.loop` and the ping of `rig.doctor` take it. It
-must not hold anything that compiled code cannot use.
+Links of `rig.devices` and of the simulation create it; kernels of `rig.loop` and the round-trip measurement of
+`rig.doctor` use it. It must not hold anything that compiled code cannot use.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from rig.realtime.plugs import NowPlug, TransferPlug, WaitPlug
 
 @group
 class LoopPort(NamedTuple):
-    """Plug functions (`rig.realtime.plugs`) and their handles.
+    """The compiled functions of a link and of its clock, as one argument of the loop (`rig.realtime.plugs`).
 
-    `read`, `write` and `wait` take `handle`; `now` and `sleep` are those of the link's clock and take `clock_handle`.
+    `handle` is the first argument of `read`, `write` and `wait`, `clock_handle` that of `now` and `sleep`.
     """
 
     read: TransferPlug
@@ -30,7 +30,7 @@ class LoopPort(NamedTuple):
 
     @classmethod
     def on(cls, clock: Clock, *, read: Any, write: Any, wait: Any, handle: int) -> LoopPort:
-        """Return a port from the functions of a link and from its clock."""
+        """Return the loop's functions for a link: its read, write and wait functions, and those of its clock."""
         return cls(
             read=read,
             write=write,

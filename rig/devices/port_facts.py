@@ -1,9 +1,7 @@
 """Facts about a serial port: its driver, its USB adapter, and its settings.
 
-`port_facts` reads sysfs and, for an open port, the line itself; it opens and changes nothing, because opening a port
-moves its modem lines and may reset the board behind it.
-
-`rig.doctor` and the links to serial ports call it.
+`rig.doctor` and the links to serial ports use it. `port_facts` reads sysfs and, for an open port, the line itself; it
+must not open or change a port: opening moves the modem lines and may reset the board.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ class PortFacts:
     by_id
         Names in ``/dev/serial/by-id`` that stay the same wherever the device is plugged in.
     ftdi
-        True for an FTDI adapter, which holds bytes back until its latency timer expires.
+        True for an FTDI adapter, which delays received bytes until its latency timer expires.
     latency_timer_ms
         Latency timer of an FTDI adapter (ms); None on all other ports.
     low_latency
@@ -70,7 +68,7 @@ class PortFacts:
     dtr: bool | None = None
 
     def problems(self) -> list[Check]:
-        """Return the settings that cause delays or are unsafe, each with a command that corrects it."""
+        """Return a failed check for each port setting that delays bytes or is unsafe, with a command to correct it."""
         found = []
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(
@@ -96,7 +94,7 @@ class PortFacts:
 
 
 def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/")) -> PortFacts:
-    """Return the facts about a port.
+    """Return the facts about a serial port, without opening or changing it.
 
     Parameters
     ----------
@@ -121,32 +119,32 @@ def port_facts(port: str, descriptor: int | None = None, *, root: Path = Path("/
         by_id=_by_id(device, root),
         ftdi=driver == "ftdi_sio" or vendor == FTDI_VENDOR,
         latency_timer_ms=_latency_timer(device, root),
-        **(_of_the_line(descriptor, driver) if descriptor is not None else {}),
+        **(_line_facts(descriptor, driver) if descriptor is not None else {}),
     )
 
 
 def available_ports() -> list[tuple[str, str]]:
-    """Return name and description of every serial port that pyserial finds and that has hardware."""
+    """Return name and description of every serial port with hardware that pyserial finds."""
     return [(p.device, p.description) for p in sorted(list_ports.comports()) if p.hwid != "n/a"]
 
 
 def ports_in_words() -> str:
-    """Return a list of the available ports as text, for a remedy."""
+    """Return the names of the available serial ports as text, for a message's remedy."""
     found = [name for name, _ in available_ports()]
     return f"available ports: {', '.join(found)}" if found else "no serial port was found"
 
 
 def is_pseudo(device: str) -> bool:
-    """Return True if a device node is a pseudo-terminal."""
+    """Return True if a device node such as ``/dev/pts/3`` is a pseudo-terminal."""
     return device.startswith(_PSEUDO)
 
 
 def latency_timer_path(device: str, root: Path = Path("/")) -> Path:
-    """Return the file with the latency timer of an FTDI adapter (ms)."""
+    """Return the path of the file with the latency timer (ms) of an FTDI adapter; it may not exist."""
     return root / "sys/bus/usb-serial/devices" / os.path.basename(device) / "latency_timer"
 
 
-def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
+def _line_facts(descriptor: int, driver: str | None) -> dict[str, bool | None]:
     if sys.platform == "linux":
         return {
             "low_latency": None if driver in NO_TIMER_DRIVERS else tty.low_latency(descriptor),
@@ -159,7 +157,7 @@ def _of_the_line(descriptor: int, driver: str | None) -> dict[str, bool | None]:
 
 
 def _node(device: str, root: Path) -> Path | None:
-    """Return the sysfs directory of a port's device, None if it is missing (pseudo-terminals)."""
+    """Return the sysfs directory of a serial port's device; None if it is missing, as for pseudo-terminals."""
     if is_pseudo(device):
         return None
     node = root / "sys/class/tty" / os.path.basename(device) / "device"
@@ -174,7 +172,7 @@ def _driver(device: str, root: Path) -> str | None:
 
 
 def _usb_device(device: str, root: Path) -> Path | None:
-    """Return the sysfs directory of a port's USB device: the nearest parent directory with a vendor id."""
+    """Return the sysfs directory of a port's USB device (the nearest parent directory with a vendor id), else None."""
     node = _node(device, root)
     while node is not None and node != node.parent:
         if (node / "idVendor").exists():

@@ -1,10 +1,10 @@
-"""Link to a serial port: opened by pyserial, read and written through its descriptor.
+"""Link to a serial port on Linux: opened by pyserial, read and written through its descriptor.
 
 pyserial finds, opens, configures and locks the port; the bytes then move by read(2), write(2) and poll(2), which the
-compiled loop and Python share. Settings that could not be obtained are in `SerialLink.messages`, with their remedy.
+compiled loop and Python share. Settings that could not be set are in `SerialLink.messages`, with their remedy.
 
-`rig.devices` loads it for ``serial://`` on Linux, and the bus of the drives opens its adapters by it. It must not move
-DTR or RTS to find something out: a board would reset.
+`rig.devices` loads it for ``serial://`` on Linux, and the bus of the drives opens its adapters by it. It must not
+change DTR or RTS to find something out: a board would reset.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
-    """Open ``serial:///dev/ttyACM0?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
+    """Open the port of a URL such as ``serial:///dev/ttyACM0?baud=921600&dtr=on``; errors: `rig.devices.open_link`."""
     options = SerialOptions.of(url)
     port = _open(url.place, options.baud)
     try:
@@ -59,14 +59,15 @@ def _open(port: str, baud: int) -> serial.Serial:
             raise DeviceNotFoundError(f"no permission to open {port}", remedy=remedy) from None
         if number in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
             raise DeviceNotFoundError(
-                f"{port} is in use by another program", remedy=f"close it (fuser {quote(port)} names it)"
+                f"{port} is in use by another program",
+                remedy=f"close that program (fuser {quote(port)} shows it)",
             ) from None
         if number == errno.ENOENT or not Path(port).exists():
             raise DeviceNotFoundError(
                 f"there is no port {port}", remedy=f"plug the device in; {ports_in_words()}"
             ) from None
         raise DeviceNotFoundError(
-            f"{port} does not open: {error}", remedy=f"plug the device in again; {ports_in_words()}"
+            f"cannot open {port}: {error}", remedy=f"plug the device in again; {ports_in_words()}"
         ) from None
     except (OSError, ValueError, termios.error) as error:
         raise DeviceNotFoundError(
@@ -75,14 +76,14 @@ def _open(port: str, baud: int) -> serial.Serial:
 
 
 class SerialLink(DescriptorLink):
-    """`rig.devices.device.Link` over an open serial port.
+    """Link (`rig.devices.device.Link`) over an open serial port.
 
     Attributes
     ----------
     facts
         Facts about the port after it was opened and set up.
     messages
-        Settings that could not be obtained, one sentence each with its remedy.
+        Settings that could not be set, one sentence each with its remedy.
     """
 
     def __init__(self, url: DeviceUrl, port: serial.Serial, *, dtr: bool = True) -> None:
@@ -94,7 +95,7 @@ class SerialLink(DescriptorLink):
             port.reset_input_buffer()
 
     def close(self) -> None:
-        """Release the port."""
+        """Release the serial port for other programs; a second call does nothing."""
         if self._port is not None:
             # Other settings stay as they are: restoring HUPCL would drop DTR and reset the board.
             tty.set_exclusive(self._descriptor, False)
@@ -105,14 +106,15 @@ class SerialLink(DescriptorLink):
 
 
 def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[str]]:
-    """Set up the port and read its settings back; return the facts, and a message for each setting that failed.
+    """Set up an open serial port and read its settings back; return facts, and a message for each failed setting.
 
     Raise `DeviceNotFoundError` if reads cannot distinguish silence from hang-up, `termios.error` if the port is gone.
     """
     tty.configure(descriptor)
     if not tty.blocks_for_a_byte(descriptor):
         raise DeviceNotFoundError(
-            f"{place} does not keep the setting VMIN = 1", remedy="name a serial port or a pseudo-terminal"
+            f"{place} does not accept the terminal setting VMIN = 1, by which a hang-up is detected",
+            remedy="give a serial port or a pseudo-terminal",
         )
     device = os.path.realpath(place)
     # Another program would take bytes away: flock by pyserial, TIOCEXCL here. A pseudo-terminal's TIOCEXCL would

@@ -3,7 +3,7 @@
 They are: a rig for thousands of hits a minute without a link, a rig with a second actuator that excites it, and a link
 in virtual time with scripted faults, whose device can be inspected.
 
-The simulation offers these; `rig.devices`, hits of `rig.experiments` and `rig.testing` ask for them. This file must not
+`sim_backend` implements them; `rig.devices`, hits of `rig.experiments` and `rig.testing` use them. This file must not
 import `sim_backend`.
 """
 
@@ -25,7 +25,7 @@ from rig.devices.fault_script import Direction, Faults
 
 @dataclass(frozen=True, slots=True)
 class SimulatedHit:
-    """Result of one simulated hit: as a rig would have recorded it, and from the true signals."""
+    """Result of one simulated hit, measured twice: from signals as a rig records them, and from the true signals."""
 
     recorded: Measured
     true: Measured
@@ -36,32 +36,35 @@ class SimulatedRig(Protocol):
     """Simulated rig that runs hits one after another, each from rest. Use one object per thread."""
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one trial from rest at position `start` (rad or m), with a new controller that is not used again.
+        """Simulate one trial from rest at position `start` (rad or m) with a new controller; use the controller once.
 
-        Raise `rig.core.errors.LawError` when estimator or law return a value that is not finite.
+        Raise `rig.core.errors.LawError` if estimator or law return a value that is not finite.
         """
         ...
 
 
 class OpenRig(Protocol):
-    """Factory function of the simulation for rigs with one tick length and one kind of trial."""
+    """Function of the simulation that creates rigs for hits with one tick length and one kind of trial."""
 
     def __call__(
         self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int
     ) -> SimulatedRig:
-        """Return a rig; trials end after `most_ticks` at the latest. Raise `ConfigError` for an impossible `tick_s`."""
+        """Create a simulated rig whose trials end after `most_ticks` ticks of `tick_s` (s) at the latest.
+
+        Raise `ConfigError` if the simulation cannot use this `tick_s`.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcitedMotion:
-    """Result of an excitation: positions, velocities and counts, and changes of the effort by the guard.
+    """Result of a simulated excitation: counts, positions and velocities, and how the guard changed the effort.
 
     Attributes
     ----------
     counts, position, velocity
-        Encoder count, and true position and velocity of the handle (rad or m), `acquisition_s` apart; the first
-        are those of the law's first sample.
+        Encoder count, and true position and velocity of the handle (rad or m, rad/s or m/s), `acquisition_s` apart; the
+        first values are those of the law's first sample.
     withheld
         Sent effort minus wanted effort in each tick of the law (N·m or N), by rounding to the current quantum and by
         clipping.
@@ -93,31 +96,32 @@ class ExcitedSimulation(Protocol):
         ramp_s: float,
         ticks: int,
     ) -> ExcitedMotion:
-        """Run the law for `ticks` ticks, from rest at a position (rad or m).
+        """Run the law for `ticks` ticks from rest at a position (rad or m), while a second actuator excites the link.
 
         The controller must be new, and is not used again. `excitation` is one period of the second actuator's effort on
-        the link (N·m or N), one value per inner step; its amplitude rises from zero within `ramp_s` (s).
+        the link (N·m or N), one value per integration step of the plant; its amplitude rises from zero within `ramp_s`
+        (s).
 
-        Raise `rig.core.errors.LawError` when estimator or law return a value that is not finite.
+        Raise `rig.core.errors.LawError` if estimator or law return a value that is not finite.
         """
         ...
 
     @property
     def inner_rate_hz(self) -> float:
-        """Return the rate of the inner steps of the plant (Hz)."""
+        """Return the rate of the plant's integration steps (Hz)."""
         ...
 
 
 class OpenExcitedSimulation(Protocol):
-    """Factory function of the simulation for rigs to excite."""
+    """Function of the simulation that creates rigs with a second actuator for excitation."""
 
     def __call__(
         self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int
     ) -> ExcitedSimulation:
-        """Return a rig whose law runs every `tick_s` (s), for runs of at most `most_ticks`.
+        """Create a simulated rig whose law runs every `tick_s` (s), for runs of at most `most_ticks` ticks.
 
-        Positions are stored at `acquisition_hz`, or at the next higher rate that the inner step allows. Raise
-        `ConfigError` for an impossible `tick_s`.
+        Positions are stored at `acquisition_hz`, or at the next higher rate that the integration step allows. Raise
+        `ConfigError` if the simulation cannot use this `tick_s`.
         """
         ...
 
@@ -132,27 +136,27 @@ class WatchedLink(Link, Protocol):
 
     @property
     def struck(self) -> int:
-        """Return the number of faults of the script that have affected frames so far."""
+        """Return how many faults of the script have affected frames so far."""
         ...
 
     @property
     def current(self) -> int:
-        """Return the active current of the device after all limits (current quanta)."""
+        """Return the active current of the simulated device after all limits (current quanta)."""
         ...
 
     @property
     def armed(self) -> bool:
-        """Return True if the device would accept a command."""
+        """Return True if the simulated device is armed: it would accept a command."""
         ...
 
     def elapse(self, duration_s: float) -> None:
-        """Advance the device's time by `duration_s` (s) without the host, also on a closed link."""
+        """Advance the simulated device's time by `duration_s` (s) without the host, also on a closed link."""
         ...
 
 
 class OpenWatchedLink(Protocol):
-    """Factory function of the simulation for links with a script of faults."""
+    """Function of the simulation that opens links with a script of faults."""
 
     def __call__(self, url: DeviceUrl, model: RigModel | None, faults: Faults | None) -> WatchedLink:
-        """Open a link; with `faults` None it never fails. Errors as `rig.devices.open_link`."""
+        """Open a link with the scripted `faults`; with None the link never fails. Errors as `rig.devices.open_link`."""
         ...

@@ -1,13 +1,13 @@
 """Link to a USB device with two bulk endpoints: ``usb://1209:0001``, ``usb://1209:0001/SERIAL``.
 
-pyusb finds, opens and claims it. The compiled loop and Python then transfer bytes by libusb's transfers
+pyusb finds, opens and claims the device. The compiled loop and Python then transfer bytes by libusb's transfers
 (`rig.devices._usb_queue`), or by pyusb's own calls if libusb's handles cannot be used (`rig.devices._usb_plain`). A rig
 is a device with an interface of vendor class (0xFF) with one bulk endpoint in each direction.
 
 ``?transfers=plain`` forces pyusb's own calls, ``?transfers=queued`` refuses them.
 
-`rig.devices` loads it for ``usb://``, and `rig.doctor` lists devices by it. A list must not claim a device, which may
-be another program's.
+`rig.devices` loads it for ``usb://``, and `rig.doctor` lists devices by it. Listing must not claim a device, which
+another program may use.
 """
 
 from __future__ import annotations
@@ -50,7 +50,10 @@ _HUB_CLASS = 9
 
 @dataclass(frozen=True, slots=True)
 class UsbDevice:
-    """USB device: its descriptors, its sysfs name, and whether it has the interface of a rig."""
+    """A connected USB device: vendor and product id, serial number, product name, name in sysfs.
+
+    `is_rig` is True if the device has the USB interface of a rig.
+    """
 
     vid: int
     pid: int
@@ -61,14 +64,14 @@ class UsbDevice:
 
     @property
     def url(self) -> str:
-        """Return the URL that opens this device."""
+        """Return the URL that opens this USB device."""
         number = f"/{self.serial}" if self.serial else ""
         return DeviceUrl.of("usb", f"{self.vid:04x}:{self.pid:04x}{number}").text
 
 
 @dataclass(frozen=True, slots=True)
 class _Pipes:
-    """USB interface of a rig: its number, its endpoints, and the size of an IN packet (bytes)."""
+    """USB interface of a rig: its number, its two endpoints, and the size of a received packet (bytes)."""
 
     interface: int
     endpoint_in: int
@@ -77,7 +80,7 @@ class _Pipes:
 
 
 def available_devices() -> list[UsbDevice]:
-    """Return the USB devices except hubs; an empty list if libusb is not installed.
+    """Return the connected USB devices except hubs; an empty list if libusb is not installed.
 
     Descriptors are read from sysfs if possible, so as not to disturb a device that another program uses.
     """
@@ -86,28 +89,28 @@ def available_devices() -> list[UsbDevice]:
     except DeviceNotFoundError:
         return []
     try:
-        return [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
+        return [_describe(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
     finally:
         bus.close()
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
-    """Open ``usb://vid:pid[/serial][?transfers=…]``; errors as `rig.devices.open_link`.
+    """Open the USB device of a URL ``usb://vid:pid[/serial][?transfers=…]``; errors as `rig.devices.open_link`.
 
     Also raise `IncompatibleDeviceError` for a device without the interface of a rig, or if transfers cannot be queued
     although the URL has ``transfers=queued``.
     """
     url.allow(OPTIONS)
     wanted = url.choice("transfers", TRANSFERS, "")
-    vendor, product, serial = _place(url)
+    vendor, product, serial = _parse_place(url)
     bus = UsbBus()
     try:
-        device = _chosen(bus, url, vendor, product, serial)
+        device = _choose_device(bus, url, vendor, product, serial)
         pipes = _pipes(device)
         if pipes is None:
             raise IncompatibleDeviceError(
                 f"{url.text} is not a haptic rig: it has no interface of vendor class with one bulk endpoint each way",
-                remedy=f"give the URL of a rig. {_rigs(bus)}",
+                remedy=f"give the URL of a rig. {_list_rigs(bus)}",
             )
         detached = _claim(device, pipes, url)
         try:
@@ -122,7 +125,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
         raise
 
 
-def _place(url: DeviceUrl) -> tuple[int, int, str]:
+def _parse_place(url: DeviceUrl) -> tuple[int, int, str]:
     pair, _, serial = url.place.partition("/")
     vendor, _, product = pair.partition(":")
     try:
@@ -137,11 +140,12 @@ def _place(url: DeviceUrl) -> tuple[int, int, str]:
     return numbers[0], numbers[1], serial
 
 
-def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str) -> Any:
+def _choose_device(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str) -> Any:
     found = [device for device in bus.devices if (device.idVendor, device.idProduct) == (vendor, product)]
     if not found:
         raise DeviceNotFoundError(
-            f"there is no USB device {vendor:04x}:{product:04x}", remedy=f"plug the device in. {_rigs(bus)}"
+            f"there is no USB device {vendor:04x}:{product:04x}",
+            remedy=f"plug the device in. {_list_rigs(bus)}",
         )
     if serial:
         numbers = [_text(device, "serial") for device in found]
@@ -149,25 +153,26 @@ def _chosen(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, serial: str)
         if not matching:
             there = ", ".join(number or "one without a number" for number in numbers)
             raise DeviceNotFoundError(
-                f"no {vendor:04x}:{product:04x} has the serial number {serial}",
-                remedy=f"choose one of the connected numbers: {there}",
+                f"no USB device {vendor:04x}:{product:04x} has the serial number {serial}",
+                remedy=f"choose the serial number of a connected device: {there}",
             )
         found = matching
     if len(found) > 1:
-        urls = ", ".join(_description(device).url for device in found)
+        urls = ", ".join(_describe(device).url for device in found)
         raise DeviceNotFoundError(
-            f"{url.text} matches {len(found)} devices", remedy=f"add the serial number: {urls}"
+            f"{len(found)} USB devices match {url.text}",
+            remedy=f"add the serial number of one device: {urls}",
         )
     return found[0]
 
 
-def _rigs(bus: UsbBus) -> str:
-    described = [_description(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
+def _list_rigs(bus: UsbBus) -> str:
+    described = [_describe(device) for device in bus.devices if device.bDeviceClass != _HUB_CLASS]
     found = [f"{device.url} ({device.product or 'no name'})" for device in described if device.is_rig]
     return f"Rigs here: {', '.join(found)}" if found else "No USB device here looks like a rig"
 
 
-def _description(device: Any) -> UsbDevice:
+def _describe(device: Any) -> UsbDevice:
     is_rig = _pipes(device) is not None
     return UsbDevice(
         vid=device.idVendor,
@@ -180,13 +185,16 @@ def _description(device: Any) -> UsbDevice:
 
 
 def _path(device: Any) -> str:
-    """Return the name of a device's directory in sysfs, from its bus and ports."""
+    """Return the name of a USB device's directory in sysfs, such as "1-2.3", from its bus and ports."""
     ports = device.port_numbers or (device.address,)
     return f"{device.bus}-{'.'.join(map(str, ports))}"
 
 
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
-    """Return the serial number or product name, from sysfs, or (`ask`) from the device; empty if unknown."""
+    """Return a USB device's serial number or product name (`which`) from sysfs or, with `ask`, from the device.
+
+    The text is empty if it is unknown.
+    """
     # From sysfs first: a request to the device would disturb another program that has it open.
     with suppress(OSError):
         return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
@@ -220,7 +228,7 @@ def _pipes(device: Any) -> _Pipes | None:
 
 
 def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
-    """Open the device, claim the interface and reset its endpoints.
+    """Open the USB device, claim its interface and reset its endpoints.
 
     Return True if a kernel driver had to be detached from the interface.
     """
@@ -238,7 +246,7 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
                 detached = True
         usb.util.claim_interface(device, pipes.interface)
     except (usb.core.USBError, NotImplementedError) as error:
-        raise _not_opened(error, device, url) from None
+        raise _opening_error(error, device, url) from None
     for endpoint in (pipes.endpoint_in, pipes.endpoint_out):
         # Resets the data toggle of both sides: after a killed host they may differ, and the first packet would be lost.
         with suppress(usb.core.USBError, NotImplementedError):
@@ -247,14 +255,14 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
 
 
 def _release(device: Any, pipes: _Pipes, detached: bool) -> None:
-    """Release the interface, and attach the kernel driver again if `detached`."""
+    """Release the USB interface, and attach the kernel driver again if it was detached."""
     with suppress(usb.core.USBError, NotImplementedError):
         usb.util.release_interface(device, pipes.interface)
         if detached:
             device.attach_kernel_driver(pipes.interface)
 
 
-def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
+def _opening_error(error: Exception, device: Any, url: DeviceUrl) -> RigError:
     number = error_number(error)
     if number in (errno.EACCES, errno.EPERM):
         remedy = f"run, then plug the device in again: {RULES_COMMAND}"
@@ -262,42 +270,41 @@ def _not_opened(error: Exception, device: Any, url: DeviceUrl) -> RigError:
     if number == errno.EBUSY:
         node = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
         return DeviceNotFoundError(
-            f"{url.text} is in use by another program", remedy=f"close it (sudo fuser {node} names it)"
+            f"{url.text} is in use by another program",
+            remedy=f"close that program (sudo fuser {node} shows it)",
         )
     if number == errno.ENODEV:
         return DeviceNotFoundError(
             f"{url.text} was unplugged while it was opened",
             remedy="check cable and power, and plug it in again",
         )
-    return DeviceNotFoundError(
-        f"{url.text} does not open: {error}", remedy="plug it in again, into another port"
-    )
+    return DeviceNotFoundError(f"cannot open {url.text}: {error}", remedy="plug the device into another port")
 
 
 class Transfers(Protocol):
-    """Bulk pipes of a claimed interface: `rig.devices._usb_queue.QueuedTransfers`, or `PlainTransfers`."""
+    """Interface to the two bulk endpoints of a claimed USB interface; `note` is a warning for the user, or ""."""
 
     note: str
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes like `rig.devices.device.Link.read`, but raise OSError on failure."""
+        """Return received bytes; wait at most `timeout_s` (s) for the first byte. Raise `OSError` on failure."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of `data` like `rig.devices.device.Link.write`, but raise OSError on failure."""
+        """Send all of `data` to the device; raise `OSError` on failure."""
         ...
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return the functions read, write and wait for the loop, and their handle."""
+        """Return the read, write and wait functions for the compiled loop, and the handle that they get."""
         ...
 
     def close(self) -> None:
-        """Cancel transfers that are in transit; may be called twice."""
+        """Cancel the transfers that are not complete; a second call does nothing."""
         ...
 
 
 class UsbLink(RealLink):
-    """`rig.devices.device.Link` over the bulk pipes of an interface."""
+    """Link (`rig.devices.device.Link`) over the bulk endpoints of a claimed USB interface."""
 
     def __init__(
         self,
@@ -317,16 +324,16 @@ class UsbLink(RealLink):
 
     @property
     def note(self) -> str:
-        """Return a warning for the user if transfers need the Python interpreter, else ""."""
+        """Return a warning for the user if USB transfers need the Python interpreter, else ""."""
         return self._transfers.note
 
     @property
     def messages(self) -> list[str]:
-        """Return the restrictions of the link, for the user to read."""
+        """Return the warnings about this link, for the user to read."""
         return [self.note] if self.note else []
 
     def read(self, timeout_s: float) -> bytes:
-        """Return received bytes; wait at most `timeout_s` for the first one. Raise `LinkLostError` on failure."""
+        """Return received bytes; wait at most `timeout_s` (s) for the first. Raise `LinkLostError` on failure."""
         self._check_open()
         try:
             return self._transfers.read(timeout_s)
@@ -334,7 +341,7 @@ class UsbLink(RealLink):
             raise self._lost(error) from error
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; raise `LinkLostError` on failure."""
+        """Send all of `data` to the USB device; raise `LinkLostError` on failure."""
         self._check_open()
         try:
             self._transfers.write(data)
@@ -342,12 +349,12 @@ class UsbLink(RealLink):
             raise self._lost(error) from error
 
     def port(self) -> LoopPort:
-        """Return the functions with which the loop reads, writes and waits."""
+        """Return the functions with which the compiled loop reads, writes and waits on this USB link."""
         read, write, wait, handle = self._transfers.plugs()
         return LoopPort.on(self.clock, read=read, write=write, wait=wait, handle=handle)
 
     def close(self) -> None:
-        """Cancel the transfers and release the device; may be called twice."""
+        """Cancel the transfers and release the USB device; a second call does nothing."""
         bus, self._bus = self._bus, None
         if bus is not None:
             self._transfers.close()
@@ -356,21 +363,21 @@ class UsbLink(RealLink):
 
     def _check_open(self) -> None:
         if self._bus is None:
-            raise UnpluggedError(f"{self.url.text} is closed", remedy="open it again")
+            raise UnpluggedError(f"the link to {self.url.text} is closed", remedy="open the device again")
 
     def _lost(self, error: OSError) -> LinkLostError:
         return link_error(error_number(error), self.url.text)
 
 
 def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
-    """Return `QueuedTransfers` if possible and `wanted` is not "plain", else `PlainTransfers`.
+    """Return queued transfers if possible and `wanted` is not "plain", else transfers by pyusb's own calls.
 
-    Raise `IncompatibleDeviceError` if `wanted` is "queued" and they are impossible.
+    Raise `IncompatibleDeviceError` if `wanted` is "queued" but transfers cannot be queued.
     """
     why = "the URL has transfers=plain" if wanted == "plain" else unsuitable(device)
     if why and wanted == "queued":
         raise IncompatibleDeviceError(
-            f"{url.text}: transfers cannot be queued: {why}",
+            f"{url.text}: compiled code cannot queue USB transfers: {why}",
             remedy="remove transfers=queued from the URL, or install pyusb 1.3",
         )
     try:
@@ -378,4 +385,4 @@ def _open(url: DeviceUrl, device: Any, pipes: _Pipes, wanted: str) -> Transfers:
             return PlainTransfers(device, pipes.endpoint_in, pipes.endpoint_out, pipes.packet, why)
         return QueuedTransfers(handle_of(device), pipes.endpoint_in, pipes.endpoint_out, pipes.packet)
     except OSError as error:
-        raise _not_opened(error, device, url) from None
+        raise _opening_error(error, device, url) from None

@@ -78,7 +78,7 @@ def test_a_program_that_ends_is_unplugged(tmp_path: Path) -> None:
 
 
 def test_a_socket_without_a_listener_does_not_open(tmp_path: Path) -> None:
-    with pytest.raises(DeviceNotFoundError, match="no program answers"):
+    with pytest.raises(DeviceNotFoundError, match="no program listens"):
         opened(tmp_path / "missing")
     for query in ("?cpu=one", "?seed=1"):
         with pytest.raises(ConfigError, match="cpu"):

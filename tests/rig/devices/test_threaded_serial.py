@@ -67,7 +67,7 @@ def test_a_port_that_does_not_open_is_one_error(line: Any, monkeypatch: pytest.M
     for text, words in (  # of pyserial on Windows
         ("could not open port 'COM7': FileNotFoundError(2, …)", "there is no port"),
         ("could not open port 'COM3': PermissionError(13, …)", "in use"),
-        ("Cannot configure port, something went wrong", "does not open"),
+        ("Cannot configure port, something went wrong", "cannot open"),
     ):
         with monkeypatch.context() as patched:
 
