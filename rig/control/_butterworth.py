@@ -1,7 +1,7 @@
 """Butterworth filters as second-order sections: the bilinear, prewarped design.
 
-`scipy.signal.butter` gives the same sections and coefficients (a test compares them), but takes a second to load, which
-every hit would need.
+Laws and measurements use it instead of `scipy.signal.butter`, which gives the same coefficients (a test compares them)
+but takes a second to load, in every hit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a band pass with two poles for each edge, fastest poles first."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a band pass with two poles per edge, fastest poles first."""
     low, high = _prewarp(low_hz, rate_hz), _prewarp(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)
@@ -42,12 +42,12 @@ def _prewarp(corner_hz: float, rate_hz: float) -> float:
 
 
 def _prototype(order: int) -> Any:
-    """Return the poles of the analogue low pass at 1 rad/s."""
+    """Return the poles of the analogue Butterworth low pass with a cut-off of 1 rad/s."""
     return -np.exp(1j * np.pi * np.arange(1 - order, order, 2) / (2 * order))
 
 
 def _sections(analogue: Any, zeros: Any, gain: float) -> list[list[float]]:
-    """Return the sections for poles of the analogue filter and zeros (±1) of the sampled filter.
+    """Return second-order sections for poles of the analogue filter and zeros (±1) of the sampled filter.
 
     Each section gets the zeros nearest to its poles. The zeros at +1 are those of the analogue filter at zero
     frequency.

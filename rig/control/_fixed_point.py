@@ -40,7 +40,7 @@ TOLERANCE = 0.1  # relative error of gain at rest, and of 1 + a1 + a2, that a de
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def shift_right(value: int, bits: int, rounding: int) -> int:
-    """Return value / 2^bits, rounded; 0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits."""
+    """Return value / 2^bits, rounded by a rule of `ROUNDINGS`; 0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits."""
     if rounding == NEAREST:
         value += (1 << bits) >> 1
     elif rounding == ZERO and value < 0:
@@ -50,7 +50,10 @@ def shift_right(value: int, bits: int, rounding: int) -> int:
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def divide(numerator: int, denominator: int, rounding: int) -> int:
-    """Return numerator / denominator, rounded; the denominator is above zero, and their sum must fit 64 bits."""
+    """Return numerator / denominator, rounded by a rule of `ROUNDINGS`.
+
+    The denominator is above zero; the sum of both numbers must fit 64 bits.
+    """
     if rounding == NEAREST:
         numerator += denominator >> 1
     elif rounding == ZERO and numerator < 0:
@@ -68,7 +71,7 @@ def saturate(value: int, word_bits: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """Number format Qm.f: a word of `word_bits` bits, of which `fraction_bits` are behind the binary point."""
+    """Fixed-point format Qm.f: words of `word_bits` bits, of which `fraction_bits` are behind the binary point."""
 
     word_bits: int
     fraction_bits: int
@@ -78,25 +81,25 @@ class Format:
 
     @property
     def lsb(self) -> float:
-        """Return the value of the least significant bit."""
+        """Return the value of the least significant bit of this format."""
         return 2.0**-self.fraction_bits
 
     @property
     def limits(self) -> tuple[int, int]:
-        """Return the least and greatest integer of the word."""
+        """Return the least and the greatest integer of a word of this format."""
         return -(1 << (self.word_bits - 1)), (1 << (self.word_bits - 1)) - 1
 
     def quantised(self, value: float, what: str = "a value") -> int:
-        """Return the nearest integer of this format, halves towards +∞; raise `ConfigError` if the value does not fit.
+        """Return the integer of this format that is nearest to a value; halves are rounded towards +∞.
 
-        The message calls the value `what`.
+        Raise `ConfigError`, whose message calls the value `what`, if it does not fit.
         """
         numerator, denominator = value.as_integer_ratio()
         integer = (2 * (numerator << self.fraction_bits) + denominator) // (2 * denominator)
         least, greatest = self.limits
         if not least <= integer <= greatest:
             raise ConfigError(
-                f"{what} = {value:g} does not fit {self}, whose largest value is {greatest * self.lsb:g}",
+                f"{what} = {value:g} does not fit the format {self}, whose largest value is {greatest * self.lsb:g}",
                 remedy="choose a longer word or fewer fractional bits",
             )
         return integer
@@ -134,7 +137,7 @@ def design_biquad(
     rounding: str = "nearest",
     unit_gain: bool = True,
 ) -> Biquad:
-    """Round the coefficients of a low pass and measure the filter that results.
+    """Return a low pass in fixed point: round its coefficients and check the filter that results.
 
     Parameters
     ----------
@@ -164,7 +167,7 @@ def design_biquad(
     wanted = float(sum(a)) * one
     if not (at_rest > 0 and abs(a1) < one + a2 and abs(a2) < one) or abs(at_rest / wanted - 1.0) > TOLERANCE:
         raise ConfigError(
-            f"in coefficients of {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
+            f"with coefficients in the format {form}, 1 + a1 + a2 = {wanted:.4g} LSB is rounded to {at_rest}, "
             f"which changes the filter's gain at rest by more than {100 * TOLERANCE:.0f} %",
             remedy=more_bits,
         )
@@ -173,12 +176,13 @@ def design_biquad(
     dc_gain = (b0 + b1 + b2) / at_rest
     if abs(dc_gain - 1.0) > TOLERANCE:
         raise ConfigError(
-            f"in coefficients of {form} the gain at rest is {dc_gain:.3g} instead of 1", remedy=more_bits
+            f"with coefficients in the format {form} the filter's gain at rest is {dc_gain:.3g} instead of 1",
+            remedy=more_bits,
         )
     largest = (abs(b0) + abs(b1) + abs(b2) + abs(a1) + abs(a2)) << (state.word_bits - 1)
     if largest + one > GREATEST:
         raise ConfigError(
-            f"products of {form} and {state} overflow 64 bits",
+            f"products of the formats {form} (coefficients) and {state} (signal) overflow 64 bits",
             remedy="choose shorter words, of at most 60 bits together",
         )
     index = ROUNDINGS.index(rounding)

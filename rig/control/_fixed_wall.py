@@ -35,7 +35,7 @@ PRECISION = 1e-3  # relative, of a gain that is not zero
 
 
 class FixedWall(NamedTuple):
-    """Integers of a wall, its constant effort and its guard, for `current_quanta` or for a device."""
+    """Integers of a wall, its constant effort and its effort limit, for `current_quanta` or for a device."""
 
     reference: int  # count at position zero
     direction: int  # ±1: the wall is entered with rising or falling counts
@@ -55,7 +55,7 @@ WALL = types.NamedUniTuple(types.int64, len(FixedWall._fields), FixedWall)
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def depth(count: int, wall: FixedWall) -> int:
-    """Return the penetration in counts · 2^8, saturated; above zero the handle is inside the wall."""
+    """Return the penetration (counts · 2^8) of the wall at a count, saturated; above zero the handle is inside."""
     travel = wall.direction * count_difference(count, wall.reference)
     return saturate((travel << DEPTH_BITS) - wall.surface, DEPTH_WORD)
 
@@ -79,14 +79,14 @@ def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def limit_current(total: int, wall: FixedWall) -> int:
-    """Return the current (quanta) for an effort in quanta · 2^shift: nearest, halves towards +∞, within ±limit."""
+    """Return the current (quanta) for an effort in quanta · 2^shift: rounded, halves towards +∞, within ±limit."""
     quanta = shift_right(total, wall.shift, NEAREST)
     return min(max(quanta, -wall.limit), wall.limit)
 
 
 @kernel(types.int64(types.int64, types.int64, WALL))
 def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
-    """Return the current to command for a count and a velocity.
+    """Return the current to command for a count and a velocity: wall, constant effort and limit.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
     Returns
     -------
     int
-        Current in quanta of the wire.
+        Current in quanta of the wire protocol.
     """
     return limit_current(wall.constant - wall.side * reaction(depth(count, wall), velocity, wall), wall)
 
@@ -143,7 +143,7 @@ def design_wall(
     constant_effort
         Effort added inside and outside the wall (N·m or N), positive with position.
     added_effort
-        Largest magnitude of a further effort that the device adds; the sums keep room for it (N·m or N).
+        Largest magnitude of a further effort that the device adds (N·m or N); the sums have bits for it.
     reference_count
         Count at position zero.
     may_pull, entry_only
@@ -164,21 +164,22 @@ def design_wall(
     limit = math.floor(effort_limit / effort_quantum * (1.0 + 1e-12))
     if not 0 <= limit <= CURRENT_GREATEST:
         raise ConfigError(
-            f"effort limit {effort_limit:g} is {limit} current quanta; allowed are 0 to {CURRENT_GREATEST}",
+            f"the effort limit {effort_limit:g} is {limit} current quanta; allowed are 0 to {CURRENT_GREATEST}",
             remedy="lower the effort limit or choose a larger current quantum",
         )
     for name, value in (*gains.items(), ("constant effort", abs(constant))):
         if not 0.0 <= value <= GAIN_GREATEST:
             raise ConfigError(
-                f"{name} is {value:g} quanta; allowed are 0 to {GAIN_GREATEST}", remedy="choose a softer wall"
+                f"the {name} is {value:g} current quanta; allowed are 0 to {GAIN_GREATEST}",
+                remedy="choose a softer wall",
             )
     shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)
     whole = {name: _nearest(value, shift) for name, value in gains.items()}
     for name, value in gains.items():
         if abs(math.ldexp(whole[name], -shift) - value) > PRECISION * value:
             raise ConfigError(
-                f"{name} is {value:.3g} quanta per LSB, which {shift} fractional bits can represent "
-                f"only as {whole[name]}",
+                f"the {name} is {value:.3g} current quanta per LSB, which {shift} fractional bits can represent "
+                f"only as the integer {whole[name]}",
                 remedy=f"raise the {name}, or choose a velocity format with fewer fractional bits",
             )
     return FixedWall(
@@ -209,7 +210,8 @@ def _greatest_shift(gains: tuple[float, ...], added: float, velocity: Format) ->
         if max(whole) <= GAIN_GREATEST and largest + _nearest(added, shift) + 2**shift <= GREATEST:
             return shift
     raise ConfigError(
-        "the wall's sums exceed 64 bits", remedy="choose a softer wall or a velocity of a shorter word"
+        "sums of the wall in integers exceed 64 bits",
+        remedy="choose a softer wall or a shorter word for the velocity",
     )
 
 

@@ -144,7 +144,7 @@ NUMBERS_TYPE = types.Array(numba.from_dtype(NUMBERS), 1, "C")
 
 @dataclass(frozen=True, slots=True)
 class Filters:
-    """Coefficients of the high pass and the band pass, and the ticks after which both have forgotten an old sample.
+    """Coefficients of a high pass and a band pass, and the ticks after which both have forgotten an old sample.
 
     `sections` has one row (b0, b1, b2, a1, a2) for each second-order section.
     """
@@ -155,7 +155,7 @@ class Filters:
 
 @lru_cache(maxsize=64)
 def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
-    """Design the high pass and the band pass: Butterworth filters with two poles for each edge.
+    """Design the high pass and the band pass of a verdict: Butterworth filters with two poles for each edge.
 
     The upper corner of the band is omitted if it is at or above 0.45 of the rate.
     """
@@ -173,7 +173,7 @@ def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
 
 @kernel(types.int64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Records) -> int:
-    """Write first contact, exits, stay and peaks into `numbers`; return the tick of the last exit from the wall."""
+    """Write first contact, exits, stay in the wall and peaks to `numbers`; return the tick of the last exit."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -207,7 +207,10 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """Write the counts of flags and lost samples, in the whole trial and after the contact. Run `_contact` before."""
+    """Count flags and lost samples, in the whole trial and after the contact, and write the counts to `numbers`.
+
+    Run `_contact` before.
+    """
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -245,9 +248,10 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
 
 @kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)
 def _toggling_hz(position: Floats, settings: Records) -> float:
-    """Return the frequency (Hz) at which the count toggles in the tail: half the rate of changes that are not motion.
+    """Return the frequency (Hz) at which the encoder count toggles in the tail of a trial.
 
-    A change counts if it is against the direction of the previous change, or if it is a slow step of a creeping count.
+    It is half the rate of the changes that are not motion: changes against the direction of the previous change, and
+    slow steps of a creeping count.
     """
     # No spectrum: its highest line is undefined for toggling without a period, whose velocity in the band depends on
     # the rate of changes alone. A toggling count changes direction twice in a period whatever its duty cycle. Pulses
@@ -292,7 +296,7 @@ def _toggles(position: Floats, resolution: float) -> int:
 
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
-    """Return the rms velocity (rad/s or m/s) that a count reads within the band if it toggles at `frequency_hz`.
+    """Return the rms velocity (rad/s or m/s) within the band that a count simulates if it toggles at `frequency_hz`.
 
     A square wave of height Δ at f Hz has odd harmonics. The velocity of each has the rms 2√2·f·Δ; the powers of those
     within the band are added.
@@ -310,7 +314,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
 def _section(
     x: float, s1: float, s2: float, b0: float, b1: float, b2: float, a1: float, a2: float
 ) -> tuple[float, float, float]:
-    """Return output and both new states of a second-order section (transposed direct form II) for the sample `x`."""
+    """Return output and the two new states of a second-order section (transposed direct form II) for the sample `x`."""
     y = b0 * x + s1
     return y, (b1 * x + s2) - a1 * y, b2 * x - a2 * y
 
@@ -319,7 +323,10 @@ def _section(
 def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
-    """Write heard, moved and growth in the tail, and heard and moved of the stay in the wall (above the high pass)."""
+    """Write heard, moved and growth in the tail, and heard and moved of the stay in the wall, to `numbers`.
+
+    *heard* is the rms ripple of the effort, *moved* the peak-to-peak position, both above the high pass.
+    """
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -408,7 +415,7 @@ def _felt(position: Floats, velocity: Floats, settings: Records, sections: Float
 
 @kernel(types.float64(_SIGNAL, types.int64, types.int64), no_refcount=True)
 def _end_slope(position: Floats, first: int, last: int) -> float:
-    """Return the slope (travel in one tick) at tick `last` of a parabola fitted to ticks `first` to `last`.
+    """Return the slope (rad or m per tick) at tick `last` of a parabola fitted to ticks `first` to `last`.
 
     The fit has the least squared error. It uses the polynomials u and u² − mean(u²), which are orthogonal on an even
     grid; u counts ticks from the middle.
@@ -438,7 +445,7 @@ def _rest_and_impact(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Write resting penetration, settling time and velocity at impact (see `rig.control.verdict.Verdict`)."""
+    """Write resting penetration, settling time and velocity at impact to `numbers`."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -499,12 +506,12 @@ def measure(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Compute all numbers of one trial.
+    """Compute all numbers of one trial, from which `rig.control.verdict` derives the outcome.
 
     Parameters
     ----------
     position, velocity, effort, penetration
-        One value for each tick (units of the rig); if `velocity` is empty, it is derived from `position`.
+        One value for each tick (SI units); if `velocity` is empty, it is derived from `position`.
     flags
         Bits of `rig.core.sample.RowFlag` and `OVERRULED`, plus the number of samples lost just before << `LOST_BITS`.
     settings, sections, scratch
@@ -565,8 +572,8 @@ class Meter:
 
     Notes
     -----
-    Use one object for each thread. Signals are float64 arrays of equal length and any stride: columns of a larger
-    array need no copy. `flags` are int64; `measure` explains their bits.
+    Use one object for each thread. Signals are float64 arrays of equal length and any stride: columns of a larger array
+    need no copy. `flags` are int64; `measure` explains their bits.
     """
 
     def __init__(
@@ -597,7 +604,7 @@ class Meter:
         self._no_velocity = np.zeros(0)
 
     def arguments(self) -> MeterArguments:
-        """Return the arguments for a kernel that calls `measure` itself."""
+        """Return filters, settings and work memory as an argument for a kernel that calls `measure` itself."""
         return MeterArguments(
             recorded=self._recorded, true=self._true, sections=self._sections, scratch=self._scratch
         )
@@ -610,14 +617,14 @@ class Meter:
         flags: Ints,
         velocity: Floats | None = None,
     ) -> np.void:
-        """Return the numbers (a record of `NUMBERS`) of recorded signals; `velocity` may be left out."""
+        """Return the numbers (a record of `NUMBERS`) of a trial's recorded signals; `velocity` may be left out."""
         derived = self._no_velocity if velocity is None else velocity
         return self._measured(self._recorded, (position, derived, effort, penetration), flags)
 
     def true(
         self, position: Floats, velocity: Floats, effort: Floats, penetration: Floats, flags: Ints
     ) -> np.void:
-        """Return the numbers of true signals (a record of `NUMBERS`): position without counts, felt without a floor."""
+        """Return the numbers (a record of `NUMBERS`) of a simulated trial's true signals, without encoder counts."""
         return self._measured(self._true, (position, velocity, effort, penetration), flags)
 
     def _measured(

@@ -19,7 +19,7 @@ _SCRATCH_TYPE = types.float64[::1]
     no_refcount=True,
 )
 def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -> int:
-    """Move values below the pivot to the front, and equal ones if `equal`; return the index of the first other one."""
+    """Move values below the pivot (and equal values if `equal`) to the front; return the index after the moved ones."""
     front = low
     for i in range(low, high):
         value = values[i]
@@ -33,13 +33,13 @@ def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -
 def median(values: Floats, count: int) -> float:
     """Return the median of the first `count` values; the function changes their order.
 
-    Hoare's selection. The partition has no branch to predict. Its pivot is the median of three values at random
-    places; with fixed places a regular oscillation would make the time quadratic.
+    Method: Hoare's selection, with the median of three random values as pivot.
     """
     middle = count // 2
     low, high = 0, count  # the element of rank `middle` lies in low … high - 1
     draw = 1
     while high - low > 1:
+        # A pivot from random values: with fixed ones a regular oscillation would make the time quadratic.
         a = b = c = values[low]
         for _ in range(3):
             draw = (draw * 1103515245 + 12345) & 0x7FFFFFFF  # the generator of C's rand

@@ -26,7 +26,7 @@ def add_damping(reaction: float, energy: float, inwards: float, limit: float, ti
     reaction
         Reaction of the wall alone (N·m or N), positive out of the wall.
     energy
-        Energy that the wall has given minus energy that it took (J).
+        Energy that the wall has given minus energy that it has absorbed (J).
     inwards
         Velocity into the wall (rad/s or m/s).
     limit

@@ -11,7 +11,7 @@ from rig.realtime.kernel import kernel
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def approach(setpoint: float, target: float, step: float) -> float:
-    """Return the set point moved towards its target by at most one step (rad or m)."""
+    """Return the set point moved towards its target by at most `step` (rad or m)."""
     if setpoint < target:
         return min(setpoint + step, target)
     return max(setpoint - step, target)
@@ -19,6 +19,6 @@ def approach(setpoint: float, target: float, step: float) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def servo(error: float, velocity: float, stiffness: float, damping: float, limit: float) -> float:
-    """Return the effort (N·m or N) of a spring to the set point and a damper to rest, clipped to ±limit."""
+    """Return the effort (N·m or N) of a spring (position error) and a damper (velocity), clipped to ±limit."""
     effort = stiffness * error - damping * velocity
     return min(max(effort, -limit), limit)

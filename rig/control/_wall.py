@@ -30,7 +30,7 @@ STATE = 1  # only `LAW_CLAMPED`: 1 when this tick's reaction was clamped
 def spring_damper(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction of the wall (N·m or N), positive towards free space.
+    """Return the reaction of the virtual wall (N·m or N), positive towards free space.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def spring_damper(
 
 
 def spring_damper_law() -> Law:
-    """Return the law of the virtual wall."""
+    """Return the law of the virtual wall: a spring and a damper that act only inside the wall."""
     return Law("spring-damper", "unilateral spring and damper", spring_damper, STATE, design)
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of `spring_damper` from the settings of ``[wall]``."""
+    """Return the parameters of the virtual wall (K, B and two options) from the settings of ``[wall]``."""
     may_pull = 1.0 if wall["pull"] == "allow" else 0.0
     entry_only = 1.0 if wall["damping_on"] == "entry" else 0.0
     return [wall["stiffness"], wall["damping"], may_pull, entry_only]

@@ -1,10 +1,11 @@
-"""Linear laws: a spring and a damper on both sides of a point, also with an excitation, also from the first contact on.
+"""Linear laws (spring and damper on both sides of a point), as a base for measurements of impedance.
 
-A wall with a free side is not linear, so impedance is measured about a point inside a wall that also pulls. The rig's
-own motor can add an excitation: one period of efforts in the law's parameters, played by elapsed ticks and not by a
-clock, so that the same law runs in a simulation, over the byte link, in real time and in a replay.
+A wall with a free side is not linear, so impedance is measured about a point inside a wall that also pulls. One law
+adds an excitation by the rig's own motor: one period of efforts in the law's parameters, played by elapsed ticks and
+not by a clock, so that the same law runs in a simulation, over the byte link, in real time and in a replay. Another law
+begins at the first contact.
 
-Excited runs and identification of `rig.experiments`, the reproductions of papers and the simulation call it. Kernels
+Excited runs and identification of `rig.experiments`, the reproductions of papers and the simulation use it. Kernels
 here must not allocate, and must not depend on the link to the device.
 """
 
@@ -36,7 +37,7 @@ CLINGING_STATE = 2
 
 @kernel(types.float64(types.int64, types.int64), inline=True)
 def ramp(tick: int, ticks: int) -> float:
-    """Return the factor from 0 to 1 by which an excitation is multiplied at a tick; its slope is continuous."""
+    """Return the factor (0 to 1) by which an excitation is multiplied at `tick`: a raised cosine of length `ticks`."""
     if tick >= ticks:
         return 1.0
     return 0.5 - 0.5 * math.cos(math.pi * tick / ticks)
@@ -46,7 +47,7 @@ def ramp(tick: int, ticks: int) -> float:
 def bilateral(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction K·penetration + B·velocity inside and outside of the wall (N·m or N); K and B may be 0."""
+    """Return the reaction K·penetration + B·velocity (N·m or N) on both sides of the surface; K and B may be 0."""
     state[LAW_CLAMPED] = 0.0
     return float(parameters[STIFFNESS] * penetration + parameters[DAMPING] * penetration_velocity)
 
@@ -55,7 +56,7 @@ def bilateral(
 def clinging(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return 0 before the first contact, then the reaction of `bilateral` inside and outside of the wall (N·m or N)."""
+    """Return the reaction (N·m or N) of a spring and damper on both sides, which act from the first contact on."""
     state[LAW_CLAMPED] = 0.0
     if penetration > 0.0:
         state[TOUCHED] = 1.0
@@ -68,10 +69,10 @@ def clinging(
 def excited(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction of `bilateral` plus the excitation of the table at this tick (N·m or N).
+    """Return the reaction of a spring and damper on both sides plus a periodic excitation (N·m or N).
 
-    The table starts with the first tick of the trial, is multiplied by `ramp`, and repeats. Ticks whose samples were
-    lost count too, so the table stays in step with time.
+    The excitation's period in `parameters` starts with the first tick of the trial, is faded in by `ramp`, and repeats.
+    Lost samples count as ticks, so that the excitation stays in step with time.
     """
     state[LAW_CLAMPED] = 0.0
     played = int(state[PLAYED])
@@ -83,19 +84,19 @@ def excited(
 
 
 def bilateral_law() -> Law:
-    """Return the law of a spring and a damper on both sides."""
+    """Return the law of a spring and a damper on both sides of the wall's surface, for measurements of impedance."""
     return Law("bilateral", "spring and damper on both sides", bilateral, 1, design)
 
 
 def clinging_law() -> Law:
-    """Return the law that is bilateral from the first contact on: the wall then holds the handle."""
+    """Return the law of a spring and a damper that hold the handle on both sides from the first contact on."""
     return Law("clinging", "bilateral, once touched", clinging, CLINGING_STATE, design)
 
 
 def excited_law(
     efforts: ArrayLike = (0.0,), ramp_ticks: int = 0, device: Mapping[str, int] | None = None
 ) -> Law:
-    """Return the bilateral law with an excitation by the rig's own motor.
+    """Return the law of a spring and a damper on both sides with an excitation by the rig's own motor.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def excited_law(
     ramp_ticks
         Number of ticks in which the excitation rises from zero.
     device
-        Device parameters from which a device computes the same table (`rig.control.excitation_table`).
+        Device parameters from which a device computes the same period (`rig.control.excitation_table`).
     """
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 
@@ -116,18 +117,18 @@ def excited_law(
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of `bilateral` from the settings of ``[wall]``."""
+    """Return the parameters of the bilateral law, stiffness and damping, from the settings of ``[wall]``."""
     return [wall["stiffness"], wall["damping"]]
 
 
 def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Return the parameters of `excited`; `excited_law` explains the arguments."""
+    """Return parameters of the excited law: stiffness, damping, ramp (ticks), one period of reactions (N·m or N)."""
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Return the excitation that `excited` plays in its first `ticks` ticks (N·m or N, positive with position)."""
+    """Return the excitation of the excited law in its first `ticks` ticks (N·m or N, positive with position)."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

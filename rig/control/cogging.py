@@ -1,4 +1,4 @@
-"""Cogging, an effort that depends on the motor's position only, and its compensation, which wraps any law.
+"""Compensation of cogging (an effort that depends only on the motor's position), which wraps any law.
 
     effort = −fade(x) · clip(F(x), ± limit)
 
@@ -9,9 +9,9 @@ was measured; outside of this range the compensation is zero.
 map is wrong. Only the delay can give energy, as in any wall: with the loop's delay τ a slope s of F adds damping s·τ
 where cogging stiffens, and removes s·τ where cogging softens; theory includes it (`rig.analysis.theory._loop`).
 
-It acts whenever the wrapped law does: in trial and release, inside the wall and outside, not in homing. In a recording
-it is part of the law's effort. The name of the law contains it, and its parameters come before those of the wrapped
-law.
+The compensation acts whenever the wrapped law does: in trial and release, inside the wall and outside, not in homing.
+In a recording it is part of the law's effort. The name of the law contains it, and its parameters come before those of
+the wrapped law.
 
 `rig.config.controller` wraps a law in it, and the simulation applies the same map to its motor. Kernels here must not
 allocate.
@@ -43,7 +43,10 @@ WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
 def effort_at(position: float, harmonics: Any) -> float:
-    """Return the cogging effort (N·m or N) at a position (rad or m); `rig.core.model.Cogging` explains `harmonics`."""
+    """Return the cogging effort (N·m or N) at a position (rad or m).
+
+    `harmonics` contains wavenumber, cosine and sine of each harmonic, in a flat array (`rig.core.model.Cogging`).
+    """
     effort = 0.0
     for i in range(0, harmonics.shape[0], HARMONIC):
         angle = harmonics[i + WAVENUMBER] * position
@@ -53,7 +56,10 @@ def effort_at(position: float, harmonics: Any) -> float:
 
 @kernel("f8(f8, f8, f8, f8, f8[::1])", inline=True)
 def bounded_at(position: float, minimum: float, maximum: float, limit: float, harmonics: Any) -> float:
-    """Return the cogging effort (N·m or N) to compensate at a position: within ±limit, faded at the ends of the map."""
+    """Return the cogging effort to compensate at a position (N·m or N), within ±limit.
+
+    It fades to 0 at `minimum` and `maximum`, the ends of the measured range (rad or m), and is 0 beyond.
+    """
     inside = min(position - minimum, maximum - position) / (FADE * (maximum - minimum))
     if inside <= 0.0:
         return 0.0
@@ -65,7 +71,7 @@ def bounded_at(position: float, minimum: float, maximum: float, limit: float, ha
 def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
     """Return a law with the effort of `law` plus a compensation of cogging, at most `limit` (N·m or N).
 
-    The wrapper is compiled for the law when it is first used (a second or two).
+    The new law is compiled when it is first used (a second or two).
     """
     harmonics = cogging.harmonics
 
@@ -84,7 +90,7 @@ def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return the wrapper of a law without parameters, for a replay, which takes the parameters from the recording."""
+    """Return a law with cogging compensation whose parameters a replay takes from the recording."""
     return compensate_cogging(law, Cogging(), 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Compare measured and set current, to detect a loose lead, a dead amplifier, or a wrong sign or scale.
+"""Compare measured and set current of the motor, to detect a loose lead, a dead amplifier, or a wrong sign or scale.
 
 The expected current is the active set-point after delay and lag of the amplifier. The magnitude of the residual
 (measured minus expected) is summed over `WINDOW_S`, without its largest value. At the end of each window the sum is
@@ -10,13 +10,11 @@ compared with a threshold, the larger of `SIGMAS` of the sensor's noise and a te
 Lag and delay are known to a factor of two: the expected current is computed for half and twice of both, and only a
 residual that none of them explains counts. Under voltage drive the expected current includes that of the back-EMF.
 
-The simulated device and both loops of the host call it; firmware has the same in `core/current.c`.
+The simulated device and both loops of the host use it; firmware has the same in `core/current.c`. It must not use
+floating point or allocate in a tick. Change it only together with the firmware, so that both give the same results.
 
-Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are set by this
-project; `rig/docs/explanation/verdicts.md` has the resulting rates of false alarms and of detection.
-
-It must not use floating point or allocate in a tick. Change it only together with the firmware, so that both give the
-same results.
+Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are set by this project;
+`rig/docs/explanation/verdicts.md` has the resulting rates of false alarms and of detection.
 """
 
 from __future__ import annotations
@@ -69,12 +67,12 @@ _UNOBSERVED = 2**32 - 1
 
 
 def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) -> None:
-    """Initialise the comparison for a rate (Hz) and a current sensor.
+    """Initialise the comparison of measured and set current.
 
     Parameters
     ----------
     words
-        Memory with the fields of `CURRENT`; its length is `WORDS`.
+        Memory of the comparison, `WORDS` integers at the indices `CURRENT`.
     sensor
         Properties of the rig's current sensor.
     rate
@@ -98,7 +96,7 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
 
 
 def _configure_delay(words: Ints, ticks: float) -> None:
-    """Initialise the delay line for a delay in ticks (not necessarily whole), and fill it with zero current."""
+    """Initialise the delay line of set currents for a delay in ticks (a real number), and fill it with zero current."""
     delayed = words[CURRENT.delayed] = math.ceil(2.0 * ticks - 1e-9)
     stride = words[CURRENT.stride] = max(1, -(-delayed // (SLOTS - 1)))
     words[CURRENT.first] = math.floor(0.5 * ticks + 1e-9) // stride
@@ -111,12 +109,12 @@ def _configure_delay(words: Ints, ticks: float) -> None:
 
 
 def _share_of(lag_s: float, rate: int) -> int:
-    """Return the share (1/65536) of a step that a first-order lag follows within one tick."""
+    """Return the part (in 1/65536) of a step that a first-order lag follows within one tick of `rate` (Hz)."""
     return 65536 if lag_s <= 0.0 else math.floor(-math.expm1(-1.0 / (rate * lag_s)) * 65536.0 + 0.5)
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """Return the share (1/65536) to take off a step, so that a lag of first order ends the tick as after a ramp."""
+    """Return the part (in 1/65536) to subtract from a step, so that a lag ends the tick as after a ramp."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate
@@ -134,7 +132,7 @@ def _begin_window(words: Ints) -> None:
 
 @rule
 def _begin_at(words: Ints, current: int) -> None:
-    """Set the output of each lag to a current (quanta)."""
+    """Set the output of each first-order lag to a current (quanta)."""
     words[CURRENT.expected] = current * _UNIT
     words[CURRENT.quick_low] = words[CURRENT.quick_high] = current * _UNIT
     words[CURRENT.slow_low] = words[CURRENT.slow_high] = current * _UNIT
@@ -142,7 +140,7 @@ def _begin_at(words: Ints, current: int) -> None:
 
 @rule
 def forget(words: Ints) -> None:
-    """Start a new window without knowledge of earlier currents: at a new session, or after lost samples."""
+    """Start a new window of the comparison without earlier currents: at a new session, or after lost samples."""
     _begin_window(words)
     words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
@@ -155,7 +153,7 @@ def forget(words: Ints) -> None:
 
 @rule
 def resume(words: Ints, measured: int) -> None:
-    """Start a new window after an unknown current: each lag starts at the measured current (quanta)."""
+    """Start a new window of the comparison; each first-order lag starts at the measured current (quanta)."""
     _begin_at(words, measured)
     forget(words)
 
@@ -167,7 +165,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
     Parameters
     ----------
     words
-        Memory with the fields of `CURRENT`.
+        Memory of the comparison, at the indices `CURRENT`.
     count
         Encoder count at the end of the tick.
     active
@@ -235,7 +233,7 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
 
 @rule
 def _set(words: Ints, active: int) -> None:
-    """Write the active current of a tick into the delay line."""
+    """Write the active current of a tick (quanta) into the delay line."""
     if words[CURRENT.filled] >= words[CURRENT.stride]:
         words[CURRENT.filled] = 0
         words[CURRENT.newest] = words[CURRENT.newest] + 1 if words[CURRENT.newest] + 1 < SLOTS else 0
@@ -249,14 +247,17 @@ def _set(words: Ints, active: int) -> None:
 
 @rule
 def _slot(words: Ints, back: int) -> int:
-    """Return the index of the slot that is `back` slots older than the newest."""
+    """Return the index of the slot of the delay line that is `back` slots older than the newest slot."""
     place = words[CURRENT.newest] - back
     return int(place if place >= 0 else place + SLOTS)
 
 
 @rule
 def _extremes(words: Ints) -> tuple[int, int, int]:
-    """Return lowest and highest current over all possible delays, and that at the nominal delay (1/16384 quantum)."""
+    """Return lowest and highest delayed current over all possible delays, and that at the nominal delay.
+
+    All three currents are in 1/16384 quantum.
+    """
     slot = _slot(words, words[CURRENT.first])
     # The delay is no whole number of ticks: extremes over whole ticks around half and twice of it.
     low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]
@@ -270,7 +271,7 @@ def _extremes(words: Ints) -> tuple[int, int, int]:
 
 @rule
 def _back_emf(words: Ints, count: int) -> int:
-    """Return the current that the back-EMF causes under voltage drive, signed with the motion (1/16384 quantum)."""
+    """Return the current by back-EMF under voltage drive, signed with the motion (1/16384 quantum)."""
     step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * _COUNT
     words[CURRENT.count] = count
     # Smoothed over SPEED_LAG_S, or single counts would be large currents.
@@ -285,7 +286,7 @@ def _back_emf(words: Ints, count: int) -> int:
 
 @rule
 def _smooth(words: Ints, measured: int) -> None:
-    """Low-pass the residual (without back-EMF) and the expected current with the time constant of the speed."""
+    """Low-pass filter the residual current (without back-EMF) and the expected current like the speed."""
     left = measured * _UNIT - words[CURRENT.expected]
     # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
     share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
@@ -299,24 +300,24 @@ def _smooth(words: Ints, measured: int) -> None:
 
 @rule
 def _outside(left: int, low: int, high: int) -> int:
-    """Return the distance of a residual from the range [low, high] that possible delays and lags explain (quanta)."""
+    """Return the distance (quanta) of a residual current from the range [low, high] that delays and lags explain."""
     return _size(left - min(max(left, low), high))
 
 
 @rule
 def _size(current: int) -> int:
-    """Return the magnitude of a current (1/16384 quantum), rounded to quanta."""
+    """Return the magnitude of a current in 1/16384 quantum, rounded to quanta."""
     return (abs(current) + _UNIT // 2) // _UNIT
 
 
 @rule
 def _part(difference: int, share: int) -> int:
-    """Return a share (1/65536) of a difference, rounded down."""
+    """Return a difference multiplied by `share`/65536, rounded down."""
     return difference * share >> 16
 
 
 @rule
 def _follow(words: Ints, place: int, before: int, share: int) -> int:
-    """Move the output of a lag by a share (1/65536) of its distance from the input `before`; return the new output."""
+    """Move a lag's output ``words[place]`` towards its input `before` by `share`/65536 of the distance; return it."""
     words[place] += _part(before - words[place], share)
     return int(words[place])

@@ -1,14 +1,13 @@
 """Multisines: efforts that excite a rig to measure its impedance, as sums of cosines at multiples of 1/period.
 
-    multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
-    multisine.crest_factor, multisine.peak
-    effort = multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
+    multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0) multisine.crest_factor, multisine.peak effort =
+    multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
 
 A multisine repeats exactly, so a spectrum of whole periods needs no window (`rig.analysis.impedance`). Schroeder's
 phases give a small crest factor; random phases, drawn for each realisation, turn the distortion by friction from a bias
 of the impedance into a scatter that averages out. Efforts are in N·m or N, times in s, frequencies in Hz.
 
-Identification, measurements of impedance and excited laws (`rig.control.bilateral`) call it. It must not simulate or
+Identification, measurements of impedance and excited laws (`rig.control.bilateral`) use it. It must not simulate or
 read a clock.
 """
 
@@ -37,7 +36,7 @@ OVERSAMPLING = 16  # points for each period of the highest line, where a peak is
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """Largest value of a quantity under an excitation, and its limit, which is None if there is no limit."""
+    """Largest expected value of a quantity under an excitation, in SI units, and its limit (None without a limit)."""
 
     name: str
     quantity: Literal["effort", "position", "velocity"]
@@ -46,7 +45,7 @@ class Peak:
 
     @reported
     def holds(self) -> bool:
-        """Return True if the value is finite and within its limit."""
+        """Return True if the largest value is finite and within its limit."""
         return math.isfinite(self.value) and (self.limit is None or self.value <= self.limit)
 
 
@@ -81,23 +80,24 @@ class Multisine:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64).reshape(-1))
         if not (math.isfinite(self.period_s) and self.period_s > 0.0):
             raise ConfigError(
-                f"period_s = {self.period_s!r} s is not a period: it must be above 0 and finite",
+                f"period_s = {self.period_s!r} s is not a valid period: it must be above 0 and finite",
                 remedy="give a period above 0 s",
             )
         n = len(self.lines_hz)
         if n == 0 or len(self.amplitudes) != n or len(self.phases) != n:
             raise ConfigError(
-                f"there are {n} lines, but {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
+                f"the multisine has {n} lines, but {len(self.amplitudes)} amplitudes and {len(self.phases)} phases",
                 remedy="give one amplitude and one phase for each line, and at least one line",
             )
         if not all(np.isfinite(a).all() for a in (self.lines_hz, self.amplitudes, self.phases)):
             raise ConfigError(
-                "a line, an amplitude or a phase is not a finite number", remedy="give finite numbers"
+                "a frequency, an amplitude or a phase of the multisine is not a finite number",
+                remedy="give finite numbers",
             )
         off = np.abs(self.lines_hz * self.period_s - self.harmonics)
         if self.harmonics[0] < 1 or (np.diff(self.harmonics) < 1).any() or off.max() > ON_GRID:
             raise ConfigError(
-                f"the lines are not ascending multiples of 1/period, {1.0 / self.period_s:g} Hz",
+                f"the lines (Hz) of the multisine are not ascending multiples of 1/period, {1.0 / self.period_s:g} Hz",
                 remedy="choose ascending multiples of 1/period, or another period",
             )
 
@@ -136,8 +136,8 @@ class Multisine:
 
         Notes
         -----
-        With shares p of the power, φ_k = φ_1 − 2π·Σ_{l<k} (k − l)·p_l, k counting lines; for equal amplitudes this
-        is φ_1 − π·k·(k − 1)/n. Source: Schroeder, IEEE Trans. Inf. Theory 16 (1970), 85.
+        With p the fraction of the power in each line, φ_k = φ_1 − 2π·Σ_{l<k} (k − l)·p_l, k counting lines; for equal
+        amplitudes this is φ_1 − π·k·(k − 1)/n. Source: Schroeder, IEEE Trans. Inf. Theory 16 (1970), 85.
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         amplitudes = _spectrum(spectrum, lines)
@@ -169,17 +169,17 @@ class Multisine:
 
     @property
     def harmonics(self) -> NDArray[np.int64]:
-        """Return the multiple of 1/period for each line, shape (n,)."""
+        """Return the harmonic number (multiple of 1/period) of each line of the multisine, shape (n,)."""
         return np.rint(self.lines_hz * self.period_s).astype(np.int64)
 
     @reported
     def rms(self) -> float:
-        """Return the root mean square over a period (N·m or N)."""
+        """Return the root mean square of the multisine over a period (N·m or N)."""
         return float(np.sqrt(0.5 * np.sum(self.amplitudes**2)))
 
     @cached_property
     def peak(self) -> float:
-        """Return the largest magnitude (N·m or N) at any time: crests on a fine grid, each refined by a parabola."""
+        """Return the largest magnitude of the multisine (N·m or N): the highest crest, found on a fine grid."""
         points = OVERSAMPLING * int(self.harmonics[-1] + 1)
         value = np.abs(self._samples(points, 0.0))
         before, after = np.roll(value, 1), np.roll(value, -1)
@@ -197,7 +197,7 @@ class Multisine:
         return self.peak / self.rms if self.rms > 0.0 else math.nan
 
     def at(self, time_s: ArrayLike) -> Floats:
-        """Return the value at given times (s), in the shape of `time_s`."""
+        """Return the value of the multisine (N·m or N) at each time of `time_s` (s), in the same shape."""
         time = np.asarray(time_s, dtype=np.float64)
         total = np.zeros(time.shape)
         for line, amplitude, phase in zip(self.lines_hz, self.amplitudes, self.phases, strict=True):
@@ -205,7 +205,7 @@ class Multisine:
         return total
 
     def period(self, rate_hz: float, offset: float = 0.0) -> Floats:
-        """Return one period, sampled at the times (k + offset)/rate.
+        """Return one period of the multisine, sampled at the times (k + offset)/rate.
 
         Parameters
         ----------
@@ -233,13 +233,13 @@ class Multisine:
             )
         if 2 * self.harmonics[-1] >= samples:
             raise ConfigError(
-                f"{self.lines_hz[-1]:g} Hz cannot be played at {rate_hz:g} Hz",
+                f"the highest line, {self.lines_hz[-1]:g} Hz, is not below half the sampling rate of {rate_hz:g} Hz",
                 remedy=f"end the band below {rate_hz / 2:g} Hz",
             )
         return self._samples(samples, offset)
 
     def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
-        """Return the value at given times (s): zero before time 0, then faded in by `ramp` over `ramp_periods`."""
+        """Return the multisine (N·m or N) at given times (s), zero before time 0 and faded in over `ramp_periods`."""
         time = np.asarray(time_s, dtype=np.float64)
         return self.at(time) * ramp(time, ramp_periods * self.period_s)
 
@@ -248,19 +248,22 @@ class Multisine:
         return replace(self, amplitudes=factor * self.amplitudes)
 
     def through(self, response: ArrayLike) -> Multisine:
-        """Return the steady output of a linear system; `response` is its complex gain at each line, shape (n,)."""
+        """Return the steady output of a linear system under this multisine, as another multisine.
+
+        `response` is the system's complex gain at each line, shape (n,).
+        """
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
             self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrap_phase(self.phases + np.angle(gain))
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the steady position of the handle, F/(jω·Z) (rad or m); Z is a function of Hz or an array."""
-        return self._divided(self._s * self._impedance(impedance))
+        """Return the handle's steady position F/(jω·Z) under this effort (rad or m); Z: function of Hz, or array."""
+        return self._divide_by(self._s * self._impedance(impedance))
 
     def velocity(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the steady velocity of the handle (rad/s or m/s) under this effort, F/Z."""
-        return self._divided(self._impedance(impedance))
+        """Return the handle's steady velocity F/Z under this effort (rad/s or m/s); Z: function of Hz, or array."""
+        return self._divide_by(self._impedance(impedance))
 
     def check(
         self,
@@ -318,16 +321,16 @@ class Multisine:
         values = model(self.lines_hz) if callable(model) else model
         return np.broadcast_to(np.asarray(values, dtype=np.complex128), self.lines_hz.shape)
 
-    def _divided(self, by: Complexes) -> Multisine:
+    def _divide_by(self, by: Complexes) -> Multisine:
         if not (np.isfinite(by) & (by != 0.0)).all():
             raise ConfigError(
-                "the impedance is zero or not a number at some line",
+                "the impedance is zero or not a finite number at some line of the multisine",
                 remedy="check that the model's impedance is finite and not zero at every line",
             )
         return self.through(1.0 / by)
 
     def _samples(self, samples: int, offset: float) -> Floats:
-        """Return one period as `samples` samples, by an inverse transform; all lines must lie below half the rate."""
+        """Return one period as `samples` samples (N·m or N), by an inverse Fourier transform."""
         spectrum = np.zeros(samples // 2 + 1, np.complex128)
         shift = 2.0 * np.pi * self.harmonics * offset / samples
         spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))
@@ -335,7 +338,7 @@ class Multisine:
 
 
 def ramp(time_s: ArrayLike, duration_s: float) -> Floats:
-    """Return a raised cosine from 0 at time 0 to 1 at `duration_s`; 0 before and 1 after."""
+    """Return a raised cosine that rises from 0 at time 0 to 1 at `duration_s`; 0 before and 1 after."""
     time = np.asarray(time_s, dtype=np.float64)
     if duration_s <= 0.0:
         return np.where(time < 0.0, 0.0, 1.0)
@@ -357,7 +360,7 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
         harmonics = np.arange(first, last + 1, spacing)
     if len(harmonics) == 0:
         raise ConfigError(
-            f"no line lies between {low:g} and {high:g} Hz: they are {1.0 / period_s:g} Hz apart",
+            f"no line lies between {low:g} and {high:g} Hz: lines are multiples of 1/period, {1.0 / period_s:g} Hz",
             remedy="widen the band or lengthen the period",
         )
     return harmonics / period_s
@@ -373,8 +376,8 @@ def _spectrum(spectrum: Spectrum, lines: Floats) -> Floats:
     amplitudes = np.array(spectrum, dtype=np.float64).reshape(-1)
     if len(amplitudes) != len(lines) or not (amplitudes >= 0.0).all() or not amplitudes.any():
         raise ConfigError(
-            f"{len(amplitudes)} amplitudes for {len(lines)} lines; there must be one for each line, "
-            "none below 0, at least one above 0",
+            f"{len(amplitudes)} amplitudes are given for {len(lines)} lines; allowed is one number for each line, "
+            "at least 0, and one of them above 0",
             remedy="give one amplitude for each line",
         )
     return amplitudes
@@ -387,7 +390,8 @@ def _wrap_phase(phases: Floats) -> Floats:
 def _scale_to_size(shape: Multisine, spectrum: Spectrum, rms: float | None, peak: float | None) -> Multisine:
     if rms is not None and peak is not None:
         raise ConfigError(
-            f"both rms = {rms:g} and peak = {peak:g} are given", remedy="leave out one of the two"
+            f"rms = {rms:g} and peak = {peak:g} of the excitation are given; only one is allowed",
+            remedy="leave out one of the two",
         )
     if rms is None and peak is None:
         if isinstance(spectrum, str):

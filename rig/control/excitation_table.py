@@ -1,6 +1,6 @@
-"""The multisine that a device plays from a table: the table of the firmware, bit for bit, and the multisine behind it.
+"""The multisine that a device plays from a table of samples: the firmware's table, bit for bit, and its multisine.
 
-No samples are streamed: the host sends a few parameters, the device computes one period as 16-bit numbers in units of
+The host streams no samples: it sends a few parameters, and the device computes one period as 16-bit numbers in units of
 2^−bits quanta before the rig moves, and adds one of them to the current in each tick. The device uses integers
 (firmware/law/excitation.c), so the host can compute the same table exactly. `ExcitationTable.multisine` returns the
 `rig.control.excitation.Multisine` that the table approximates: lines first, first + step, …, of equal amplitude.
@@ -8,7 +8,7 @@ No samples are streamed: the host sends a few parameters, the device computes on
 `ExcitationTable.error` bounds the error of the approximation. The excitation is faded in by a raised cosine over `ramp`
 ticks.
 
-Excited runs of `rig.experiments` call it. It must match the firmware bit for bit, and sends nothing.
+Excited runs of `rig.experiments` use it. It must match the firmware bit for bit, and sends nothing.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Turns = NDArray[np.uint32]
 
 
 def cosine(phase: Turns) -> NDArray[np.int32]:
-    """Return 2^24 times the cosine of phases that are given in 2^−32 turns."""
+    """Return 2^24 times the cosine of each phase; phases are in 2^−32 turns."""
     turned = phase + np.uint32(_TURN // 4)
     within = turned & np.uint32(2**30 - 1)
     x = np.where(turned & np.uint32(2**30), np.uint32(2**30) - within, within)
@@ -59,7 +59,7 @@ def cosine(phase: Turns) -> NDArray[np.int32]:
 
 
 def hashed_phases(seed: int, lines: int) -> Turns:
-    """Return pseudo-random phases of the lines at tick 0 (2^−32 turns), uniform on the circle; see excitation.h."""
+    """Return the pseudo-random phase of each line at tick 0 (2^−32 turns), by the hash of firmware's excitation.h."""
     z = (seed + 0x9E3779B9 * np.arange(1, lines + 1, dtype=np.uint64)).astype(np.uint32)
     z = (z ^ z >> np.uint32(16)) * np.uint32(0x85EBCA6B)
     z = (z ^ z >> np.uint32(13)) * np.uint32(0xC2B2AE35)
@@ -76,7 +76,7 @@ def schroeder_phases(lines: int) -> Turns:
 
 @dataclass(frozen=True)
 class ExcitationTable:
-    """Parameters excitation_* of a device, and the table that the device computes from them.
+    """Excitation that a device plays: the device's parameters excitation_*, and the table that it computes from them.
 
     Parameters
     ----------
@@ -131,7 +131,10 @@ class ExcitationTable:
                     remedy=f"choose {name} from {least} to {most}",
                 )
         if self.phases not in PHASES:
-            raise ConfigError(f"unknown phases {self.phases!r}", remedy=f"choose one of {', '.join(PHASES)}")
+            raise ConfigError(
+                f"phases = {self.phases!r} is not a rule for the phases",
+                remedy=f"choose one of {', '.join(PHASES)}",
+            )
         if int(self.harmonics[-1]) > (self.period - 1) // 2:
             raise ConfigError(
                 f"the excitation has harmonic {int(self.harmonics[-1])}, which is beyond half of its period of "
@@ -186,7 +189,7 @@ class ExcitationTable:
         steps = np.diff(harmonics)
         if (steps != steps[:1]).any() or np.ptp(multisine.amplitudes) > 1e-9 * multisine.amplitudes.max():
             raise ConfigError(
-                "the device plays equally spaced lines of equal amplitude only",
+                "the lines of the excitation differ in spacing or amplitude; the device plays only equal ones",
                 remedy='choose the spectrum "flat", or let the host run the law',
             )
         if abs(ticks - round(ticks)) > 1e-6:
@@ -207,7 +210,7 @@ class ExcitationTable:
         return table.with_most_bits()
 
     def with_most_bits(self) -> ExcitationTable:
-        """Return the table with the most fractional bits with which its peak fits 16 bits.
+        """Return the same excitation with as many fractional bits as the 16-bit numbers of its table allow.
 
         Raises `ConfigError` if the peak does not fit even without fractional bits.
         """
@@ -223,7 +226,7 @@ class ExcitationTable:
 
     @property
     def harmonics(self) -> Integers:
-        """Return the multiple of 1/period for each line, shape (lines,)."""
+        """Return the harmonic number (multiple of 1/period) of each line, shape (lines,)."""
         return self.first + self.step * np.arange(self.lines, dtype=np.int64)
 
     @property
@@ -237,27 +240,27 @@ class ExcitationTable:
 
     @cached_property
     def table(self) -> NDArray[np.int16]:
-        """Return one period as the device stores it (quanta · 2^bits), shape (period,)."""
+        """Return one period of the excitation as the device stores it (quanta · 2^bits), shape (period,)."""
         return np.clip(self._at(self.bits), -GREATEST - 1, GREATEST).astype(np.int16)
 
     @property
     def values(self) -> Floats:
-        """Return one period of the table (quanta), shape (period,)."""
+        """Return one period of the excitation (quanta), shape (period,)."""
         return np.asarray(self.table, np.float64) * 2.0**-self.bits
 
     @property
     def peak(self) -> float:
-        """Return the largest magnitude in the table (quanta)."""
+        """Return the largest magnitude of the excitation (quanta)."""
         return float(np.abs(self.values).max())
 
     @property
     def rms(self) -> float:
-        """Return the root mean square of the table (quanta)."""
+        """Return the root mean square of the excitation over a period (quanta)."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
     def error(self) -> float:
-        """Return a bound of the difference between the table and its multisine (quanta).
+        """Return an upper bound of the difference between the table and the multisine that it approximates (quanta).
 
         It is half a step of the table, plus for each line the error of its cosine (5.2e-6 of the amplitude) and of its
         phase (at most 2^−32 turns for each line before it, plus two).
@@ -266,7 +269,10 @@ class ExcitationTable:
         return 0.5 * 2.0**-self.bits + self.amplitude * 0.5**LINE_BITS * (self.lines * _COSINE_ERROR + phase)
 
     def multisine(self, rate_hz: float, effort_quantum: float) -> Multisine:
-        """Return the multisine (N·m or N) that the table approximates, for a rate (Hz) and the effort of a quantum."""
+        """Return the multisine (N·m or N) that the table approximates.
+
+        `rate_hz` is the device's rate (Hz), `effort_quantum` the effort of one current quantum (N·m or N).
+        """
         amplitude = self.amplitude * 0.5**LINE_BITS * effort_quantum
         turns = np.asarray(self.line_phases.astype(np.int32), np.float64)  # from -1/2 to 1/2
         return Multisine(
@@ -277,7 +283,7 @@ class ExcitationTable:
         )
 
     def efforts(self, effort_quantum: float) -> Floats:
-        """Return one period of the table (N·m or N) for `rig.control.bilateral.excited_law`, shape (period,)."""
+        """Return one period of the excitation (N·m or N), shape (period,), for `rig.control.bilateral.excited_law`."""
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:
@@ -292,13 +298,13 @@ class ExcitationTable:
         return np.asarray(sampled * gain * 2 ** (LINE_BITS - _GAIN_BITS) >> self.bits)
 
     def parameters(self) -> dict[str, int]:
-        """Return the device parameters by name (``excitation_lines`` and so on)."""
+        """Return the device parameters of this excitation by name (``excitation_lines`` and so on)."""
         values = asdict(self) | {"phases": PHASES.index(self.phases)}
         return {f"excitation_{name}": int(value) for name, value in values.items()}
 
     @cached_property
     def _sums(self) -> Integers:
-        """Return the sum of the lines' cosines at each tick (2^−24), shape (period,)."""
+        """Return the sum of the cosines of all lines at each tick (in 2^−24), shape (period,)."""
         sums = np.empty(self.period, np.int64)
         line, own = np.arange(self.lines, dtype=np.uint32), self.line_phases
         for ticks in _chunks(self.period, self.lines):

@@ -10,8 +10,8 @@ chatter.
 dissipates level · |v|. Whatever velocity the estimator returns, the power of compensation and friction together is at
 most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So the compensation adds no energy while the rig's true
 friction is at least share · level (by default 0.8 of the identified level); if it is lower by d, the added energy is at
-most d · |distance slid|. On a rig of two masses this holds for the mass that the motor drives and its
-friction: use levels of the motor side if the link has much friction.
+most d · |distance slid|. On a rig of two masses this holds for the mass that the motor drives and its friction: use
+levels of the motor side if the link has much friction.
 
 It acts only if a law is wrapped in it, and whenever that law does: in trial and release, inside the wall and outside.
 In a recording the name of the law contains it, and the first four parameters of the law belong to it.
@@ -44,9 +44,10 @@ INWARDS, OUTWARDS, DEAD_BAND, SHARE, OWN = range(5)  # parameters; the wrapped l
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def compensation(velocity: float, rising: float, falling: float, dead_band: float, share: float) -> float:
-    """Return the compensating effort (N·m or N) in the direction of the velocity (rad/s or m/s).
+    """Return the effort (N·m or N) that compensates friction at a velocity (rad/s or m/s), in its direction.
 
-    `rising` and `falling` are the friction levels (N·m or N) for positive and negative velocity.
+    `rising` and `falling` are the friction levels (N·m or N) for positive and negative velocity, `share` (0 to 1) is
+    their compensated fraction, and below `dead_band` (rad/s or m/s) the effort falls smoothly to 0.
     """
     level = share * (rising if velocity > 0.0 else falling)
     x = velocity / dead_band
@@ -59,16 +60,16 @@ def compensation(velocity: float, rising: float, falling: float, dead_band: floa
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compensation:
-    """Friction levels, dead band and share of a friction compensation.
+    """Settings of a friction compensation.
 
     Attributes
     ----------
     up, down
         Identified friction while the position rises and while it falls (N·m or N, at least 0).
     dead_band
-        Speed from which the full share acts (rad/s or m/s, above 0).
+        Speed from which the compensation acts fully (rad/s or m/s, above 0).
     share
-        Share of the levels that is compensated, from 0 to below 1.
+        Fraction of the friction that is compensated, from 0 to below 1.
 
     Raises
     ------
@@ -84,9 +85,9 @@ class Compensation:
     def __post_init__(self) -> None:
         if not (0.0 <= self.up < math.inf and 0.0 <= self.down < math.inf):
             raise ConfigError(
-                f"friction levels of {self.up!r} and {self.down!r} are not valid: they must be finite "
-                "and not negative",
-                remedy="give numbers that are not negative",
+                f"the friction levels {self.up!r} (rising) and {self.down!r} (falling position) are not valid: "
+                "they must be finite and at least 0",
+                remedy="give finite numbers from 0 on (N·m or N)",
             )
         if not 0.0 < self.dead_band < math.inf:
             raise ConfigError(
@@ -95,15 +96,16 @@ class Compensation:
             )
         if not 0.0 <= self.share < 1.0:
             raise ConfigError(
-                f"a compensated share of {self.share!r} is out of range",
-                remedy=f"choose 0 to below 1; {DEFAULT_SHARE} leaves room for friction that varies",
+                f"the compensated share of the friction, {self.share!r}, is out of range",
+                remedy=f"choose 0 to below 1; {DEFAULT_SHARE} leaves a margin for friction that varies",
             )
 
 
 def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> float:
-    """Return a dead band (rad/s or m/s): four times the velocity that one count causes in a filtered difference.
+    """Return a dead band for friction compensation (rad/s or m/s): four times the velocity that one count causes.
 
-    `resolution` is in rad or m; `velocity_rate` is the rate of the estimator (Hz).
+    `resolution` is the travel for one count (rad or m), `velocity_rate` the rate of the estimator (Hz), `cutoff_hz` the
+    cut-off of its low pass (Hz).
     """
     # One count is an impulse of resolution·rate in a difference; a second-order Butterworth filter answers it with a
     # peak of about 0.46·2π·cut-off·resolution.
@@ -113,7 +115,7 @@ def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> f
 def compensate_friction(law: Law, wanted: Compensation) -> Law:
     """Return a law with the effort of `law` plus a compensation of friction.
 
-    The wrapper is compiled for the law when it is first used (a second or two).
+    The new law is compiled when it is first used (a second or two).
     """
 
     def design(wall: Mapping[str, Any]) -> list[float]:
@@ -130,7 +132,7 @@ def compensate_friction(law: Law, wanted: Compensation) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return the wrapper of a law without parameters, for a replay, which takes the parameters from the recording."""
+    """Return a law with friction compensation whose parameters a replay takes from the recording."""
     return compensate_friction(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
 
 

@@ -3,7 +3,7 @@
 A verdict uses recorded signals only, so that simulated and real trials are judged by the same rules. A simulation can
 judge its true signals in addition. All signals contain the trial phase only and are uniformly sampled.
 
-Trials and maps of `rig.experiments` and the simulation call it. It must not open a recording or run a trial.
+Trials and maps of `rig.experiments` and the simulation use it. It must not open a recording or run a trial.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _OVERRULES = int(~(LimitFlag.SPEED | LimitFlag.POSITION))
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSignals:
-    """Signals of one trial, uniformly sampled: arrays of equal length, in the units of the rig.
+    """Signals of one trial, uniformly sampled: arrays of equal length, in SI units.
 
     If `velocity` is None, it is derived from `position`. `resolution` is the travel for one count, 0 for true signals.
     """
@@ -76,10 +76,10 @@ class TrialSignals:
 def recorded_signals(
     rows: NDArray[np.void], tick_s: float, resolution: float, *, effort: str = "effort_sent"
 ) -> TrialSignals:
-    """Return the recorded signals of the trial phase from rows of `rig.core.sample.ROW`.
+    """Return the signals of the trial phase from recorded rows (`rig.core.sample.ROW`).
 
     `effort` names the column with the effort. The default is the effort of the law; if a drive rendered the wall
-    itself, use ``effort_applied``, which the drive reports.
+    itself, use ``effort_applied``, which the drive reports. `resolution` is the travel for one count (rad or m).
     """
     trial = rows["phase"] == Phase.TRIAL
     (places,) = np.nonzero(trial)
@@ -112,8 +112,8 @@ def true_signals(
 ) -> TrialSignals:
     """Return the true signals of a simulated trial from rows that also have `rig.core.sample.TRUTH_COLUMNS`.
 
-    Position and velocity are those of the handle, which the hand feels. Penetration is that of the sensed side, where
-    the encoder is; in a rig of two masses the capstan lies between both. Flags and lost samples are copied from
+    Position and velocity are those of the handle, which the hand feels. Penetration is that of the side with the
+    encoder; in a rig of two masses the capstan lies between handle and encoder. Flags and lost samples are copied from
     `recorded`, the recorded signals of the same rows.
     """
     trial = rows["phase"] == Phase.TRIAL
@@ -130,13 +130,16 @@ def true_signals(
 def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
     """Return the verdict of one trial, by the rules of `rig.control.verdict`.
 
-    A trial shorter than its tail is judged on all its samples; one without samples is invalid.
+    A trial shorter than its tail (the last `tail_s`) is judged on all its samples; a trial without samples is invalid.
     """
     return measure_signals(signals, thresholds).verdict
 
 
 def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
-    """Return the numbers of one trial, from which `Measured` derives the outcome."""
+    """Return the numbers of one trial (ripples, contact, losses, …), from which `Measured` derives the outcome.
+
+    `thrown_out` is True if a guard ended the run.
+    """
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )
@@ -144,10 +147,9 @@ def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out
 
 
 def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
-    """Return a `Meter`, which computes the numbers of a trial that `decide`, `kinds` and `Measured` need; one a thread.
+    """Return a `Meter` for trials with these thresholds, which computes the numbers behind a verdict; one per thread.
 
-    Its methods `recorded` and `true` take the arrays of `recorded_signals` and `true_signals` and return one record of
-    `rig.control._measure.NUMBERS`. `resolution` is the travel for one count in recorded signals (rad or m).
+    `resolution` is the travel for one count in recorded signals (rad or m).
     """
     return Meter(
         tick_s=tick_s,
@@ -160,7 +162,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 
 def _flags(signals: TrialSignals) -> NDArray[np.int64]:
-    """Return the marks of a trial as bits, one integer for each tick, as `rig.control._measure.measure` expects."""
+    """Return the flags of a trial as bits, one integer for each tick (see `rig.control._measure.measure`)."""
     flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),

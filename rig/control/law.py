@@ -18,7 +18,7 @@ class Law(Shown):
     """A force law: its compiled function, the size of its memory, and its design.
 
     `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and ``tick_s``, the time of one
-    tick (s), and returns the parameters. `floats` is the size of the whole memory; its first number is
+    tick (s), and returns the parameters. `floats` is the number of float64 in its memory; the first is
     `rig.realtime.plugs.LAW_CLAMPED`, non-zero if the reaction was clamped. `device` has the device parameters for what
     the law does besides the wall; it is empty if the law does nothing else or if a device cannot run it.
     """
@@ -31,11 +31,11 @@ class Law(Shown):
     device: Mapping[str, int] = field(default_factory=dict)
 
     def brief(self) -> list[Item]:
-        """Return one line with name and summary, for display."""
+        """Return one line with name and summary of the law, for display."""
         return [f"law {self.name}: {self.summary}"]
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
-        """Return the law with parameters designed for `wall`, and a memory of zeros."""
+        """Return the law with parameters designed for `wall` (settings by name), and a memory of zeros."""
         parameters = np.array(self.design(wall), dtype=np.float64)
         return PreparedLaw(self, parameters, np.zeros(max(1, self.floats)))
 
@@ -49,5 +49,5 @@ class PreparedLaw:
     state: NDArray[np.float64]
 
     def fits(self) -> bool:
-        """Return True if parameters and memory have the sizes that the compiled code requires."""
+        """Return True if the law's parameters and memory have the sizes that the compiled code requires."""
         return self.parameters.ndim == 1 and self.state.shape == (max(1, self.law.floats),)

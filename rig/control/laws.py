@@ -1,6 +1,6 @@
-"""Names of all force laws: built-in laws, laws of recordings, and laws of plug-ins.
+"""Find a force law by its name: built-in laws, laws of recordings, and laws of plug-ins.
 
-Preparations of a run and replays call it; it renders nothing itself. A user writes a law as a plain function
+Preparations of a run and replays use it; it renders nothing itself. A user writes a law as a plain function
 (`rig.control.plain_law`) and passes it to a command's function, or registers it in the entry-point group ``rig.laws``
 by a name and the ``module:attribute`` of a `Law`.
 """
@@ -41,12 +41,12 @@ _COMPENSATED = {  # wrappers around any of them
 
 
 def names() -> list[str]:
-    """Return the names of all laws, built-in ones first."""
+    """Return the names of all force laws, built-in laws first."""
     return [*BUILT_IN, *plugins.names("rig.laws", BUILT_IN)]
 
 
 def get(name: str) -> Law:
-    """Return the law of that name; raise `ConfigError` if the name is unknown or its plug-in is broken."""
+    """Return the force law with this name; raise `ConfigError` if the name is unknown or its plug-in is broken."""
     maker = (BUILT_IN | _OF_RECORDINGS).get(name)
     if maker is not None:
         return cast("Law", resolve_name(maker)())

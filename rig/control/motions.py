@@ -4,8 +4,7 @@ Both laws have the signature of a wall (`rig.realtime.plugs.LAW`), so that they 
 in real time and in a replay. They render no wall: the wall's position is their origin, its side their direction. Time
 is counted in ticks since the law began, including lost ticks.
 
-Identification and the pushes of a board in `rig.experiments` call it. Kernels here must not allocate, and read no
-clock.
+Identification and the pushes of a board in `rig.experiments` use it. Kernels here must not allocate, and read no clock.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ NOTHING = 0.1  # share of the way below which a push has moved nothing
 def servo_to_points(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction (N·m or N) of a servo along lines between points (tick, position); it holds the last.
+    """Return the reaction (N·m or N) of a servo that moves the handle along lines between points (tick, position).
 
-    Spring and damper are clipped to ±LIMIT. It is the homing servo of `rig.control._sources` with the velocity of the
-    path as setpoint of the damper.
+    It stays at the last point. Spring and damper are clipped to ±LIMIT. It is the homing servo of
+    `rig.control._sources`, with the velocity of the path as setpoint of the damper.
     """
     state[LAW_CLAMPED] = 0.0
     tick = state[TICK] - 1.0 + elapsed_ticks if state[TICK] > 0.0 else 0.0
@@ -71,7 +70,7 @@ def nudges(
 
     Two pushes go in one direction, the next two in the other. The brake opposes the direction in which the handle
     moved, whatever the direction of the push, so a wrong sign cannot make the rig run away. A push that moves nothing
-    is the last: the handle may be moving without being measured, and another push would add to that motion.
+    is the last push.
     """
     state[LAW_CLAMPED] = 0.0
     if state[TICK] == 0.0:
@@ -86,6 +85,7 @@ def nudges(
         way = penetration - state[ORIGIN]
         if abs(way) < parameters[MOVED] and state[DRIVE] < parameters[MOST]:
             return float(-forth * state[DRIVE])
+        # The handle may be moving without being measured, and another push would add to that motion.
         if abs(way) < NOTHING * parameters[MOVED]:
             state[PULSE] = parameters[PULSES]
             return 0.0
@@ -134,7 +134,7 @@ def make_nudging_law(
     pulses: int,
     rate_hz: float,
 ) -> Law:
-    """Return a law of small pushes; the first two go in the direction of rising position.
+    """Return a law of small pushes of the motor; the first two go in the direction of rising position.
 
     Parameters
     ----------
@@ -156,7 +156,9 @@ def make_nudging_law(
 
     def design(wall: Mapping[str, Any]) -> list[float]:
         if wall["side"] != 1:
-            raise ValueError(f"wall side = {wall['side']}: small pushes need side 1")
+            raise ValueError(
+                f"wall side = {wall['side']}, but the law of small pushes needs side 1: set it to 1"
+            )
         return [
             effort_per_s / rate_hz,
             most_effort,
@@ -170,12 +172,12 @@ def make_nudging_law(
 
 
 def traced_law() -> Law:
-    """Return the law of `make_tracing_law` without parameters; a replay takes the parameters from the recording."""
+    """Return the law that moves the handle along a path, without parameters: a replay takes them from the recording."""
     return make_tracing_law((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
 
 
 def nudged_law() -> Law:
-    """Return the law of `make_nudging_law` without parameters; a replay takes the parameters from the recording."""
+    """Return the law of small pushes without parameters: a replay takes them from the recording."""
     return make_nudging_law(
         effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0
     )

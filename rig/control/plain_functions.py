@@ -36,14 +36,14 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": F
 
 
 class Parameters:
-    """Argument `p` of a law or an estimator: each parameter is a constant attribute with the parameter's name."""
+    """Argument `p` of a user's law or estimator: each parameter is a constant attribute with the parameter's name."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
 
 
 class Memory:
-    """Argument `memory` of a law or an estimator: named numbers that start at zero and are kept from call to call."""
+    """Argument `memory` of a user's law or estimator: named numbers, zero at first, that last from call to call."""
 
     def __getattr__(self, name: str) -> float:
         raise AttributeError(name)
@@ -63,7 +63,7 @@ class Parameter:
     meaning: str = ""
 
     def checked(self, what: str, name: str, value: float) -> float:
-        """Return the value as a float; raise `ConfigError` if it is not a number within the range.
+        """Return the value as a float; raise `ConfigError` if it is not a number within the parameter's range.
 
         The message names the parameter `name` of `what`, for example ``law 'mine'``.
         """
@@ -73,13 +73,15 @@ class Parameter:
             or math.isinf(value)
         ):
             span = f"{self.minimum:g} to {self.maximum:g} {self.unit}".rstrip()
-            raise ConfigError(f"{what}: {name} = {value!r} is out of range", remedy=f"give a number, {span}")
+            raise ConfigError(
+                f"{what}: parameter {name} = {value!r} is out of range", remedy=f"give a number from {span}"
+            )
         return float(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """Form of a kind of function (law or estimator): its arguments, common parameters, and the kernel around it.
+    """What a user's law or estimator may look like: its arguments, common parameters, and the kernel that calls it.
 
     `quantities` maps the name of an argument to its meaning and to its expression in the kernel. `given` are the
     parameters that every `p` has; they come first. `memory` is the expression of the part of the memory with
@@ -97,7 +99,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """Kernel made from a plain function, with its name, summary, parameters and names of memory."""
+    """A user's law or estimator after compilation: the kernel that calls it, its parameters and memory names."""
 
     name: str
     summary: str
@@ -113,7 +115,9 @@ def compile_function(
     parameters: Mapping[str, float | Parameter],
     memory: Sequence[str],
 ) -> Compiled:
-    """Check the arguments of a function, compile it, and return it with a kernel that calls it.
+    """Check the arguments of a user's function, compile it, and return it with a kernel that calls it.
+
+    `form` describes the allowed arguments; `name` defaults to the function's name, with hyphens.
 
     Raises
     ------
@@ -129,7 +133,7 @@ def compile_function(
         parameter.checked(what, key, parameter.default)
     _check_names(what, "parameter", own, taken=form.given)
     _check_names(what, "memory", memory, taken=())
-    arguments = _arguments(form, what, function, memory)
+    arguments = _check_arguments(form, what, function, memory)
     seen = namedtuple("Parameters", [*form.given, *own])  # type: ignore[misc]
     kept = np.dtype((np.record, [(one, np.float64) for one in memory]))
     inner = _compile(form, what, function, arguments, seen, kept)
@@ -152,7 +156,10 @@ def compile_function(
 
 
 def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
-    """Return the error for an unknown name; its remedy names the closest known name, or else all known names."""
+    """Return the error for an unknown name; its remedy is the closest known name, or else all known names.
+
+    `what` is the subject of the message (``law 'mine'``), `noun` the kind of the name ("parameter").
+    """
     close = get_close_matches(name, list(known), n=1)
     choice = f"choose one of: {', '.join(known)}" if list(known) else f"remove it: no {noun} is defined"
     return ConfigError(
@@ -165,24 +172,27 @@ def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str
     for name in names:
         if not name.isidentifier() or iskeyword(name) or name.startswith("_"):
             raise ConfigError(
-                f"{what}: {noun} {name!r} is not a valid name", remedy="use letters, digits and _"
+                f"{what}: {noun} {name!r} is not a valid name",
+                remedy="use letters, digits and _, and begin with a letter",
             )
         if name in seen:
             why = f"is reserved: every p has {', '.join(taken)}" if name in taken else "is given twice"
-            raise ConfigError(f"{what}: {noun} {name!r} {why}", remedy="choose another name")
+            raise ConfigError(f"{what}: the name {name!r} of a {noun} {why}", remedy="choose another name")
         seen.add(name)
 
 
-def _arguments(form: Form, what: str, function: Callable[..., float], memory: Sequence[str]) -> list[str]:
-    """Return the names of the function's arguments; raise `ConfigError` if the form does not have such an argument."""
+def _check_arguments(
+    form: Form, what: str, function: Callable[..., float], memory: Sequence[str]
+) -> list[str]:
+    """Return the argument names of a user's function; raise `ConfigError` if the form has no such argument."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
-            f"{what} is not a plain function", remedy="decorate a function that is defined by def"
+            f"{what} is not a plain Python function", remedy="decorate a function that is defined by def"
         )
     known = {name: meaning for name, (meaning, _) in form.quantities.items()}
     known |= {MEMORY: "values that it stores", PARAMETERS: "its parameters"}
     for argument in inspect.signature(function).parameters.values():
-        where = f"{what} ({_place(function)}): argument {argument.name!r}"
+        where = f"{what} ({_describe_place(function)}): argument {argument.name!r}"
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
             raise ConfigError(
                 f"{where} must be positional, without a default",
@@ -211,7 +221,7 @@ def _compile(
     seen: type[tuple[float, ...]],
     kept: np.dtype[Any],
 ) -> Any:
-    """Return the function compiled so that it cannot allocate, or unchanged if numba's compiler is switched off."""
+    """Return a user's function compiled so that it cannot allocate; unchanged if numba's compiler is switched off."""
     if numba.config.DISABLE_JIT:
         return function
     length = len(seen._fields)  # type: ignore[attr-defined]
@@ -226,16 +236,18 @@ def _compile(
             dispatcher.compile(tuple(others.get(argument, numba.float64) for argument in arguments))
     # Any exception: numba documents none, and a name that the function uses is evaluated here.
     except Exception as error:
-        reason, remedy = _reason(str(error), form, seen, kept)
-        line = _line(str(error), function)
+        reason, remedy = _find_reason(str(error), form, seen, kept)
+        line = _find_line(str(error), function)
         raise ConfigError(
-            f"{what} ({_place(function, line)}) cannot be compiled: {reason}", remedy=remedy
+            f"{what} ({_describe_place(function, line)}) cannot be compiled: {reason}", remedy=remedy
         ) from None
     returned = dispatcher.nopython_signatures[0].return_type
     if returned not in (numba.float64, numba.float32, numba.int64, numba.int32):
         optional = isinstance(returned, numba.types.Optional | numba.types.NoneType)
         how = "returns no value on one of its paths" if optional else f"returns {returned}"
-        raise ConfigError(f"{what} ({_place(function)}) {how}", remedy="return a number on every path")
+        raise ConfigError(
+            f"{what} ({_describe_place(function)}) {how}", remedy="return a number on every path"
+        )
     return dispatcher
 
 
@@ -262,8 +274,10 @@ _REASONS: tuple[tuple[str, str, str], ...] = (
 )
 
 
-def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]) -> tuple[str, str]:
-    """Return reason and remedy for a report of the compiler."""
+def _find_reason(
+    text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]
+) -> tuple[str, str]:
+    """Return reason and remedy for the compiler's report `text`, in words of a user of laws and estimators."""
     names, remembered = list(seen._fields), list(kept.names or ())  # type: ignore[attr-defined]
     for pattern, owner, known in (
         (r"Unknown attribute '(\w+)' of type Parameters", PARAMETERS, names),
@@ -283,8 +297,8 @@ def _reason(text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype
     return plain[0].partition(" Raised from")[0].rstrip(".") if plain else "no reason is given", _NUMBERS
 
 
-def _line(text: str, function: Callable[..., float]) -> int | None:
-    """Return the first line within the function that the compiler's report names; None if it names none."""
+def _find_line(text: str, function: Callable[..., float]) -> int | None:
+    """Return the first line of the function's source that the compiler's report names; None if there is none."""
     code = function.__code__
     lines = {line for _, _, line in code.co_lines() if line}
     file = re.escape(Path(code.co_filename).name)
@@ -293,6 +307,6 @@ def _line(text: str, function: Callable[..., float]) -> int | None:
     return inside[0] if inside else None
 
 
-def _place(function: Callable[..., float], line: int | None = None) -> str:
+def _describe_place(function: Callable[..., float], line: int | None = None) -> str:
     code = function.__code__
     return f"{Path(code.co_filename).name}, line {line or code.co_firstlineno}"

@@ -1,8 +1,8 @@
 """Make a force law from a plain function.
 
-@rig.law(parameters={"quadratic": 1e5})
-def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
-return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
+    @rig.law(parameters={"quadratic": 1e5}) def stiffening(penetration: float, velocity: float, p: rig.Parameters) ->
+    float:
+        return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
 
 Users call it as ``rig.law``, and `rig.testing.laws` checks such laws. It must not run a law: a trial or a replay does.
 """
@@ -52,7 +52,7 @@ def _form(everywhere: bool) -> Form:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class PlainLaw(Law):
-    """A law made from a plain function; its parameters have names.
+    """A force law made from a user's plain function; its parameters have names.
 
     `parameters` are those that the law has besides the stiffness and damping of the wall. An experiment that names the
     law uses their defaults; `with_parameters` returns a law with other values.
@@ -62,7 +62,7 @@ class PlainLaw(Law):
     everywhere: bool
 
     def brief(self) -> list[Item]:
-        """Return name, summary and parameters, for display."""
+        """Return name, summary and parameters of the law, for display."""
         rows = [Row(name, one.default, one.unit, one.meaning) for name, one in self.parameters.items()]
         return [f"law {self.name}: {self.summary}", *rows]
 
@@ -87,10 +87,10 @@ def law(
 ) -> Callable[[Callable[..., float]], PlainLaw]:
     """Return a decorator that makes a force law of a plain function and compiles it at once.
 
-    The function returns the reaction of the wall (N·m or N), positive towards free space. Its arguments
-    select what is passed: ``penetration`` (rad or m), ``velocity`` (estimated, of the penetration, rad/s or m/s),
-    ``elapsed_s`` (since the previous call, s), ``memory``, and ``p`` with the parameters of the law and
-    ``p.stiffness``, ``p.damping`` and ``p.tick_s`` (one tick, s).
+    The function returns the reaction of the wall (N·m or N), positive towards free space. Its arguments select what is
+    passed: ``penetration`` (rad or m), ``velocity`` (estimated, of the penetration, rad/s or m/s), ``elapsed_s`` (since
+    the previous call, s), ``memory``, and ``p`` with the parameters of the law and ``p.stiffness``, ``p.damping`` and
+    ``p.tick_s`` (one tick, s).
 
     Parameters
     ----------

@@ -177,17 +177,17 @@ MEMORY_TYPE = types.Array(numba.from_dtype(MEMORY), 1, "C")
 
 @group
 class ControllerArguments(NamedTuple):
-    """Arguments of a controller for compiled code; see `step`.
+    """Settings and memory of a controller as one argument of compiled code (`step`).
 
     Attributes
     ----------
     estimator, law
-        Plug points (`rig.realtime.plugs`).
+        Compiled functions of the velocity estimator and the force law (`rig.realtime.plugs`).
     control, memory
         Length-1 arrays of `CONTROL` and `MEMORY`; `step` changes `memory`, which also holds the values of the recorded
         row.
     estimator_f, estimator_i, estimator_parameters
-        Memory and parameters of the estimator.
+        Memory (floats, integers) and parameters of the estimator.
     law_state, law_parameters
         Memory and parameters of the law.
     """
@@ -220,7 +220,7 @@ Record = NDArray[np.void]
 
 
 def new_memory() -> Record:
-    """Return the memory of a controller before its first sample; the first call of `step` then has sample index 0."""
+    """Return the memory of a controller before its first sample, which gets the sample index 0."""
     memory = np.zeros(1, dtype=MEMORY)
     memory["index"] = -1
     memory["velocity_period"] = -1
@@ -237,7 +237,7 @@ class ControllerState:
     law: PreparedLaw
 
     def arguments(self) -> ControllerArguments:
-        """Return the arguments of `step`. They contain the arrays of this object, which `step` changes."""
+        """Return the controller as an argument of `step`, which changes the arrays of this object."""
         e, w = self.estimator, self.law
         return ControllerArguments(
             estimator=e.estimator.update,
@@ -252,7 +252,7 @@ class ControllerState:
         )
 
     def copy(self) -> ControllerState:
-        """Return an independent copy: a run that uses the copy does not change this object."""
+        """Return an independent copy of the controller: a run with the copy does not change this object."""
         e, w = self.estimator, self.law
         return ControllerState(
             control=self.control.copy(),
@@ -262,12 +262,12 @@ class ControllerState:
         )
 
     def fresh(self, wall: Mapping[str, Any]) -> ControllerState:
-        """Return a copy with the same memory and a new law, designed for `wall` (settings of the wall by name)."""
+        """Return a copy of the controller with the same memory and a law designed for `wall` (settings by name)."""
         settings = {**wall, "tick_s": float(self.control[0]["tick_s"])}
         return replace(self.copy(), law=self.law.law.prepare(settings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plain numbers and names from which `from_mapping` restores the same controller, bit for bit."""
+        """Return the controller as numbers and names, from which `from_mapping` restores it bit for bit."""
         return {
             "control": dict(zip(CONTROL.names or (), self.control[0].tolist(), strict=True)),
             "memory": dict(zip(MEMORY.names or (), self.memory[0].tolist(), strict=True)),
@@ -289,8 +289,7 @@ class ControllerState:
         """Return the controller that `as_mapping` described; `law` replaces the named law if it is not registered.
 
         Raises `rig.core.errors.ConfigError` if the estimator or the law is unknown, and `RecordingError` if fields of
-        `CONTROL` or `MEMORY` are missing or unknown (a field left at zero would change the controller), or if an array
-        has a wrong size (compiled code checks no sizes).
+        `CONTROL` or `MEMORY` are missing or unknown, or an array has a wrong size.
         """
         try:
             estimator, wall = mapping["estimator"], mapping["law"]
@@ -310,23 +309,27 @@ class ControllerState:
                 ),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise _other_version(f"{error!r}") from error
+            raise _version_error(f"{error!r}") from error
+        # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
-            raise _other_version("its memory has a different size")
+            raise _version_error("the memory of its estimator or law has a different size")
         return made
 
 
-def _other_version(how: str) -> RecordingError:
+def _version_error(how: str) -> RecordingError:
     return RecordingError(
-        f"the saved state of the controller is of another version: {how}",
+        f"the saved state of the controller was written by another version of haptic-rig: {how}",
         remedy="replay the recording with the version that its header names",
     )
 
 
 def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     differing = set(dtype.names or ()) ^ set(values)
+    # A field left at zero would change the controller.
     if differing:
-        raise _other_version(f"{', '.join(sorted(differing))} exists in only one of both versions")
+        raise _version_error(
+            f"the fields {', '.join(sorted(differing))} exist in only one of the two versions"
+        )
     record = np.zeros(1, dtype=dtype)
     for name, value in values.items():
         record[name] = value
@@ -341,7 +344,7 @@ def _enter(memory: Any, phase: int) -> None:
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE), inline=True)
 def _trial_end(control: Any, memory: Any) -> int:
-    """Return the tick at which the trial ends, counted from the start of the trial."""
+    """Return the tick, counted from the start of the trial, at which the trial ends."""
     c, m = control[0], memory[0]
     # The hold begins at the contact, not at the cue: a person comes into contact when it pleases.
     if c["hold_ticks"] > 0 and m["contact_ticks"] == 0 and m["penetration"] > 0.0:
@@ -351,14 +354,14 @@ def _trial_end(control: Any, memory: Any) -> int:
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def shown_phase(memory: Any) -> int:
-    """Return the phase to display: that of the controller, but HOLD after the first contact of a trial."""
+    """Return the phase of the run for display: HOLD after the first contact of a trial, else the controller's phase."""
     m = memory[0]
     return int(HOLD if m["phase"] == TRIAL and m["contact_ticks"] > 0 else m["phase"])
 
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
-    """Advance the phase (homing, settling, free, trial, release, done); afterwards `phase` is that of this tick."""
+    """Advance the controller's phase (homing, settling, free, trial, release, done) by the elapsed ticks."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     m["phase_ticks"] += elapsed_ticks
@@ -391,7 +394,7 @@ def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
 
 @kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
-    """Return the sum of all efforts of this tick (N·m or N), the wall included, before the guard limits it."""
+    """Return the sum of all efforts of this tick (N·m or N), including the wall's, before the guard limits it."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     if phase in (HOMING, SETTLE):
@@ -468,7 +471,7 @@ def _watch_effort(
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
 def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> None:
-    """Set the flag UNMOVED if the efforts so far must have moved the handle, but the count stays on two neighbours."""
+    """Set the flag UNMOVED if the efforts so far must have moved the handle, but the encoder count has not changed."""
     c, m = control[0], memory[0]
     # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
     if c["impulse_limit"] == 0.0:
@@ -493,7 +496,7 @@ def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> Non
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
-    """Limit, slew and round the effort (steps 6 and 7), set the flags, and return the current (quanta).
+    """Limit the effort and its slew rate, round it (steps 6 and 7), set the flags, and return the current (quanta).
 
     The current is 0, and the phase becomes DONE, if a flag ends the run.
     """
@@ -533,7 +536,7 @@ def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) 
 def step(
     controller: ControllerArguments, count: int, edge_age_s: float, elapsed_ticks: int, current_active: int
 ) -> int:
-    """Run the controller for one new sample.
+    """Run the controller for one new sample and return the current to command (quanta).
 
     Parameters
     ----------
@@ -551,7 +554,7 @@ def step(
     Returns
     -------
     int
-        The current to command, in quanta of the wire.
+        The current to command, in quanta of the wire protocol.
 
     Source: Koul et al., section II and Fig. 2, for the two rates; the order (module docstring) is defined by this
     project.

@@ -45,7 +45,7 @@ _MAY_BE_NONE = ("felt", "contact_s", "impact_velocity", "settling_s")
 
 
 class Kind(StrEnum):
-    """Outcome of a hit."""
+    """Outcome of a hit: stable, limit cycle, unstable or invalid."""
 
     STABLE = "stable"
     LIMIT_CYCLE = "limit cycle"
@@ -55,7 +55,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thresholds:
-    """Thresholds of a verdict in the units of the rig; `rig.config.verdict_thresholds` computes them."""
+    """Thresholds of a verdict in SI units; `rig.config.verdict_thresholds` computes them from an experiment."""
 
     tail_s: float
     highpass_hz: float
@@ -73,7 +73,7 @@ class Thresholds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Verdict and numbers of one hit, in the units of the rig; a number is None if it is not measurable."""
+    """Verdict and numbers of one hit, in SI units; a number is None if it is not measurable."""
 
     kind: Annotated[Kind, Quantity("", "verdict")]
     reasons: Annotated[tuple[str, ...], Quantity("", "reasons of the verdict")]
@@ -117,7 +117,7 @@ class Verdict:
 
 
 class Opening(StrEnum):
-    """First words of the text of each reason for an invalid trial; they identify the reason.
+    """First words of the text of each reason for an invalid trial, by which a reader recognises the reason.
 
     Recordings and session logs store only texts. Their readers (`rig.session.planning._reasons`) compare with these
     members, so that a change of wording needs no change anywhere else.
@@ -144,7 +144,7 @@ class Opening(StrEnum):
 
 
 class Objection(IntFlag):
-    """Reasons against calling a trial stable, as flags, in the order in which they are reported."""
+    """Reasons against calling a trial stable, as bit flags, in the order in which they are reported."""
 
     TOO_SHORT = 1
     NEVER_TOUCHED = 2
@@ -179,10 +179,10 @@ _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), s
 
 
 def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
-    """Return the objections to one trial or to each of several, as bits of `Objection`.
+    """Return the reasons against calling trials stable, as bits of `Objection` for each trial.
 
-    `numbers` is a record of `rig.control._measure.NUMBERS` or an array of them. The thresholds must be those used for
-    the measurement, because felt is NaN if its floor exceeded the threshold.
+    `numbers` is a record of `rig.control._measure.NUMBERS` (one trial) or an array of records. The thresholds must be
+    those used for the measurement, because *felt* is NaN if its floor exceeded the threshold.
     """
     n: Any = numbers
     # Plain numbers are compared ten times as fast as numpy's scalars.
@@ -233,7 +233,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
 
 
 def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
-    """Return the index into `KINDS` for each trial: the same outcome as `decide`, without texts."""
+    """Return the outcome of each trial as an index into `KINDS`: the same outcome as `decide`, without texts."""
     codes: NDArray[np.int64] = _codes(objections(numbers, thresholds))
     return codes
 
@@ -268,12 +268,12 @@ class Measured:
 
     @cached_property
     def found(self) -> Objection:
-        """Return all objections to the trial, as flags."""
+        """Return all reasons against calling the trial stable, as bit flags."""
         return Objection(int(objections(self.numbers, self.thresholds)))
 
     @property
     def kind(self) -> Kind:
-        """Return the outcome that the objections and `thrown_out` imply."""
+        """Return the outcome of the trial: stable, limit cycle, unstable or invalid."""
         if self.thrown_out and not self.found & Objection.CURRENT:
             return Kind.UNSTABLE if self.numbers["contact_s"] >= 0.0 else Kind.INVALID
         return KINDS[int(_codes(int(self.found)))]
@@ -289,7 +289,7 @@ class Measured:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Return outcome, reasons and numbers from the signals only; `overrule` adds other reasons."""
+        """Return the verdict of the trial (outcome, reasons, numbers) from its signals only."""
         kind, reasons = decide(self.numbers, self.thresholds)
         shown = {
             name: self.numbers[name].item() for name in Verdict.__dataclass_fields__ if name not in _WORDS
@@ -328,14 +328,14 @@ def overrule(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
 
 
 def _codes(found: Any) -> Any:
-    """Return indices into `KINDS`: invalid takes precedence over unstable, unstable over limit cycle."""
+    """Return the index into `KINDS` for each set of objections: invalid before unstable before limit cycle."""
     invalid, unstable, exceeded = ((found & int(bits)) != 0 for bits in (INVALID, UNSTABLE, EXCEEDED))
     shown = 2 * unstable + (unstable ^ True) * exceeded
     return 3 * invalid + (invalid ^ True) * shown
 
 
 def percent(share: float) -> str:
-    """Return a share from 0 to 1 as a text in per cent with two digits, such as "12 %"."""
+    """Return a ratio from 0 to 1 as a text in per cent with two digits, such as "12 %"."""
     # Not .2g for all: 100 % would read 1e+02 %.
     return f"{100 * share:{'.0f' if share >= 0.1 else '.2g'}} %"
 

@@ -1,8 +1,8 @@
 """Velocity estimators: find one by name, read its settings, and run it over an array of counts.
 
-Controllers, theory, comparisons and the documentation call it. It runs no loop and reads no recording. A user
-makes an estimator from a plain function (`rig.control.estimators.plain_estimator`) and registers it in the
-entry-point group ``rig.estimators`` by a name and the ``module:attribute`` of an `Estimator`.
+Controllers, theory, comparisons and the documentation use it. It runs no loop and reads no recording. A user makes an
+estimator from a plain function (`rig.control.estimators.plain_estimator`) and registers it in the entry-point group
+``rig.estimators`` by a name and the ``module:attribute`` of an `Estimator`.
 """
 
 from __future__ import annotations

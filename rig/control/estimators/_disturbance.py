@@ -1,10 +1,10 @@
-"""Disturbance observer: it knows the inertia and the effort, and estimates the hand as a slowly varying force.
+"""Disturbance observer: it knows the inertia and the effort, and estimates the hand's force, which varies slowly.
 
 In each period T, x̂ and v̂ are predicted with the acceleration (effort + d̂)/J, where d̂ is the estimated force of the
-hand and J the inertia; the error e of the predicted count then corrects all three estimates:
-x̂ by l1·e, v̂ by l2·e/T, d̂/J by l3·e/T². So an acceleration by the motor is followed without delay, and one by the
-hand with the delay of a third-order loop. A loop without d̂ ignores the hand: at rest under a press F it reads the
-velocity −2·ζ·F/(ω0·J), and the wall's static stiffness falls to K/(1 + 2·ζ·B/(ω0·J)).
+hand and J the inertia; the error e of the predicted count then corrects all three estimates: x̂ by l1·e, v̂ by l2·e/T,
+d̂/J by l3·e/T². So an acceleration by the motor is followed without delay, and one by the hand with the delay of a
+third-order loop. A loop without d̂ ignores the hand: at rest under a press F it reads the velocity −2·ζ·F/(ω0·J), and
+the wall's static stiffness falls to K/(1 + 2·ζ·B/(ω0·J)).
 
 The poles are those of a third-order Butterworth filter at ω0, mapped by z = exp(s·T); the steady Kalman filter of a
 triple integrator has the same poles for small ω0·T. J is the inertia of the device without the hand. A hand that holds
@@ -26,7 +26,7 @@ from rig.control.estimators.estimator import Estimator, Setting, check_below_nyq
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the parameters of the steady recursion, whose known acceleration is effort/J."""
+    """Return the parameters of the disturbance observer: gains, and acceleration by a unit of effort."""
     check_below_nyquist("disturbance", "frequency_hz", settings["frequency_hz"], period_s)
     angle = 2.0 * math.pi * settings["frequency_hz"] * period_s  # ω0·T
     upper = angle * cmath.exp(2j * math.pi / 3.0)

@@ -27,12 +27,12 @@ BUILT_IN = {
 
 
 def names() -> list[str]:
-    """Return the names of all estimators, built-in ones first."""
+    """Return the names of all velocity estimators, built-in estimators first."""
     return [*BUILT_IN, *plugins.names("rig.estimators", BUILT_IN)]
 
 
 def broken(name: str) -> str:
-    """Return why an estimator cannot be loaded (for example a broken plug-in); "" if it can be used."""
+    """Return why the estimator with this name cannot be loaded (for example a broken plug-in); "" if it can."""
     try:
         get(name)
     except ConfigError as error:
@@ -41,7 +41,7 @@ def broken(name: str) -> str:
 
 
 def get(name: str) -> Estimator:
-    """Return the estimator of that name; raise `ConfigError` if the name is unknown or its plug-in is broken."""
+    """Return the estimator with this name; raise `ConfigError` if it is unknown or its plug-in is broken."""
     if name in BUILT_IN:
         return cast("Estimator", import_module(BUILT_IN[name]).ESTIMATOR)
     found = plugins.load("rig.estimators", "estimator", name, lambda part: isinstance(part, Estimator))

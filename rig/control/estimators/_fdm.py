@@ -17,7 +17,7 @@ WRAP = 1 << 32
 
 @kernel("i8(i8, i8)", inline=True)
 def count_difference(newer: int, older: int) -> int:
-    """Return the difference of two counts of a 32-bit counter that may have wrapped between them."""
+    """Return `newer` − `older`, two counts of a 32-bit counter that may have wrapped between them."""
     return ((newer - older + WRAP // 2) & (WRAP - 1)) - WRAP // 2
 
 
@@ -31,7 +31,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) over the elapsed periods; zero for the first sample."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: travel / time since the last; 0 at the first."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count

@@ -38,7 +38,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity (rad/s or m/s). After a gap the filter runs once for each lost period."""
+    """Return the low-pass filtered velocity (rad/s or m/s) at a new encoder count.
+
+    After lost samples the filter runs once for each lost period.
+    """
     slope = fdm.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):
@@ -59,7 +62,7 @@ def update(
 
 
 def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[list[float]]:
-    """Return the second-order sections b0, b1, b2, 1, a1, a2 of the filter.
+    """Return the second-order sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass for a velocity period (s).
 
     Raises `ConfigError` (its message names the estimator `name`) if the cut-off is at or above Nyquist, or so far below
     the rate that rounding of the coefficients changes the gain at rest.
@@ -71,15 +74,15 @@ def low_pass(name: str, order: int, cutoff_hz: float, period_s: float) -> list[l
         dc_gain *= sum(section[:3]) / sum(section[3:])
     if abs(dc_gain - 1.0) > DC_GAIN_TOLERANCE:
         raise ConfigError(
-            f"estimator {name}: at cutoff_hz = {cutoff_hz:g} Hz and {1.0 / period_s:g} Hz its gain at rest is "
-            f"{dc_gain:.9f} instead of 1",
+            f"estimator {name}: with cutoff_hz = {cutoff_hz:g} Hz at a rate of {1.0 / period_s:g} Hz, the low pass has "
+            f"the gain {dc_gain:.9f} at rest instead of 1, by rounding",
             remedy="choose a higher cutoff_hz or a lower velocity_rate",
         )
     return sections
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the coefficients b0, b1, b2, a1, a2 of all sections, in one list."""
+    """Return the coefficients b0, b1, b2, a1, a2 of all sections of the low pass, in one list."""
     order = settings["order"]
     if order != int(order):
         raise ConfigError(

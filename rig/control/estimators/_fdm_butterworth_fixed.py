@@ -56,7 +56,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the filtered velocity (rad/s or m/s). After a gap the filter runs once for each lost period."""
+    """Return the velocity (rad/s or m/s) at a new encoder count, low-pass filtered in fixed point.
+
+    After lost samples the filter runs once for each lost period.
+    """
     if state_i[fdm.STARTED] == 0:
         state_i[fdm.STARTED] = 1
         state_i[fdm.PREVIOUS] = count
@@ -84,7 +87,7 @@ def update(
 
 
 def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
-    """Return the integer coefficients of the filter, with its gain at rest and its dead zone.
+    """Return the integer coefficients of the low pass in fixed point, with its gain at rest and its dead zone.
 
     Raises `ConfigError` if a number of bits is not whole, the cut-off is at or above Nyquist, or the words are too
     short for the filter or too long for sums of 64 bits (`rig.control._fixed_point.design_biquad`).
@@ -98,7 +101,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
     state = Format(int(settings["word_bits"]), int(settings["state_bits"]))
     if state.word_bits - state.fraction_bits < 2:
         raise ConfigError(
-            f"estimator fdm-butterworth-fixed: {state} cannot represent one count per period",
+            f"estimator fdm-butterworth-fixed: the format {state} cannot represent one count per period",
             remedy="choose word_bits at least two above state_bits",
         )
     section = low_pass("fdm-butterworth-fixed", 2, settings["cutoff_hz"], period_s)[0]
@@ -113,7 +116,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the integers of the filter in the order of the indices B0 to SCALE."""
+    """Return the integers of the low pass in fixed point, in the order of the indices B0 to SCALE."""
     f = biquad(settings, period_s)
     form = [f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding]
     return [float(n) for n in (f.b0, f.b1, f.b2, f.a1, f.a2, *form)] + [f.state.lsb / period_s]

@@ -53,7 +53,7 @@ SETTINGS: tuple[Setting | Choice, ...] = (
 
 @kernel("i8(i8, i8, i8[::1])", inline=True, no_refcount=True)
 def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
-    """Store a sample, with its count unwrapped, in the ring; return the index of its slot."""
+    """Store a sample (unwrapped count, elapsed periods) in the ring of the window; return the index of its slot."""
     slot = state_i[SAMPLES] & MASK
     if state_i[SAMPLES] > 0:
         last = (slot - 1) & MASK
@@ -67,7 +67,7 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the band (counts) with its rounding margin, the longest window (periods) and the index of the stop rule.
+    """Return noise band (counts, with rounding margin), longest window (periods) and index of the stop rule.
 
     Raises `ConfigError` if `window_limit` is not a whole number.
     """

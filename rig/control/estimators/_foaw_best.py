@@ -40,7 +40,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope of the longest accepted line (rad/s or m/s); zero for the first sample."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the longest accepted line.
+
+    It is zero for the first sample.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
@@ -85,7 +88,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the parameters of `rig.control.estimators._foaw.design`, then the index of the anchor."""
+    """Return the parameters of the window (`rig.control.estimators._foaw.design`), then the index of the anchor."""
     return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
 
 

@@ -27,7 +27,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope of the longest accepted chord (rad/s or m/s); zero for the first sample."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the longest accepted chord.
+
+    It is zero for the first sample.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit = parameters[BAND], int(parameters[LIMIT])

@@ -1,8 +1,8 @@
 """Weighted mean of FOAW, for straight motion, and Levant's differentiator; FOAW's window decides the weights.
 
-Chawda et al. (section V) suggest a combination of both without a definition; this definition is the project's. FOAW's
-chord over n periods has noise of Δ/(n·T), which is large if the motion bends and the window is short. Levant's error is
-of the order of 2·√(C·Δ), which is too large for straight motion. So
+Chawda et al. (section V) suggest to combine FOAW and Levant without a definition; this definition is the project's.
+FOAW's chord over n periods has noise of Δ/(n·T), which is large if the motion bends and the window is short. Levant's
+error is of the order of 2·√(C·Δ), which is too large for straight motion. So
 
     v = w·v_FOAW + (1 − w)·v_Levant,   w = straight · precise,
 
@@ -44,7 +44,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the weighted velocity (rad/s or m/s); WINDOW becomes the window of FOAW, which decided the weight."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: weighted mean of FOAW and Levant.
+
+    It is zero for the first sample. `state_i[WINDOW]` becomes the window of FOAW (periods), which decides the weight.
+    """
     started = state_i[foaw.SAMPLES] > 0
     moved = count_difference(count, state_i[foaw.PREVIOUS])
     straight = foaw_end.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)

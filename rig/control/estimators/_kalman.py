@@ -93,7 +93,7 @@ def _propagate(
 def _correct(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float, r: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return gain k1, k2, k3 and the lower block p22, p23, p33 of the covariance after the update, in Joseph's form.
+    """Return the Kalman gain k1, k2, k3, and p22, p23, p33 of the covariance after a measurement of variance r.
 
     The first row of that covariance is r·(k1, k2, k3), which is exact for the optimal gain and one measured quantity.
     """
@@ -108,7 +108,7 @@ def _correct(
 
 @kernel("void(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) -> None:
-    """Start at the newest count with a velocity (counts per period) and the prior covariance."""
+    """Start the filter at the newest count with a velocity (counts per period) and the prior covariance."""
     state_i[STARTED], state_i[INNOVATIONS] = 1, 0
     state_f[OFFSET], state_f[VELOCITY], state_f[ACCELERATION] = 0.0, velocity, 0.0
     state_f[P11], state_f[P12], state_f[P13] = parameters[R], 0.0, 0.0
@@ -117,7 +117,7 @@ def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) 
 
 @kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, parameters: Floats) -> float:
-    """Return Ĉ0 (counts²), the variance of the innovations up to this one by the chosen fading; 0 without fading."""
+    """Return Ĉ0 (counts²), the variance of the innovations so far by the chosen fading; 0 without fading."""
     fading, seen = parameters[FADING], state_i[INNOVATIONS]
     state_i[INNOVATIONS] = seen + 1
     square = innovation * innovation
@@ -144,7 +144,7 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
 def _gain(
     variance: float, elapsed_ticks: int, state_f: Floats, parameters: Floats
 ) -> tuple[float, float, float]:
-    """Update the covariance over the elapsed periods, with fading, and for a new sample; return the gain."""
+    """Update the covariance over the elapsed periods, with fading, and for a new sample; return the Kalman gain."""
     r, q11, q12, q13 = parameters[R], parameters[Q11], parameters[Q12], parameters[Q13]
     q22, q23, q33 = parameters[Q22], parameters[Q23], parameters[Q33]
     p11, p12, p13 = state_f[P11], state_f[P12], state_f[P13]
@@ -176,7 +176,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s); zero for the first sample. A gap is predicted, then corrected once."""
+    """Return the velocity (rad/s or m/s) at a new encoder count, by the Kalman filter; 0 for the first sample.
+
+    Lost samples are predicted, then corrected once.
+    """
     # The position is stored less the newest count, so that large counts cost no digits.
     scale = parameters[RESOLUTION] / parameters[PERIOD]
     moved = count_difference(count, state_i[PREVIOUS])
@@ -215,13 +218,13 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     turn = (intensity / r) ** (1.0 / (2 * order))  # ω0·T
     if printed and turn > PRINTED_LIMIT:
         raise ConfigError(
-            f'estimator kalman: noise = "printed" gives negative variances at ω0·T = {turn:.3g}',
+            f'estimator kalman: noise = "printed" gives negative variances at a bandwidth of ω0·T = {turn:.3g}',
             remedy=f'choose noise = "integral", or a lower q or bandwidth_hz (ω0·T up to {PRINTED_LIMIT:g})',
         )
     noise = intensity * process_noise(order, printed=printed)
     gain = np.zeros(3)
     if steady:
-        gain[:order] = _steady(order, intensity, r, printed)
+        gain[:order] = _compute_steady_gain(order, intensity, r, printed)
     q = np.zeros((3, 3))  # the double integrator is the triple one that never has an acceleration
     q[:order, :order] = noise
     return [
@@ -232,16 +235,17 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 
 
 def steady_parameters(gains: Sequence[float], acceleration: float = 0.0) -> list[float]:
-    """Return the parameters of the recursion with three constant gains and a known acceleration.
+    """Return the parameters of the Kalman recursion with three constant gains and a known acceleration.
 
     `acceleration` is that by a unit of the motor's effort (counts per period²); 0 if the effort is not used.
     """
     return [VARIANCES["rounding"], *[0.0] * (STEADY - R - 1), 1.0, *gains, acceleration]
 
 
+# Cached: the Riccati equation takes 14 ms of processor time.
 @lru_cache(maxsize=512)
-def _steady(order: int, intensity: float, r: float, printed: bool) -> tuple[float, ...]:
-    """Return the steady gain; it is cached, because its Riccati equation takes 14 ms of processor time."""
+def _compute_steady_gain(order: int, intensity: float, r: float, printed: bool) -> tuple[float, ...]:
+    """Return the steady Kalman gain (counts, periods); it is cached."""
     return tuple(steady_gain(intensity * process_noise(order, printed=printed), r).tolist())
 
 
@@ -253,12 +257,12 @@ def _check_options(order: int, printed: bool, steady: bool, fading: str, window:
         )
     if printed and order != 3:
         raise ConfigError(
-            "estimator kalman: the paper prints its noise for the triple integrator only",
+            'estimator kalman: noise = "printed" exists only for the triple integrator',
             remedy='choose model = "triple" or noise = "integral"',
         )
     if steady and fading != "none":
         raise ConfigError(
-            f"estimator kalman: a steady gain cannot fade (fading = {fading!r})",
+            f'estimator kalman: gain = "steady" is constant and excludes fading = {fading!r}',
             remedy='choose gain = "recursive" or fading = "none"',
         )
 

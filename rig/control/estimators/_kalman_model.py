@@ -43,7 +43,7 @@ def process_noise(order: int, *, printed: bool = False) -> Floats:
 
 
 def steady_gain(noise: Floats, r: float) -> Floats:
-    """Return the gain to which the recursion converges, from the discrete algebraic Riccati equation.
+    """Return the gain to which the Kalman recursion converges, from the discrete algebraic Riccati equation.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def steady_gain(noise: Floats, r: float) -> Floats:
         predicted = linalg.solve_discrete_are(transition.T, measured, noise, np.array([[r]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ConfigError(
-            f"estimator kalman: no steady gain ({error})",
+            f"estimator kalman: a steady gain cannot be computed ({error})",
             remedy='choose a higher bandwidth or gain = "recursive"',
         ) from error
     return np.asarray(predicted[:, 0] / (predicted[0, 0] + r))

@@ -56,9 +56,9 @@ LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 
 @kernel("UniTuple(f8, 3)(f8, f8, f8, f8, i8)", inline=True)
 def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> tuple[float, float, float]:
-    """Return error x − f, u1 and u after one period, in counts and periods.
+    """Advance Levant's differentiator by one period; return error x − f, u1 and u (counts, periods).
 
-    `error` is the difference between the old x and the new sample.
+    `error` is the difference between the old copy x of the position and the new sample f.
     """
     # The sign is set-valued at zero. The explicit schemes cannot rest there: they chatter for ever, at a handle at rest
     # too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns into a buzz of the motor.
@@ -90,7 +90,10 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
 def advance(
     error: float, u1: float, moved: int, elapsed_ticks: int, alpha: float, lambda_: float, scheme: int
 ) -> tuple[float, float, float]:
-    """Return error, u1 and u after the elapsed periods, with samples on a straight line over `moved` counts."""
+    """Advance Levant's differentiator by `elapsed_ticks` periods; return error x − f, u1 and u (counts, periods).
+
+    Lost samples are assumed on a straight line over `moved` counts.
+    """
     slope = moved / elapsed_ticks
     if elapsed_ticks > LONGEST_GAP:
         return 0.0, slope, slope
@@ -110,7 +113,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s); zero for the first sample, at which the copy x starts at rest."""
+    """Return the velocity (rad/s or m/s) at a new encoder count, by Levant's differentiator.
+
+    It is zero for the first sample, at which the copy x of the position starts at rest.
+    """
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count
@@ -134,12 +140,13 @@ def update(
 
 
 def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple[float, float]:
-    """Return (μ1, μ2) of the settings; raise `ConfigError` for a pair outside the region that `gains` names."""
+    """Return the gains (μ1, μ2) of the settings; raise `ConfigError` if they are outside the region named `gains`."""
     gains, mu1, mu2 = settings["gains"], settings["mu1"], settings["mu2"]
     if gains in levant_regions.NAMED_GAINS:
         if mu1 or mu2:
             raise ConfigError(
-                f"estimator {estimator}: gains = {gains!r} fixes mu1 and mu2, but {mu1:g} and {mu2:g} are given",
+                f"estimator {estimator}: gains = {gains!r} fixes mu1 and mu2, but mu1 = {mu1:g} and mu2 = {mu2:g} "
+                "are given",
                 remedy="leave out mu1 and mu2, or choose gains = 'custom', 'hba' or 'lfba'",
             )
         return levant_regions.NAMED_GAINS[gains]
@@ -149,7 +156,7 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
             remedy="give mu1 and mu2; `rig theory levant-regions` shows which pairs converge",
         )
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
-        raise _outside(
+        raise _region_error(
             estimator,
             gains,
             mu1,
@@ -159,11 +166,11 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
             "mu2 above 2 (the larger, the smaller the least mu1)",
         )
     if gains == "lfba" and not levant_regions.in_lfba(mu1, mu2):
-        raise _outside(estimator, gains, mu1, mu2, ">", levant_regions.lfba_mu1(mu2), "a larger mu2")
+        raise _region_error(estimator, gains, mu1, mu2, ">", levant_regions.lfba_mu1(mu2), "a larger mu2")
     return float(mu1), float(mu2)
 
 
-def _outside(
+def _region_error(
     estimator: str, gains: str, mu1: float, mu2: float, relation: str, needed: float, other: str
 ) -> ConfigError:
     way_out = f"mu1 {relation} {needed:.5g}, or {other}" if math.isfinite(needed) else other
@@ -174,7 +181,7 @@ def _outside(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return α·T²/Δ and λ·T/√Δ, then the indices of discretisation and output."""
+    """Return the gains α·T²/Δ and λ·T/√Δ of Levant's differentiator, then the indices of discretisation and output."""
     mu1, mu2 = multipliers(settings)
     return own_parameters(settings, mu1, mu2, resolution, period_s)
 
@@ -182,7 +189,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 def own_parameters(
     settings: Mapping[str, Any], mu1: float, mu2: float, resolution: float, period_s: float
 ) -> list[float]:
-    """Return the `OWN_PARAMETERS` parameters of the kernel for checked multipliers μ1 and μ2."""
+    """Return the `OWN_PARAMETERS` parameters of Levant's differentiator for checked multipliers μ1 and μ2."""
     bound = settings["lipschitz"] * period_s**2 / abs(resolution)  # counts per period²
     scheme, output = settings["discretisation"], settings["output"]
     return [

@@ -68,7 +68,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope of the chosen chord (rad/s or m/s); zero for the first sample."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the chosen chord.
+
+    It is zero for the first sample.
+    """
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     bend, limit = parameters[BEND], int(parameters[LIMIT])

@@ -71,24 +71,25 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
     Raises
     ------
     ConfigError
-        The array is not flat, has missing values (the message has their indices), another type, fractions, or floats
-        so large that not every whole number can be represented.
+        The array is not flat, has missing values (the message has their indices), another type, fractions, or floats so
+        large that not every whole number can be represented.
     """
     array = _floats_if_missing(values, what)
     if array.ndim != 1:
         raise ConfigError(
-            f"{what} has {array.ndim} dimensions instead of 1", remedy="give a one-dimensional array"
+            f"the array {what} has {array.ndim} dimensions instead of 1",
+            remedy="give a one-dimensional array",
         )
     if len(array) == 0:
         return np.zeros(0, np.int64)
     if array.dtype.kind in "iu":
         return array
     if array.dtype.kind != "f":
-        raise _wrong_type(what, array.dtype.kind, str(array.dtype))
+        raise _type_error(what, array.dtype.kind, str(array.dtype))
     missing = np.flatnonzero(np.isnan(array))
     if len(missing):
         remedy = FROM_SECONDS if what == ELAPSED else _remove_missing(values, also)
-        raise ConfigError(f"{what} is not a number at {_indices(missing, len(array))}", remedy=remedy)
+        raise ConfigError(f"{what} is not a number at {_format_indices(missing, len(array))}", remedy=remedy)
     parts = np.flatnonzero((array != np.trunc(array)) | np.isinf(array))
     if len(parts):
         raise ConfigError(
@@ -106,7 +107,10 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
 
 
 def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
-    """Return the values as float64, NaN where masked; raise `ConfigError` for text, dates and other non-numbers."""
+    """Return the values as float64, NaN where masked; raise `ConfigError` for text, dates and other non-numbers.
+
+    `what` is the name of the array and `unit` its unit, for the message.
+    """
     array = _unmask(values)
     if array.dtype.kind in _KINDS:
         raise ConfigError(
@@ -164,14 +168,14 @@ def unwrap(values: NDArray[Any], width: Any, elapsed: Ints) -> Ints:
     beyond = np.flatnonzero(np.abs(steps) >= 2 ** (ESTIMATOR_BITS - 1))
     if len(beyond):
         raise ConfigError(
-            f"counts[{beyond[0] + 1}] differs by {steps[beyond[0]]} from the one before; allowed is less than 2^31",
+            f"counts[{beyond[0] + 1}] differs by {steps[beyond[0]]} from the previous count; allowed is less than 2^31",
             remedy="check the counts of these two samples",
         )
     return counts
 
 
 def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
-    """Return the age of the last edge at each sample (s), with an edge at each sample whose count has changed."""
+    """Return the time since the last encoder edge at each sample (s), if each change of the count is an edge."""
     changed = np.zeros(len(counts), dtype=bool)
     changed[1:] = counts[1:] != counts[:-1]
     last = np.maximum.accumulate(np.where(changed, time_s, -np.inf)) if len(counts) else time_s
@@ -179,7 +183,10 @@ def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
 
 
 def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:
-    """Raise `ConfigError` if a step differs from its prediction by the previous speed by half the counter's range."""
+    """Raise `ConfigError` if a step of the counts is so far from the previous speed that its direction is ambiguous.
+
+    The limit is half the range of a counter of `bits` bits.
+    """
     expected = np.concatenate(([0.0], steps[:-1] / elapsed[1:-1] * elapsed[2:]))
     wrong = np.flatnonzero(np.abs(steps - expected) >= 2 ** (bits - 1))
     if len(wrong):
@@ -194,7 +201,7 @@ def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> Non
 
 
 def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
-    """Raise `ConfigError` for a jump above half the span of all counts: the counter wraps or was reset."""
+    """Raise `ConfigError` for a jump above half the range of all counts: the counter wraps or was reset."""
     span = int(counts.max()) - int(counts.min())
     wide = np.flatnonzero(np.abs(steps) > max(span / 2, LEAST_JUMP))
     if len(wide):
@@ -215,12 +222,12 @@ def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
     present = [value for value in array if not _is_missing(value)]
     for value in present:
         if isinstance(value, bool | np.bool_):
-            raise _wrong_type(what, "b", "bool")
+            raise _type_error(what, "b", "bool")
         if isinstance(value, str | bytes):
-            raise _wrong_type(what, "U", "str")
+            raise _type_error(what, "U", "str")
         if not isinstance(value, numbers.Real):
             kind = np.asarray(value).dtype.kind
-            raise _wrong_type(what, kind, type(value).__name__)
+            raise _type_error(what, kind, type(value).__name__)
     if len(present) == len(array) and all(isinstance(value, numbers.Integral) for value in present):
         try:
             return np.array([int(value) for value in array], np.int64)
@@ -243,7 +250,7 @@ def _is_missing(value: Any) -> bool:
         return True
 
 
-def _wrong_type(what: str, kind: str, name: str) -> ConfigError:
+def _type_error(what: str, kind: str, name: str) -> ConfigError:
     if _KINDS.get(kind) == "text":
         remedy = f"convert them: {what} = numpy.asarray({what}, dtype=float); give {what}={what}"
     else:
@@ -254,7 +261,7 @@ def _wrong_type(what: str, kind: str, name: str) -> ConfigError:
 
 
 def _remove_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
-    """Return Python statements that remove lost samples and give the gaps as `elapsed`."""
+    """Return Python statements, for a remedy, that remove lost samples and give the gaps as `elapsed`."""
     number = "numpy.asarray(counts, dtype=float)"
     if _has_pandas_na(values):  # numpy makes no number of it
         number = "pandas.array(counts, dtype='Float64').to_numpy(float, na_value=numpy.nan)"
@@ -277,7 +284,7 @@ def _has_pandas_na(values: ArrayLike) -> bool:
     return array.dtype.kind == "O" and any(type(value).__name__ == "NAType" for value in array)
 
 
-def _indices(found: Ints, size: int) -> str:
+def _format_indices(found: Ints, size: int) -> str:
     shown = ", ".join(map(str, found[:SHOWN])) + (" …" if len(found) > SHOWN else "")
     word = "index" if len(found) == 1 else "indices"
     return f"{word} {shown} ({len(found)} of {size})"

@@ -52,7 +52,7 @@ FLOATS = 3
 
 @kernel("f8(f8)", inline=True)
 def plausible_age(edge_age_s: float) -> float:
-    """Return the age of the last edge limited to 0 … `OLDEST_EDGE_S` (s); NaN becomes `OLDEST_EDGE_S`."""
+    """Return the age of the last encoder edge limited to 0 … `OLDEST_EDGE_S` (s); NaN becomes `OLDEST_EDGE_S`."""
     # `not <=` and not `>`: it takes NaN as well.
     if not edge_age_s <= OLDEST_EDGE_S:
         return OLDEST_EDGE_S
@@ -61,14 +61,14 @@ def plausible_age(edge_age_s: float) -> float:
 
 @kernel("b1(i8, f8, f8, f8, f8)", inline=True)
 def has_fresh_edge(moved: int, age: float, age_before: float, elapsed_s: float, period_s: float) -> bool:
-    """Return True if there was an edge since the previous sample: the count changed, or the edge time is new."""
+    """Return True if there was an encoder edge since the previous sample: the count or the edge time has changed."""
     within = elapsed_s - GRACE * period_s
     return moved != 0 or (age < within and age < age_before + within)
 
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
-    """Return the counts from the boundary of the previous edge to that of the last edge.
+    """Return the counts from the boundary of the previous encoder edge to that of the last edge.
 
     `upwards` and `upwards_before` are 1 for an edge upwards and 0 for an edge downwards. Boundary c lies below count c:
     an edge up to count c crosses boundary c, an edge down to count c crosses boundary c + 1.
@@ -78,7 +78,7 @@ def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def still_possible(speed: float, age: float, gap: float) -> float:
-    """Return the velocity (counts/s), limited to one gap between lines (counts) over the time since the last edge."""
+    """Return the velocity (counts/s), limited to one gap between encoder lines over the time since the last edge."""
     # In the time since the last edge the handle has not passed another line. The lines of a real encoder are not evenly
     # spaced: `unevenness` widens the gap, or a wide one at speed would look like a stop.
     silence = age - EDGE_TIME_S
@@ -89,7 +89,7 @@ def still_possible(speed: float, age: float, gap: float) -> float:
 
 @kernel("i8(f8, f8, f8)", inline=True)
 def window(span: float, age: float, period_s: float) -> int:
-    """Return the velocity periods between both edges, or since the last edge if that is longer."""
+    """Return the velocity periods between the last two edges, or since the last edge if that time is longer."""
     return max(int(max(span, age) / period_s + 0.5), 1)
 
 
@@ -103,7 +103,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope between the last two edges (rad/s or m/s), limited by the time without an edge since then."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: the slope between the last two edges.
+
+    The magnitude is limited by the time without an edge since then.
+    """
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -131,7 +134,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the widest gap between two encoder lines (counts)."""
+    """Return the widest gap between two encoder lines (counts), as the only parameter."""
     return [1.0 + settings["unevenness"]]
 
 

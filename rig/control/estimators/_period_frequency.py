@@ -59,7 +59,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the slope from the edge before the window to the last edge (rad/s or m/s).
+    """Return the velocity (rad/s or m/s): the slope from the edge before the window to the last encoder edge.
 
     The magnitude is limited by the time without an edge since then.
     """
@@ -102,7 +102,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the widest gap (counts), and the window in whole periods, rounded up.
+    """Return the widest gap between two encoder lines (counts), and the window in whole periods, rounded up.
 
     Raises `ConfigError` if the window is longer than `LONGEST` periods.
     """

@@ -13,7 +13,7 @@ import numpy as np
 
 
 def gains(poles: Sequence[complex]) -> list[float]:
-    """Return the gains that place the poles of the estimation error.
+    """Return the observer gains that place the poles of the estimation error.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ def quantise(position: ArrayLike, resolution: float, *, offset: float = 0.5) -> 
     cells = np.floor(real_numbers(position, "position", "rad or m") / abs(resolution) + offset)
     if not (np.abs(cells) < LARGEST_COUNT).all():
         raise ConfigError(
-            "a position is not finite or beyond 2^62 counts", remedy="check position and resolution"
+            "a position is not finite or is beyond 2^62 counts", remedy="check position and resolution"
         )
     return np.asarray(math.copysign(1.0, resolution) * cells).astype(np.int64)
 
@@ -151,7 +151,7 @@ def estimate_with_window(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
-    """Return the velocities of `estimate`, and the number of velocity periods that each spans (int64, shape (n,))."""
+    """Return the velocities of `estimate`, and how many velocity periods each estimate spans (int64, shape (n,))."""
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
     estimator = family.get(name)
     prepared = estimator.prepare(parameters, resolution, dt)
@@ -185,7 +185,7 @@ def own_inputs(
 def inputs(
     counts: ArrayLike, dt: float, edge_time: ArrayLike | None = None, elapsed: ArrayLike | None = None
 ) -> tuple[Ints, Floats, Ints]:
-    """Check the arrays of `estimate` and return counts, age of the last edge (s) and elapsed periods.
+    """Check the arrays of `estimate`; return counts, age of the last encoder edge (s) and elapsed periods.
 
     Counts may wrap at 32 bits; those of a narrower counter must be unwrapped before (`_own_counts.unwrap`).
     """
@@ -197,7 +197,7 @@ def inputs(
     edges = real_numbers(edge_time, EDGE_TIME, "s")
     if edges.shape != whole.shape:
         raise ConfigError(
-            f"{len(whole)} counts, but edge_time has shape {edges.shape}",
+            f"{len(whole)} counts are given, but edge_time has shape {edges.shape}",
             remedy="give one time for each count",
         )
     age = time_s - edges
@@ -219,18 +219,19 @@ def _counts_and_steps(
     steps = whole_numbers(elapsed, ELAPSED).astype(np.int64)
     if len(steps) != len(held):
         raise ConfigError(
-            f"{len(held)} counts, but {len(steps)} values of elapsed", remedy="give one value for each count"
+            f"{len(held)} counts are given, but {len(steps)} values of elapsed",
+            remedy="give one value for each count",
         )
     if len(steps) and steps.min() < 1:
         raise ConfigError(
-            "elapsed has a value below 1: each sample must be at least one period after the one before",
+            "elapsed has a value below 1: each sample must be at least one period after the previous sample",
             remedy=FROM_SECONDS,
         )
     return held, steps
 
 
 def require_effort(estimator: Estimator, effort: object) -> None:
-    """Raise `ConfigError` if the estimator uses the effort and `effort` is None."""
+    """Raise `ConfigError` if the estimator uses the motor's effort and `effort` is None."""
     if effort is None and estimator.uses_effort:
         raise ConfigError(
             f"estimator {estimator.name} needs the effort of the motor",
@@ -239,11 +240,12 @@ def require_effort(estimator: Estimator, effort: object) -> None:
 
 
 def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
-    """Return the efforts (N·m or N), shape (samples,); raise `ConfigError` for another shape or non-finite values."""
+    """Return the efforts (N·m or N), shape (samples,); raise `ConfigError` for another shape or NaN, infinity."""
     applied = real_numbers(effort, "effort", "N·m or N")
     if applied.shape != (samples,):
         raise ConfigError(
-            f"{samples} counts, but effort has shape {applied.shape}", remedy="give one value for each count"
+            f"{samples} counts are given, but effort has shape {applied.shape}",
+            remedy="give one value for each count",
         )
     if not np.isfinite(applied).all():
         raise ConfigError("effort has values that are not finite", remedy="give finite numbers in N·m or N")
@@ -253,10 +255,10 @@ def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
 def run(
     prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints, effort: Floats | None = None
 ) -> tuple[Floats, Ints]:
-    """Run a prepared estimator over the arrays of `inputs`; return velocities (rad/s or m/s) and windows (periods).
+    """Run a prepared estimator over arrays; return velocities (rad/s or m/s) and windows (velocity periods).
 
-    The memory of `prepared` changes. `effort` is the mean effort since the previous sample (N·m or N), shape (n,);
-    without it the effort is zero.
+    `counts`, `edge_age_s` and `elapsed` are the results of `inputs`. The memory of `prepared` changes. `effort` is the
+    mean effort since the previous sample (N·m or N), shape (n,); without it the effort is zero.
     """
     velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
@@ -278,7 +280,10 @@ def update_all(
     velocities: Floats,
     windows: Ints,
 ) -> None:
-    """Call `update` for each sample and write its results; all arrays except the memory have the length of `counts`."""
+    """Call the estimator `update` for each sample; write velocities (rad/s or m/s) and windows (velocity periods).
+
+    All arrays except the memory (`state_f`, `state_i`) and `parameters` have the length of `counts`.
+    """
     for k in range(len(counts)):
         velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], effort[k], state_f, state_i, parameters)
         windows[k] = state_i[WINDOW]

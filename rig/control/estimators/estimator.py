@@ -46,7 +46,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A named option of an estimator: default, choices and meaning; `design` receives the chosen name."""
+    """A setting of an estimator with named options: default, options and meaning."""
 
     name: str
     default: str
@@ -58,8 +58,8 @@ class Choice:
 class Estimator(Shown):
     """Definition of a velocity estimator.
 
-    `design(settings, resolution, period_s)` returns the parameters that follow the two common parameters; it
-    raises `ConfigError` if they cannot be realised at that period. `update` has the signature
+    `design(settings, resolution, period_s)` returns the parameters that follow the two common parameters; it raises
+    `ConfigError` if they cannot be realised at that period. `update` has the signature
     `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` includes WINDOW.
     `uses_effort` is True if the estimator needs the motor's effort. `position` is the index, in the floats of the
     memory, of estimated position minus newest count (counts); None if the estimator estimates no position.
@@ -82,7 +82,7 @@ class Estimator(Shown):
         return {name: value for name, value in rig.items() if name in wanted}
 
     def brief(self) -> list[Item]:
-        """Return name, summary and settings, for display."""
+        """Return name, summary and settings of the estimator, for display."""
         rows = [
             Row(one.name, "from the rig", "", one.meaning)
             if isinstance(one, Setting) and one.of_rig
@@ -114,7 +114,7 @@ class Estimator(Shown):
                 choice = ", ".join(known) or "none"
                 raise ConfigError(
                     f"estimator {self.name}: unknown parameter {name!r}",
-                    remedy=f"remove it; the estimator's parameters are: {choice}",
+                    remedy=f"remove {name!r}; the estimator's parameters are: {choice}",
                 )
         values = {
             name: self._checked(setting, given.get(name, setting.default)) for name, setting in known.items()
@@ -138,7 +138,7 @@ class Estimator(Shown):
             return str(value)
         if value is None:
             raise ConfigError(
-                f"estimator {self.name} needs {setting.name}",
+                f"estimator {self.name} needs the setting {setting.name}, which is missing",
                 remedy=f"give {setting.name} in {setting.unit}: {setting.meaning}",
             )
         if isinstance(value, str):
@@ -158,10 +158,14 @@ class Estimator(Shown):
 def check_below_nyquist(
     estimator: str, setting: str, frequency_hz: float, period_s: float, advice: str = ""
 ) -> None:
-    """Raise `ConfigError` for a frequency at or above Nyquist; `advice` may add a usual value to the remedy."""
+    """Raise `ConfigError` if a setting is at or above the Nyquist frequency 0.5 / `period_s` (Hz).
+
+    `advice` is inserted into the remedy, for example a usual value.
+    """
     if frequency_hz >= 0.5 / period_s:
         raise ConfigError(
-            f"estimator {estimator}: {setting} = {frequency_hz:g} Hz is not below Nyquist {0.5 / period_s:g} Hz",
+            f"estimator {estimator}: {setting} = {frequency_hz:g} Hz is not below the Nyquist frequency "
+            f"{0.5 / period_s:g} Hz",
             remedy=f"choose a lower {setting}, {advice}or raise velocity_rate",
         )
 
@@ -176,7 +180,7 @@ class Prepared:
     state_i: Ints
 
     def fits(self) -> bool:
-        """Return True if parameters and memory have the sizes that the compiled code requires."""
+        """Return True if the estimator's parameters and memory have the sizes that the compiled code requires."""
         sizes = (max(1, self.estimator.floats),), (max(OWN_INTS, self.estimator.ints),)
         enough = self.parameters.ndim == 1 and len(self.parameters) >= COMMON
         return enough and (self.state_f.shape, self.state_i.shape) == sizes

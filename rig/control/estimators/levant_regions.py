@@ -6,7 +6,7 @@ Gains are written without the Lipschitz constant C: α = μ1·C, λ = μ2·√C,
 
 Source: Chawda et al., equations (10), (11), (14) and Fig. 1; the contraction is derived for this project.
 
-The design of Levant's estimator and the reproduction of Chawda et al. call it. Nothing here runs an estimator or
+The design of Levant's estimator and the reproduction of Chawda et al. use it. Nothing here runs an estimator or
 simulates a rig.
 """
 
@@ -25,23 +25,26 @@ _QUADRATURE = 4001  # directions; more change the contraction by less than 1e-6
 
 
 def hba_mu1(mu2: float) -> float:
-    """Return the smallest μ1 allowed by the homogeneity-based approach, (μ2² + 4)/(μ2² − 4); infinite for μ2 ≤ 2."""
+    """Return the smallest μ1 = α/C that the homogeneity-based proof allows for μ2 = λ/√C; infinite for μ2 ≤ 2.
+
+    It is (μ2² + 4)/(μ2² − 4).
+    """
     square = mu2 * mu2
     return (square + 4.0) / (square - 4.0) if mu2 > 2.0 else math.inf
 
 
 def lfba_mu1(mu2: float) -> float:
-    """Return the bound that μ1 must exceed in the Lyapunov-function-based approach, 3 + 2/μ2²; infinite for μ2 ≤ 0."""
+    """Return the bound that μ1 = α/C must exceed in the Lyapunov-based proof, 3 + 2/μ2²; infinite for μ2 ≤ 0."""
     return 3.0 + 2.0 / (mu2 * mu2) if mu2 > 0.0 else math.inf
 
 
 def in_hba(mu1: float, mu2: float) -> bool:
-    """Return True if (μ1, μ2) lies in the homogeneity-based region, equation (10): α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
+    """Return True if (μ1, μ2) lies in the region of the homogeneity-based proof: α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
     return mu2 > 2.0 and mu1 >= hba_mu1(mu2)
 
 
 def in_lfba(mu1: float, mu2: float) -> bool:
-    """Return True if (μ1, μ2) lies in the Lyapunov-function-based region, equation (14): α > 3·C + 2·C²/λ², λ > 0."""
+    """Return True if (μ1, μ2) lies in the region of the Lyapunov-based proof: α > 3·C + 2·C²/λ², λ > 0."""
     return mu2 > 0.0 and mu1 > lfba_mu1(mu2)
 
 
@@ -52,18 +55,19 @@ def find_crossing() -> tuple[float, float]:
 
 
 def half_cycle_contraction(mu1: float, mu2: float) -> float:
-    """Return the largest ratio of |x2| after a half cycle to |x2| before it, over all disturbances |f̈| ≤ C.
+    """Return how much the error of Levant's differentiator grows in a half cycle, in the worst case (a ratio).
 
-    Below 1 the error of the continuous differentiator contracts for every such signal, and converges in finite time;
-    0 means that no disturbance can move the error across x1 = 0.
+    It is the largest ratio of |x2| (error of the velocity) after a half cycle to |x2| before, over all disturbances
+    |f̈| ≤ C. Below 1 the error of the continuous differentiator contracts for every such signal, and converges in
+    finite time; 0 means that no disturbance can move the error across x1 = 0.
 
     Notes
     -----
-    With x1 = w² and time stretched by w, equation (12) becomes linear between sign changes of x1:
-    w' = (x2 − μ2·w)/2, x2' = −(μ1 + d)·w with |d| ≤ 1. In polar coordinates of (w, x2) the angle must fall
-    from π/2 to −π/2; the growth of the radius per angle is a linear fraction of d, so that d = 1 or
-    d = −1 is the worst in every direction, and the worst case is the integral of the pointwise maximum. If the
-    angle stays constant, the radius only shrinks. The integral is computed numerically; it is not a proof.
+    With x1 = w² and time stretched by w, equation (12) becomes linear between sign changes of x1: w' = (x2 − μ2·w)/2,
+    x2' = −(μ1 + d)·w with |d| ≤ 1. In polar coordinates of (w, x2) the angle must fall from π/2 to −π/2; the growth of
+    the radius per angle is a linear fraction of d, so that d = 1 or d = −1 is the worst in every direction, and the
+    worst case is the integral of the pointwise maximum. If the angle stays constant, the radius only shrinks. The
+    integral is computed numerically; it is not a proof.
 
     Source: derived for this project.
     """
@@ -83,7 +87,7 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
 
 
 def worst_case_mu2(mu1: float) -> float:
-    """Return the smallest μ2 for which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
+    """Return the smallest μ2 = λ/√C with which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
     if mu1 <= 1.0:
         return math.inf
     low, high = 0.0, LARGEST_MU2

@@ -56,11 +56,11 @@ def estimator(
 ) -> Callable[[Callable[..., float]], Estimator]:
     """Return a decorator that makes a velocity estimator of a plain function and compiles it at once.
 
-    The function returns the velocity (rad/s or m/s). Its arguments select what is passed: ``travel`` since the
-    previous sample (rad or m), ``elapsed_s`` since then (s), ``edge_age_s`` (time since the last encoder edge, s),
-    ``effort`` (mean effort of the motor since the previous sample, N·m or N), ``memory``, and ``p`` with the
-    parameters of the estimator, ``p.resolution`` (travel for one count, rad or m, negative if counts fall while the
-    position rises) and ``p.period_s`` (s).
+    The function returns the velocity (rad/s or m/s). Its arguments select what is passed: ``travel`` since the previous
+    sample (rad or m), ``elapsed_s`` since then (s), ``edge_age_s`` (time since the last encoder edge, s), ``effort``
+    (mean effort of the motor since the previous sample, N·m or N), ``memory``, and ``p`` with the parameters of the
+    estimator, ``p.resolution`` (travel for one count, rad or m, negative if counts fall while the position rises) and
+    ``p.period_s`` (s).
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def estimator(
         Settings by name: a default, or a `Parameter` with range, unit and meaning. An experiment sets them under
         ``[controller.parameters]``.
     memory
-        Names of the numbers that it stores from call to call; each is zero when a run begins.
+        Names of the numbers that the estimator stores from call to call; each is zero when a run begins.
     name
         Name in experiments and recordings; default: name of the function, with hyphens.
     source

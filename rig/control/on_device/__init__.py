@@ -1,7 +1,8 @@
 """Device parameters of an estimator and of a wall: parameters of the host's kernels, scaled and rounded.
 
 `rig.config.device_law` combines them; a program for your own board may use the estimator's parameters only. Nothing
-here reads an experiment or sends values. A function that the device does not have raises `NotOnDeviceError`.
+here reads an experiment or sends values. If the device does not have a law or an estimator, `NotOnDeviceError` is
+raised.
 """
 
 from rig.control.on_device._errors import ELSE_HOST, NotOnDeviceError, refusal

@@ -19,6 +19,9 @@ class NotOnDeviceError(PlanError):
 
 
 def refusal(key: str, value: object, why: str, remedy: str) -> NotOnDeviceError:
-    """Return the error for a key whose value a law on the device does not support."""
+    """Return the error for a key of the experiment whose value a law on the device does not support.
+
+    `why` is the reason, `remedy` the alternative setting.
+    """
     shown = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else value
     return NotOnDeviceError(key, shown, why, remedy)

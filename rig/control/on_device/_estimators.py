@@ -74,7 +74,7 @@ def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Val
 
 
 def velocity_format(prepared: Prepared) -> Format:
-    """Return the fixed-point format of the velocity, with the word of 32 bits for which the wall's sums are checked."""
+    """Return the fixed-point format of an estimator's velocity (counts per period), in words of 32 bits."""
     return Format(WORD_BITS, int(prepared.parameters[fixed.STATE_BITS]))
 
 
@@ -95,7 +95,7 @@ def _biquad(own: Floats) -> Values:
 
 
 def _low_pass(own: Floats) -> Values:
-    """Return parameters of trapezoidal integrators in place of coefficients; firmware/law/law.h derives them."""
+    """Return the device parameters of a Butterworth low pass: gains of trapezoidal integrators (firmware/law/law.h)."""
     sections = own[fdm_butterworth.B0 :].reshape(-1, fdm_butterworth.SECTION).tolist()
     # All zeros are at -1, so it does not matter which section scipy gave them to, nor where the odd one stands.
     sections.sort(key=lambda section: section[-1] == 0.0)

@@ -27,7 +27,7 @@ Control = Mapping[str, Any]  # `rig.control.step.CONTROL` as plain numbers
 
 @dataclass(frozen=True, slots=True)
 class DeviceWall:
-    """The wall that a device renders.
+    """The wall that a device renders, in SI units, after scaling and rounding.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class DeviceWall:
 def common_parameters(name: str, law: Floats) -> Values:
     """Return the device parameters of a wall that are the same in integers and in float32.
 
-    Raises `PlanError` if the device does not have the law.
+    `name` is the name of the law, `law` its parameters. Raises `PlanError` if the device does not have the law.
     """
     if name not in LAWS:
         if name.endswith("+friction"):
@@ -66,14 +66,17 @@ def common_parameters(name: str, law: Floats) -> Values:
 
 
 def options(name: str, law: Floats) -> tuple[bool, bool]:
-    """Return two flags: the wall may pull; damping acts on entry only. Both are False for a bilateral law."""
+    """Return two flags of a law: the wall may pull; damping acts on entry only. Both are False for bilateral laws."""
     if name in BILATERAL or len(law) < PARAMETERS:
         return False, False
     return bool(law[MAY_PULL]), bool(law[ENTRY_ONLY])
 
 
 def float_wall(c: Control, law: Floats) -> Values:
-    """Return the wall's parameters in float32; its surface is a whole count and a fraction, so that depth is exact."""
+    """Return the wall's device parameters in float32, in counts and quanta.
+
+    The surface is a whole count and a fraction, so that the depth is exact.
+    """
     delta, quantum, period_s = _scales(c)
     surface = c["wall_position"] / delta
     return {
@@ -85,7 +88,7 @@ def float_wall(c: Control, law: Floats) -> Values:
 
 
 def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the wall in SI units from the parameters of `float_wall`.
+    """Return the wall in SI units from the device parameters of `float_wall`.
 
     The error of float32 is 2⁻²⁴ (relative) for stiffness and damping, and 2⁻²⁵ counts for the position.
     """
@@ -99,7 +102,7 @@ def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def float_guard(c: Control) -> Values:
-    """Return the parameters of constant effort, limits and homing servo in float32."""
+    """Return the device parameters of constant effort, limits and homing servo in float32, in counts and quanta."""
     delta, quantum, period_s = _scales(c)
     return {
         "float_constant": c["constant_effort"] / quantum,
@@ -117,7 +120,7 @@ def float_guard(c: Control) -> Values:
 def designed_wall(
     c: Control, name: str, law: Floats, velocity: Format, added_quanta: float = 0.0
 ) -> FixedWall:
-    """Return the wall in integers; its sums have room for a further effort of `added_quanta` quanta.
+    """Return the wall in integers; its sums have bits for a further effort of `added_quanta` quanta.
 
     Raises `PlanError` if the wall does not fit the integers of the device.
     """
@@ -141,24 +144,25 @@ def designed_wall(
         )
     except ConfigError as error:
         raise PlanError(
-            f"[wall] with stiffness {law[STIFFNESS]:g} and damping {law[DAMPING]:g} in integers: {error.message}",
+            f"the wall with stiffness {law[STIFFNESS]:g} and damping {law[DAMPING]:g} does not fit the device's "
+            f"integers: {error.message}",
             remedy=f'{error.remedy}, or choose controller.arithmetic = "float32"',
         ) from None
 
 
 def fixed_wall(wall: FixedWall) -> Values:
-    """Return the device parameters of a wall in integers, by name; a 64-bit number becomes ``…_high`` and ``…_low``."""
+    """Return the device parameters of a wall in integers; a 64-bit number becomes ``…_high`` and ``…_low``."""
     return {
         "fixed_surface": wall.surface,
         "fixed_stiffness": wall.stiffness,
         "fixed_damping": wall.damping,
         "fixed_shift": wall.shift,
-        **_halves("fixed_constant", wall.constant),
+        **_split_halves("fixed_constant", wall.constant),
     }
 
 
 def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the wall in SI units from the parameters of `fixed_wall`.
+    """Return the wall in SI units from the device parameters of `fixed_wall`.
 
     The rounding error of `rig.control._fixed_wall.design_wall` is half of 2⁻ˢ quanta (s = fixed_shift) for each LSB of
     depth or velocity, and 2⁻⁹ counts for the position.
@@ -174,7 +178,7 @@ def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def fixed_guard(c: Control, velocity: Format) -> Values:
-    """Return the parameters of limits and homing servo in integers.
+    """Return the device parameters of limits and homing servo in integers.
 
     Raises `PlanError` if the servo does not fit the integers of the device.
     """
@@ -203,14 +207,14 @@ def fixed_guard(c: Control, velocity: Format) -> Values:
         "fixed_home_stiffness": round(gains["stiffness"] * 2**shift),
         "fixed_home_damping": round(gains["damping"] * 2**shift),
         "fixed_home_shift": shift,
-        **_halves("fixed_home_effort", round(c["home_effort"] / quantum * 2**shift)),
+        **_split_halves("fixed_home_effort", round(c["home_effort"] / quantum * 2**shift)),
     }
 
 
-def _halves(name: str, value: int) -> Values:
+def _split_halves(name: str, value: int) -> Values:
     return {f"{name}_high": value >> 32, f"{name}_low": value & 0xFFFFFFFF}
 
 
 def _scales(c: Control) -> tuple[float, float, float]:
-    """Return travel for one count (rad or m), effort of a quantum (N·m or N) and velocity period (s)."""
+    """Return travel for one count (rad or m), effort of a current quantum (N·m or N) and velocity period (s)."""
     return abs(c["resolution"]), c["effort_quantum"], c["tick_s"] * c["velocity_divider"]

@@ -50,7 +50,7 @@ def test_counts_round_to_the_nearest_and_keep_the_shape() -> None:
 
 @pytest.mark.parametrize("position", [math.nan, math.inf, 1e30])
 def test_a_position_that_no_counter_holds_is_refused(position: Any) -> None:
-    with pytest.raises(ConfigError, match="not finite or beyond"):
+    with pytest.raises(ConfigError, match="not finite or is beyond"):
         quantise([0.0, position], 1e-6)
 
 
@@ -151,11 +151,11 @@ WRONG = {
     "no resolution": ({"resolution": 0.0}, "not a travel per count"),
     "floats as counts": ({"counts": [0.1, 0.2]}, "not a whole number.*quantise"),
     "table of counts": ({"counts": [[1, 2]]}, "2 dimensions"),
-    "edges of another length": ({"edge_time": [0.0]}, "3 counts, but edge_time has shape"),
+    "edges of another length": ({"edge_time": [0.0]}, "3 counts are given, but edge_time has shape"),
     "edge in the future": ({"edge_time": [0.0, 0.0, 1.0]}, "later than its sample"),
     "edges as dates": ({"edge_time": np.zeros(3, "M8[ns]")}, "holds dates"),
     "edge that is no number": ({"edge_time": [0.0, 0.0, math.nan]}, "not a number"),
-    "elapsed of another length": ({"elapsed": [1, 1]}, "3 counts, but 2 values of elapsed"),
+    "elapsed of another length": ({"elapsed": [1, 1]}, "3 counts are given, but 2 values of elapsed"),
     "time that stands still": ({"elapsed": [1, 0, 1]}, "below 1"),
 }
 

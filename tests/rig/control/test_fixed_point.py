@@ -55,7 +55,7 @@ def test_a_format_knows_its_name_its_step_and_its_ends() -> None:
     assert q.quantised(-8.0) == -32768
     assert q.quantised(0.5 * q.lsb) == 1  # halves towards +∞
     assert q.quantised(-0.5 * q.lsb) == 0
-    with pytest.raises(ConfigError, match=r"gain = 8 does not fit Q4\.12.*7\.99.*longer word"):
+    with pytest.raises(ConfigError, match=r"gain = 8 does not fit the format Q4\.12.*7\.99.*longer word"):
         q.quantised(8.0, "gain")
 
 

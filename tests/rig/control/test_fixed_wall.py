@@ -109,12 +109,12 @@ def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand() -> Non
         ({"effort_limit": 10.0}, r"effort limit 10 is 42735 current quanta; allowed are 0 to 32767"),
         ({"stiffness": 1e13}, r"stiffness is .* quanta; allowed are 0 to 2147483647.*softer"),
         ({"stiffness": -1.0}, r"stiffness is .* quanta; allowed are 0 to"),
-        ({"damping": 1e-9}, r"damping is .* quanta per LSB.* can represent only as 0"),
+        ({"damping": 1e-9}, r"damping is .* quanta per LSB.* can represent only as the integer 0"),
         (
             {"stiffness": 0.5625, "damping": 7.0, "velocity": Format(20, 0)},
             r"stiffness is .* can represent only as \d+",
         ),
-        ({"wall_position": 2000.0}, r"wall position in counts = .* does not fit Q24\.8"),
+        ({"wall_position": 2000.0}, r"wall position in counts = .* does not fit the format Q24\.8"),
     ],
 )
 def test_wall_beyond_its_words_is_refused(given: Any, message: str) -> None:

@@ -54,7 +54,7 @@ def test_other_parameters_make_another_law_and_leave_this_one_alone(stiffening: 
     with pytest.raises(ConfigError, match=r"unknown parameter 'quadratc'; did you mean quadratic\?"):
         stiffening.with_parameters(quadratc=0.0)
     with pytest.raises(
-        ConfigError, match=r"quadratic = -1 is out of range; give a number, 0 to 1e\+06 N·m/rad²"
+        ConfigError, match=r"quadratic = -1 is out of range; give a number from 0 to 1e\+06 N·m/rad²"
     ):
         stiffening.with_parameters(quadratic=-1)
     with pytest.raises(ConfigError, match=r"quadratic = nan"):
@@ -226,7 +226,7 @@ def remembers(memory: Memory) -> float:
             remembers,
             r"argument 'memory' is used, but no memory is declared; declare .*: memory=\(\"previous\",\)",
         ),
-        (math.sin, r"law 'sin' is not a plain function"),
+        (math.sin, r"law 'sin' is not a plain Python function"),
     ],
 )
 def test_an_unknown_argument_is_refused_and_the_message_lists_the_valid_ones(
@@ -241,12 +241,12 @@ def test_an_unknown_argument_is_refused_and_the_message_lists_the_valid_ones(
     [
         (
             {"parameters": {"stiffness": 1.0}},
-            r"'stiffness' is reserved: every p has stiffness, damping, tick_s",
+            r"'stiffness' of a parameter is reserved: every p has stiffness, damping, tick_s",
         ),
         ({"parameters": {"two words": 1.0}}, r"parameter 'two words' is not a valid name"),
         ({"parameters": {"gain": math.inf}}, r"gain = inf is out of range"),
         ({"parameters": {"gain": "much"}}, r"gain = 'much' is out of range"),
-        ({"memory": ("x", "x")}, r"memory 'x' is given twice"),
+        ({"memory": ("x", "x")}, r"name 'x' of a memory is given twice"),
         ({"memory": ("_x",)}, r"memory '_x' is not a valid name"),
         ({"memory": ("class",)}, r"memory 'class' is not a valid name"),
     ],

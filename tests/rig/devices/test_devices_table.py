@@ -184,7 +184,7 @@ def test_sim_without_a_name_needs_a_model() -> None:
     [
         ("serial:///dev/x", "serial:///dev/x cannot be served"),
         ("sim://?offset=0.25", "offset"),  # an option of virtual time
-        ("sim://?firmware=2", "neither 0 nor 1"),
+        ("sim://?firmware=2", "must be 0 or 1"),
     ],
 )
 def test_a_url_that_cannot_be_served_is_refused(url: str, words: str) -> None:

@@ -123,7 +123,7 @@ def test_an_invalid_rate_is_refused(baud: str, line: Any) -> None:
 def test_unknown_options_and_no_port_are_refused(line: Any) -> None:
     with pytest.raises(ConfigError, match="parity"):
         opened(line.path, parity="even")
-    with pytest.raises(ConfigError, match="no port"):
+    with pytest.raises(ConfigError, match="no serial port"):
         opened("")
 
 

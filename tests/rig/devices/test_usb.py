@@ -253,7 +253,7 @@ def test_without_libusb_the_package_is_named(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_an_untested_libusb_is_named_and_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     device = SimpleNamespace(backend=SimpleNamespace(lib=SimpleNamespace(), ctx=None))
-    assert "backend is not libusb 1.0" in usb_handle._strange(device)
+    assert "backend is not libusb 1.0" in usb_handle._find_difference(device)
     monkeypatch.setattr(usb_handle, "_version", lambda: (1, 9))
     assert "not among the tested ones" in usb_handle.unsuitable(device)
     assert usb_handle._own_backend() is None
