@@ -1,8 +1,4 @@
-"""Butterworth filters as second-order sections: the bilinear, prewarped design.
-
-Laws and measurements use it instead of `scipy.signal.butter`, which gives the same coefficients (a test compares them)
-but takes a second to load, in every hit.
-"""
+"""Butterworth filters as second-order sections: the bilinear, prewarped design."""
 
 from __future__ import annotations
 
@@ -11,17 +7,22 @@ from typing import Any
 
 import numpy as np
 
+# Not `scipy.signal.butter`, which gives the same coefficients (a test compares them): it takes a second to load, which
+# every hit would need.
 _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a low pass, fastest poles first; the first contains the gain."""
+    """Return the second-order sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass, fastest poles first.
+
+    The first section contains the gain.
+    """
     corner = _prewarp(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 
 
 def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a high pass of even order, fastest poles first."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth high pass of even order, fastest poles first."""
     prototype = _prototype(order)
     return _sections(
         _prewarp(cutoff_hz, rate_hz) / prototype, np.ones(order), float(np.real(1.0 / np.prod(-prototype)))
@@ -29,7 +30,7 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a band pass with two poles per edge, fastest poles first."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth band pass, two poles per edge, fastest first."""
     low, high = _prewarp(low_hz, rate_hz), _prewarp(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)

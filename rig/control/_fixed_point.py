@@ -40,7 +40,10 @@ TOLERANCE = 0.1  # relative error of gain at rest, and of 1 + a1 + a2, that a de
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def shift_right(value: int, bits: int, rounding: int) -> int:
-    """Return value / 2^bits, rounded by a rule of `ROUNDINGS`; 0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits."""
+    """Return value / 2^bits, rounded by the rule `rounding` (index into `ROUNDINGS`).
+
+    0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits.
+    """
     if rounding == NEAREST:
         value += (1 << bits) >> 1
     elif rounding == ZERO and value < 0:

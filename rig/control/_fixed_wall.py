@@ -35,7 +35,7 @@ PRECISION = 1e-3  # relative, of a gain that is not zero
 
 
 class FixedWall(NamedTuple):
-    """Integers of a wall, its constant effort and its effort limit, for `current_quanta` or for a device."""
+    """A wall, its constant effort and its effort limit as integers, for devices without floating point."""
 
     reference: int  # count at position zero
     direction: int  # ±1: the wall is entered with rising or falling counts

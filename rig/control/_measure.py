@@ -248,7 +248,7 @@ def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
 
 @kernel(types.float64(_SIGNAL, SETTINGS_TYPE), no_refcount=True)
 def _toggling_hz(position: Floats, settings: Records) -> float:
-    """Return the frequency (Hz) at which the encoder count toggles in the tail of a trial.
+    """Return the frequency (Hz) at which the encoder count toggles in the tail (last part) of a trial.
 
     It is half the rate of the changes that are not motion: changes against the direction of the previous change, and
     slow steps of a creeping count.
@@ -325,7 +325,8 @@ def _ripple_and_travel(
 ) -> None:
     """Write heard, moved and growth in the tail, and heard and moved of the stay in the wall, to `numbers`.
 
-    *heard* is the rms ripple of the effort, *moved* the peak-to-peak position, both above the high pass.
+    *heard* is the rms ripple of the effort, *moved* the peak-to-peak position, both above the high pass; *growth* is
+    the ratio of the ripple in the second half of the tail (last part of the trial) to the first half.
     """
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
@@ -384,9 +385,9 @@ def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> flo
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), no_refcount=True)
 def _felt(position: Floats, velocity: Floats, settings: Records, sections: Floats, scratch: Floats) -> float:
-    """Return the rms velocity (rad/s or m/s) within the band over the tail, filtered forwards and then backwards.
+    """Return the rms velocity (rad/s or m/s) within the band over the tail (last part) of a trial.
 
-    The forward pass writes to `scratch`. Filtering in both directions cancels the phase.
+    The signal is filtered forwards, to `scratch`, and then backwards, which cancels the phase.
     """
     s = settings[0]
     ticks, rate_hz = position.shape[0], 1.0 / s["tick_s"]

@@ -286,7 +286,7 @@ def _back_emf(words: Ints, count: int) -> int:
 
 @rule
 def _smooth(words: Ints, measured: int) -> None:
-    """Low-pass filter the residual current (without back-EMF) and the expected current like the speed."""
+    """Low-pass filter the residual current (without back-EMF) and the expected current, over `SPEED_LAG_S`."""
     left = measured * _UNIT - words[CURRENT.expected]
     # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
     share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
@@ -318,6 +318,6 @@ def _part(difference: int, share: int) -> int:
 
 @rule
 def _follow(words: Ints, place: int, before: int, share: int) -> int:
-    """Move a lag's output ``words[place]`` towards its input `before` by `share`/65536 of the distance; return it."""
+    """Move a lag's output ``words[place]`` towards the input `before` by `share`/65536 of their distance; return it."""
     words[place] += _part(before - words[place], share)
     return int(words[place])

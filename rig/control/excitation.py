@@ -229,7 +229,7 @@ class Multisine:
         if samples < 1 or abs(rate_hz * self.period_s - samples) > ON_GRID:
             raise ConfigError(
                 f"a period of {self.period_s:g} s is not a whole number of samples at {rate_hz:g} Hz",
-                remedy=f"choose a whole multiple of 1/({rate_hz:g} Hz)",
+                remedy=f"choose a period that is a whole multiple of 1/({rate_hz:g} Hz)",
             )
         if 2 * self.harmonics[-1] >= samples:
             raise ConfigError(

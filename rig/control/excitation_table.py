@@ -127,7 +127,7 @@ class ExcitationTable:
             value = getattr(self, name)
             if not least <= value <= most:
                 raise ConfigError(
-                    f"{name} = {value} is out of range for an excitation by the device",
+                    f"{name} = {value} is out of range for an excitation that the device plays",
                     remedy=f"choose {name} from {least} to {most}",
                 )
         if self.phases not in PHASES:
@@ -143,8 +143,8 @@ class ExcitationTable:
             )
         if self.lines * self.amplitude > MOST_SUM:
             raise ConfigError(
-                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each exceed the device's sum of "
-                f"{MOST_SUM / 2**LINE_BITS:g} quanta",
+                f"{self.lines} lines of {self.amplitude / 2**LINE_BITS:g} quanta each exceed the largest sum of "
+                f"amplitudes on a device, {MOST_SUM / 2**LINE_BITS:g} quanta",
                 remedy="lower the rms or the peak of the excitation",
             )
 
@@ -195,7 +195,7 @@ class ExcitationTable:
         if abs(ticks - round(ticks)) > 1e-6:
             raise ConfigError(
                 f"a period of {multisine.period_s:g} s is not a whole number of ticks at {rate_hz:g} Hz",
-                remedy=f"choose a whole multiple of 1/({rate_hz:g} Hz)",
+                remedy=f"choose a period that is a whole multiple of 1/({rate_hz:g} Hz)",
             )
         table = cls(
             lines=len(harmonics),

@@ -62,10 +62,10 @@ class Parameter:
     unit: str = ""
     meaning: str = ""
 
-    def checked(self, what: str, name: str, value: float) -> float:
+    def checked(self, function_name: str, name: str, value: float) -> float:
         """Return the value as a float; raise `ConfigError` if it is not a number within the parameter's range.
 
-        The message names the parameter `name` of `what`, for example ``law 'mine'``.
+        The message names the parameter `name` of `function_name`, for example ``law 'mine'``.
         """
         if (
             not isinstance(value, int | float)
@@ -74,7 +74,8 @@ class Parameter:
         ):
             span = f"{self.minimum:g} to {self.maximum:g} {self.unit}".rstrip()
             raise ConfigError(
-                f"{what}: parameter {name} = {value!r} is out of range", remedy=f"give a number from {span}"
+                f"{function_name}: parameter {name} = {value!r} is out of range",
+                remedy=f"give a number from {span}",
             )
         return float(value)
 
@@ -124,19 +125,19 @@ def compile_function(
     ConfigError
         An argument, parameter or name of memory is invalid, or the function cannot be compiled.
     """
-    what = f"{form.kind} {getattr(function, '__name__', function)!r}"
+    function_name = f"{form.kind} {getattr(function, '__name__', function)!r}"
     own = {
         key: value if isinstance(value, Parameter) else Parameter(default=value)
         for key, value in parameters.items()
     }
     for key, parameter in own.items():
-        parameter.checked(what, key, parameter.default)
-    _check_names(what, "parameter", own, taken=form.given)
-    _check_names(what, "memory", memory, taken=())
-    arguments = _check_arguments(form, what, function, memory)
+        parameter.checked(function_name, key, parameter.default)
+    _check_names(function_name, "parameter", own, taken=form.given)
+    _check_names(function_name, "memory", memory, taken=())
+    arguments = _check_arguments(form, function_name, function, memory)
     seen = namedtuple("Parameters", [*form.given, *own])  # type: ignore[misc]
     kept = np.dtype((np.record, [(one, np.float64) for one in memory]))
-    inner = _compile(form, what, function, arguments, seen, kept)
+    inner = _compile(form, function_name, function, arguments, seen, kept)
     numbers = ", ".join(f"parameters[{k}]" for k in range(len(seen._fields)))
     sources = {
         **{argument: source for argument, (_, source) in form.quantities.items()},
@@ -145,7 +146,7 @@ def compile_function(
     }
     call = f"float(function({', '.join(sources[argument] for argument in arguments)}))"
     scope: dict[str, Any] = {**form.names, "function": inner, "seen": seen, "kept": kept}
-    exec(compile(form.around.format(call=call), f"<{what}>", "exec"), scope)
+    exec(compile(form.around.format(call=call), f"<{function_name}>", "exec"), scope)
     return Compiled(
         name=name or function.__name__.replace("_", "-"),
         summary=(inspect.getdoc(function) or function.__name__).partition("\n")[0],
@@ -155,59 +156,62 @@ def compile_function(
     )
 
 
-def unknown_name(what: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
+def unknown_name(function_name: str, noun: str, name: str, known: Iterable[str]) -> ConfigError:
     """Return the error for an unknown name; its remedy is the closest known name, or else all known names.
 
-    `what` is the subject of the message (``law 'mine'``), `noun` the kind of the name ("parameter").
+    `function_name` is the subject of the message (``law 'mine'``), `noun` the kind of the name ("parameter").
     """
     close = get_close_matches(name, list(known), n=1)
     choice = f"choose one of: {', '.join(known)}" if list(known) else f"remove it: no {noun} is defined"
     return ConfigError(
-        f"{what}: unknown {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
+        f"{function_name}: unknown {noun} {name!r}", remedy=f"did you mean {close[0]}?" if close else choice
     )
 
 
-def _check_names(what: str, noun: str, names: Iterable[str], taken: Sequence[str]) -> None:
+def _check_names(function_name: str, noun: str, names: Iterable[str], taken: Sequence[str]) -> None:
     seen: set[str] = set(taken)
     for name in names:
         if not name.isidentifier() or iskeyword(name) or name.startswith("_"):
             raise ConfigError(
-                f"{what}: {noun} {name!r} is not a valid name",
+                f"{function_name}: {noun} {name!r} is not a valid name",
                 remedy="use letters, digits and _, and begin with a letter",
             )
         if name in seen:
             why = f"is reserved: every p has {', '.join(taken)}" if name in taken else "is given twice"
-            raise ConfigError(f"{what}: the name {name!r} of a {noun} {why}", remedy="choose another name")
+            raise ConfigError(
+                f"{function_name}: the name {name!r} of a {noun} {why}", remedy="choose another name"
+            )
         seen.add(name)
 
 
 def _check_arguments(
-    form: Form, what: str, function: Callable[..., float], memory: Sequence[str]
+    form: Form, function_name: str, function: Callable[..., float], memory: Sequence[str]
 ) -> list[str]:
     """Return the argument names of a user's function; raise `ConfigError` if the form has no such argument."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
-            f"{what} is not a plain Python function", remedy="decorate a function that is defined by def"
+            f"{function_name} is not a plain Python function",
+            remedy="decorate a function that is defined by def",
         )
     known = {name: meaning for name, (meaning, _) in form.quantities.items()}
     known |= {MEMORY: "values that it stores", PARAMETERS: "its parameters"}
     for argument in inspect.signature(function).parameters.values():
-        where = f"{what} ({_describe_place(function)}): argument {argument.name!r}"
+        argument_name = f"{function_name} ({_describe_place(function)}): argument {argument.name!r}"
         if argument.kind is not argument.POSITIONAL_OR_KEYWORD or argument.default is not argument.empty:
             raise ConfigError(
-                f"{where} must be positional, without a default",
+                f"{argument_name} must be positional, without a default",
                 remedy="write only its name; declare numbers of your own as parameters of the decorator",
             )
         if argument.name not in known:
             close = get_close_matches(argument.name, known, n=1)
             choice = "; ".join(f"{name}: {meaning}" for name, meaning in known.items())
             raise ConfigError(
-                f"{where} is unknown",
+                f"{argument_name} is unknown",
                 remedy=f"did you mean {close[0]}?" if close else f"choose from {choice}",
             )
         if argument.name == MEMORY and not memory:
             raise ConfigError(
-                f"{where} is used, but no memory is declared",
+                f"{argument_name} is used, but no memory is declared",
                 remedy='declare the values that it stores: memory=("previous",)',
             )
     return list(inspect.signature(function).parameters)
@@ -215,7 +219,7 @@ def _check_arguments(
 
 def _compile(
     form: Form,
-    what: str,
+    function_name: str,
     function: Callable[..., float],
     arguments: Sequence[str],
     seen: type[tuple[float, ...]],
@@ -239,14 +243,14 @@ def _compile(
         reason, remedy = _find_reason(str(error), form, seen, kept)
         line = _find_line(str(error), function)
         raise ConfigError(
-            f"{what} ({_describe_place(function, line)}) cannot be compiled: {reason}", remedy=remedy
+            f"{function_name} ({_describe_place(function, line)}) cannot be compiled: {reason}", remedy=remedy
         ) from None
     returned = dispatcher.nopython_signatures[0].return_type
     if returned not in (numba.float64, numba.float32, numba.int64, numba.int32):
         optional = isinstance(returned, numba.types.Optional | numba.types.NoneType)
-        how = "returns no value on one of its paths" if optional else f"returns {returned}"
+        problem = "returns no value on one of its paths" if optional else f"returns {returned}"
         raise ConfigError(
-            f"{what} ({_describe_place(function)}) {how}", remedy="return a number on every path"
+            f"{function_name} ({_describe_place(function)}) {problem}", remedy="return a number on every path"
         )
     return dispatcher
 
@@ -298,7 +302,7 @@ def _find_reason(
 
 
 def _find_line(text: str, function: Callable[..., float]) -> int | None:
-    """Return the first line of the function's source that the compiler's report names; None if there is none."""
+    """Return the first line of the function's source that the compiler's report names; None if it names no line."""
     code = function.__code__
     lines = {line for _, _, line in code.co_lines() if line}
     file = re.escape(Path(code.co_filename).name)

@@ -182,7 +182,7 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
     """Return the reasons against calling trials stable, as bits of `Objection` for each trial.
 
     `numbers` is a record of `rig.control._measure.NUMBERS` (one trial) or an array of records. The thresholds must be
-    those used for the measurement, because *felt* is NaN if its floor exceeded the threshold.
+    those used for the measurement, because the velocity ripple *felt* is NaN if its floor exceeded the threshold.
     """
     n: Any = numbers
     # Plain numbers are compared ten times as fast as numpy's scalars.

@@ -223,7 +223,7 @@ def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    """Exchanges as arrays for the fit: device time, host time (s), offset host − device, round trip (ns).
+    """Clock exchanges as arrays: device time, host time (s), offset host − device, round trip (ns).
 
     Times and offset count from their own origins (ns): floating point needs small numbers.
     """
@@ -246,7 +246,7 @@ class _Points:
         return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
 
     def excess(self, keep: _Mask) -> _Floats:
-        """Return the round trip of each exchange minus the least one of the exchanges in `keep` (ns, at least 0)."""
+        """Return the round trip of each clock exchange minus the least one of those in `keep` (ns, at least 0)."""
         return np.asarray(np.maximum(self.trip - self.trip[keep].min(), 0), np.float64)
 
 
@@ -284,7 +284,7 @@ def _not_slow(points: _Points, keep: _Mask) -> _Mask:
 
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
-    """Return the standard uncertainty (ns) of each exchange's offset, which grows with its round trip."""
+    """Return the standard uncertainty (ns) of each clock exchange's offset, which grows with its round trip."""
     excess = points.excess(keep)
     fast = np.sort(excess[keep])
     number = len(fast)
@@ -317,7 +317,7 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
-    """Return a mask of the exchanges within `OFF_LINE` scaled uncertainties of a line of offset over host time.
+    """Return a mask of the clock exchanges within `OFF_LINE` scaled uncertainties of a line over host time.
 
     The scale follows from the median of the residuals. `height` is in ns, `slope` in ns/s.
     """
@@ -329,7 +329,7 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
 
 
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
-    """Return the line of offset over device time by weighted regression with priors, and its uncertainties."""
+    """Return the line of clock offset over device time by weighted regression with priors, and its uncertainties."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
     # Time from its weighted centre: offset and drift are then nearly independent, and the matrix well conditioned.

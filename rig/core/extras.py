@@ -34,7 +34,7 @@ _REMEDY = "install haptic-rig again"
 
 
 class ExtraRow(NamedTuple):
-    """One part (command, URL scheme, …) that an extra adds: its name, its import target, and further keys."""
+    """One part (command, URL scheme, …) that an extra (optional package) adds: name, import target, further keys."""
 
     name: str
     target: str
@@ -53,7 +53,7 @@ class ExtraTable(NamedTuple):
 
 @cache
 def tables() -> tuple[ExtraTable, ...]:
-    """Return the table of each package and each extra that adds parts, including broken tables."""
+    """Return the tables of the parts (commands, URL schemes, …) that packages and extras add, broken ones too."""
     found: list[ExtraTable] = []
     for folder in _folders():
         table = _read(folder)
@@ -69,7 +69,7 @@ def tables() -> tuple[ExtraTable, ...]:
 
 
 def added(kind: str) -> dict[str, ExtraRow]:
-    """Return all parts of one kind (a key of `KINDS`) by name, without those of broken extras."""
+    """Return all parts of one kind that extras add (key of `KINDS`, such as "commands"), by name."""
     return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
 
 
@@ -79,9 +79,9 @@ def broken() -> dict[str, str]:
 
 
 def find(kind: str, name: str, extra: str = "") -> ExtraRow:
-    """Return the part with this kind and name; raise `ConfigError` if no extra adds it.
+    """Return the part (command, URL scheme, …) with this name; raise `ConfigError` if no extra adds it.
 
-    `extra` is the extra that should add the part, for the message.
+    `kind` is a key of `KINDS`; `extra` is the extra that should add the part, for the message.
     """
     rows = added(kind)
     if name in rows:
@@ -138,6 +138,6 @@ def _parse_rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, Ext
         more = dict(row)
         target = more.pop("target")
         if not isinstance(target, str) or ":" not in target:
-            raise ValueError(f"entry {name!r}: target {target!r} does not have the form module:attribute")
+            raise ValueError(f"part {name!r}: target {target!r} does not have the form module:attribute")
         found[name] = ExtraRow(name, target, owner, more)
     return found

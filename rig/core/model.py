@@ -443,7 +443,7 @@ class RigModel:
         return self.simulation.computation_delay_ticks + self.amplifier.set_point_ticks(tick_s)
 
     def held_by(self, operator: Operator | None, reach: OperatorReach | None) -> RigModel:
-        """Return a copy of the rig with a simulated person at its handle and no end mass; the same rig without one."""
+        """Return a copy of the rig with a simulated person and no end mass; the rig itself if `operator` is None."""
         if operator is None:
             return self
         bare = replace(self.mechanics, end_mass=0.0)

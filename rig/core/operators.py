@@ -3,11 +3,9 @@
 A verdict about a wall should be taken over all three. Theory, experiment files, `rig.doctor`, the design and sessions
 use them. This file must not simulate a hand.
 
-The values of *normal* are those of the simulation behind the reproduction of Koul et al.: pads of 10 g on 1500 N/m, a
-hand of 150 g on 300 N/m, a press of about 0.4 N·m at 0.1 m with a slow swell of ±20 % (a perfectly still hand hides a
-buzz behind Coulomb friction). *Relaxed* and *firm* span what the literature gives for hands: 50 to 800 N/m, 1 to 10
-N·s/m, 5 to 40 g at the handle; stiffness and damping rise with grip force while inertia hardly does (Hasser and
-Cutkosky), and so does the force of tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
+*Relaxed* and *firm* span what the literature gives for hands: 50 to 800 N/m, 1 to 10 N·s/m, 5 to 40 g at the handle;
+stiffness and damping rise with grip force while inertia hardly does (Hasser and Cutkosky), and so does the force of
+tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
 """
 
 from __future__ import annotations
@@ -39,6 +37,8 @@ GRIPS: dict[str, Operator] = {
             tremor=15e-6,
             **_TASK,
         ),
+        # The values of the simulation behind the reproduction of Koul et al.: a press of about 0.4 N·m at 0.1 m, with a
+        # slow swell, because a perfectly still hand hides a buzz behind Coulomb friction.
         Operator(
             grip="normal",
             pads_mass=0.010,

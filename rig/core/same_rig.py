@@ -82,7 +82,7 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
 
 
 def _inputs(model: RigModel) -> dict[str, SettingValue]:
-    """Return the board settings that wire encoder index and limit switch, if the rig's reference needs these inputs."""
+    """Return the settings ("wired") that the board must have for the rig's encoder index and limit switch."""
     given = model.reference
     needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
     return {name: "wired" for name, wanted in needed.items() if wanted}

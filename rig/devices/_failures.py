@@ -92,7 +92,7 @@ def failure(number: int, url: str) -> Failure:
 
 
 def link_error(number: int, url: str, place: str = "") -> LinkLostError:
-    """Return the exception for a call on a link that failed with this errno; it names `place` or else the URL."""
+    """Return the exception for a failed call on a link, from its errno; the message names `place` or the URL."""
     found = failure(number, url)
     why = f" ({os.strerror(number)})" if number else ""
     return found.kind(f"{place or url} {found.cause}{why}", remedy=found.remedy)

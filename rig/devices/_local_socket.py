@@ -1,9 +1,4 @@
-"""Link to a program on this computer through a Unix socket, such as a simulated device that is started for a run.
-
-A socket, not a pseudo-terminal: the kernel passes on the bytes of a pseudo-terminal in a worker thread, which waits for
-a processor like an ordinary program. Beside two busy programs it is milliseconds late, whatever the priorities at both
-ends are. A socket wakes its reader directly.
-"""
+"""Link to a program on this computer through a Unix socket, such as a simulated device that is started for a run."""
 
 from __future__ import annotations
 
@@ -40,6 +35,9 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
             f"{url.text}: the path of the socket is missing", remedy="write it like unix:///run/rig"
         )
     lock = _lock_socket(url.place)
+    # Not a pseudo-terminal: the kernel passes on its bytes in a worker thread, which waits for a processor like an
+    # ordinary program. Beside two busy programs it is milliseconds late, whatever the priorities at both ends are. A
+    # socket wakes its reader directly.
     end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     end.setblocking(False)
     try:

@@ -71,7 +71,7 @@ class ThreadedLine:
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
             if self._error and not self._pending:
-                raise OSError(self._error, "read")
+                raise OSError(self._error, "reading the port failed")
             return bool(self._pending)
 
     def _take(self, size: int) -> bytes:

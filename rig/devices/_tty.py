@@ -92,7 +92,7 @@ def hangs_up(descriptor: int) -> bool:
 
 
 def blocks_for_a_byte(descriptor: int) -> bool:
-    """Return True if VMIN is 1 and VTIME 0, so that reading 0 bytes can only mean a hang-up."""
+    """Return True if the serial line has VMIN = 1, VTIME = 0, so that reading 0 bytes can only mean a hang-up."""
     characters = termios.tcgetattr(descriptor)[_CC]
     return _number(characters[termios.VMIN]) == 1 and _number(characters[termios.VTIME]) == 0
 
@@ -103,7 +103,7 @@ def _number(character: int | bytes) -> int:
 
 
 def configure(descriptor: int) -> None:
-    """Set VMIN = 1, VTIME = 0, HUPCL off and non-blocking calls; raise `termios.error` if the line is gone."""
+    """Set a serial line to VMIN = 1, VTIME = 0, HUPCL off, non-blocking; raise `termios.error` if it is gone."""
     attributes = termios.tcgetattr(descriptor)
     # pyserial leaves VMIN at 0, where "nothing available" and "unplugged" both read 0 bytes.
     attributes[_CC][termios.VMIN] = 1

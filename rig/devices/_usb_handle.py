@@ -3,9 +3,6 @@
 This is the only file that uses pyusb's private names. `unsuitable` compares them with the tested versions, and returns
 the reason if the addresses cannot be used; then the device is used through pyusb's own calls
 (`rig.devices._usb_plain`).
-
-Each link has its own libusb context, with the thread that watches for devices. A new context lists the devices that are
-present now, not those that pyusb has cached, and closing it frees everything.
 """
 
 from __future__ import annotations
@@ -79,7 +76,7 @@ class Handle:
         allocate = _function(self._library, "libusb_alloc_transfer", ctypes.c_void_p, ctypes.c_int)
         address = allocate(0)
         if not address:
-            raise MemoryError("libusb_alloc_transfer")
+            raise MemoryError("libusb has no memory for another USB transfer")
         return int(address)
 
     def free_transfer(self, address: int) -> None:
@@ -132,6 +129,8 @@ def _own_backend() -> Any:
         if libusb1._lib is None:  # noqa: SLF001
             libusb1._lib = libusb1._load_library()  # noqa: SLF001
             libusb1._setup_prototypes(libusb1._lib)  # noqa: SLF001
+        # One context for each link, with the thread that watches for devices: a new context lists the devices that are
+        # present now, not those that pyusb has cached, and closing it frees everything.
         return libusb1._LibUSB(libusb1._lib)  # noqa: SLF001
     except Exception:  # whatever is missing, pyusb's own search gives a better error
         return None

@@ -48,9 +48,11 @@ class PlainTransfers(ThreadedLine):
             now = time.monotonic()
             self._blocked_since = self._blocked_since or now
             if now - self._blocked_since > OUT_LIMIT_S:
-                raise OSError(errno.ETIMEDOUT, "bulk write") from None
+                raise OSError(
+                    errno.ETIMEDOUT, f"the USB device accepts nothing for {OUT_LIMIT_S} s"
+                ) from None
             return 0
         self._blocked_since = None
         if sent < len(data) and sent % self._packet:  # a time-out falls between packets
-            raise OSError(EREMOTEIO, "bulk write")
+            raise OSError(EREMOTEIO, "the USB device accepted only a part of a packet")
         return sent

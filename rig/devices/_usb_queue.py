@@ -68,7 +68,7 @@ class QueuedTransfers:
         failed = compiled.start(self._address)
         if failed < 0:
             self.close()
-            raise OSError(-failed, "the USB transfers cannot be queued")
+            raise OSError(-failed, "the transfers to receive from the USB device cannot be submitted")
 
     @property
     def _address(self) -> int:
@@ -101,7 +101,7 @@ class QueuedTransfers:
         if ready > 0:
             ready = compiled.usb_read(self._address, self._read_buffer.ctypes.data, _READ_BYTES)
         if ready < 0:
-            raise OSError(-ready, "bulk read")
+            raise OSError(-ready, "reading from the USB device failed")
         return self._read_buffer[:ready].tobytes()
 
     def write(self, data: bytes) -> None:
@@ -110,7 +110,7 @@ class QueuedTransfers:
         while len(left):
             taken = compiled.usb_write(self._address, left.ctypes.data, len(left))
             if taken < 0:
-                raise OSError(-taken, "bulk write")
+                raise OSError(-taken, "writing to the USB device failed")
             left = left[taken:]
             if taken == 0:
                 compiled.flush(self._address, time.monotonic_ns() + round(_SLICE_S * 1e9), 0)

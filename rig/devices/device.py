@@ -47,9 +47,9 @@ _NO_ESCAPE = re.compile(r"%(?![0-9A-Fa-f]{2})|%00")
 class DeviceUrl:
     """URL of a device, ``scheme://place?key=value``, such as ``serial:///dev/ttyACM0?baud=921600``.
 
-    A place or value may be a path of any bytes. In `text`, ``%XX`` is a byte, ``?`` begins the options, and ``&`` and
-    ``=`` separate them; every other character means itself, ``#`` and ``+`` too. `place` and `options` contain no
-    ``%XX``.
+    The place is a port, device, path or preset; place and values may contain any bytes. In `text`, ``%XX`` is a byte,
+    ``?`` begins the options, and ``&`` and ``=`` separate them; every other character means itself, ``#`` and ``+``
+    too. `place` and `options` contain no ``%XX``.
     """
 
     scheme: str
@@ -59,14 +59,14 @@ class DeviceUrl:
 
     @classmethod
     def of(cls, scheme: str, place: str, options: Mapping[str, str] | None = None) -> DeviceUrl:
-        """Return the URL of a place and options; special characters are escaped, so that `parse` returns the same."""
+        """Return the URL of a place (port, path, preset) and options, with escapes that `parse` converts back."""
         options = options or {}
         query = "&".join(f"{_encode(name)}={_encode(value)}" for name, value in options.items())
         return cls(scheme, place, options, f"{scheme}://{_encode(place)}{'?' if query else ''}{query}")
 
     @classmethod
     def parse(cls, text: str) -> DeviceUrl:
-        """Split a device URL into scheme, place and options.
+        """Split a device URL into scheme, place (port, path or preset) and options.
 
         Raise `ConfigError` for a missing scheme, a repeated option, or an invalid character.
         """

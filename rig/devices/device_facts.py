@@ -23,7 +23,7 @@ OUR_PROTOCOL = f"{MAJOR}.{MINOR}"
 
 @dataclass(frozen=True, kw_only=True)
 class FirmwareFacts:
-    """Facts from the dictionary of a firmware.
+    """Facts about a firmware, from its dictionary (its description of itself).
 
     Attributes
     ----------

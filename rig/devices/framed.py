@@ -139,7 +139,7 @@ class FramedDevice:
         with self._translate_errors():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError(
-                    "the hash of the received dictionary differs from the hash that it announced"
+                    "the hash of the received dictionary differs from the hash that the device reported"
                 )
             read = dictionaries.decode(reader.content)
         while len(_dictionaries) >= DICTIONARIES_KEPT:
@@ -200,17 +200,17 @@ class FramedDevice:
         # IDENTIFY reports the state, and takes the device out of BOOT.
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         if met_real and self._has_forgotten(about):
-            raise self._zero_lost("has restarted")
+            raise self._lost_zero_error("has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
             if met_real and self._crc is not None and self.cleared_fault.has(Fault.ENCODER):
-                raise self._zero_lost("has lost counts")
+                raise self._lost_zero_error("has lost counts")
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
 
-    def _zero_lost(self, how: str) -> DeviceRefusedError:
+    def _lost_zero_error(self, how: str) -> DeviceRefusedError:
         return DeviceRefusedError(
             f"the device at {self.link.url.text} {how} during the session: its position zero is no longer valid",
             remedy="check its power and cables, put the handle at position zero, and start the command again",
@@ -218,7 +218,7 @@ class FramedDevice:
         )
 
     def has_restarted(self) -> bool:
-        """Return True if the device has restarted and received no IDENTIFY since; `LinkLostError` without a reply."""
+        """Return True if the device has restarted and no IDENTIFY request has arrived since."""
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         return bool(about.state == State.BOOT)
 
@@ -234,7 +234,7 @@ class FramedDevice:
         )
 
     def count(self) -> int:
-        """Return the present encoder count, from the STATE frames that an unarmed device sends on its own.
+        """Return the present encoder count, from the STATE messages that an unarmed device sends on its own.
 
         Raise `DeviceRefusedError` if no STATE arrives within `COUNT_TIMEOUT_S`.
         """
@@ -273,7 +273,7 @@ class FramedDevice:
     # ------------------------------------------------------------------ running
 
     def arm(self) -> int:
-        """Arm the device and return the number of the new session; the device then sends STATE, with zero effort.
+        """Arm the device and return the number of the new session; it then sends STATE messages, with zero effort.
 
         ARM is repeated for at most `READY_S` while the device computes its excitation or switches its amplifier on.
         Raise `DeviceRefusedError` if the device is not homed or not verified, its parameters are not those of this
@@ -336,7 +336,7 @@ class FramedDevice:
         self.connection.resume(next_command=next_command, newest_state=newest_state, state=known)
 
     def supervise(self, seconds: float, lifetime_us: int) -> list[m.Message]:
-        """Keep the law of an armed device running for `seconds` (s); return the received STATE and BATCH frames.
+        """Keep the law of an armed device running for `seconds` (s); return the received messages STATE and BATCH.
 
         Each command keeps the law running for `lifetime_us` (µs). Return early if the device reports a fault. Use it
         only for checks: in a run, the compiled loop sends these commands.
@@ -420,7 +420,7 @@ class FramedDevice:
         return reply
 
     def states(self, seconds: float) -> list[m.State]:
-        """Return the STATE frames that arrive within `seconds` (s); an unarmed device sends 100 per second."""
+        """Return the STATE messages (samples) that arrive within `seconds` (s), 100 per second if unarmed."""
         self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         return [event.message for event in self._events(seconds) if isinstance(event.message, m.State)]
 
@@ -543,7 +543,7 @@ class FramedDevice:
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
-        """Yield the frames that the device sends within `timeout_s` (s)."""
+        """Yield the messages that the device sends within `timeout_s` (s)."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)

@@ -206,7 +206,7 @@ def _text(device: Any, which: str, *, ask: bool = True) -> str:
 
 
 def _pipes(device: Any) -> _Pipes | None:
-    """Return the first interface of vendor class with one bulk endpoint in each direction; None if not found."""
+    """Return the device's first interface of vendor class with one bulk endpoint in each direction, else None."""
     try:
         interfaces = list(device[0]) if device.bNumConfigurations else []
     except usb.core.USBError:

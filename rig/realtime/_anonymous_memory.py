@@ -52,7 +52,7 @@ def close(descriptor: int) -> None:
 
 
 def is_sound(descriptor: int) -> bool:
-    """Return True if the open file cannot shrink while this process reads it."""
+    """Return True if the shared memory with this open descriptor cannot shrink while it is read."""
     return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
 
 
@@ -65,7 +65,7 @@ def is_memory(path: str) -> bool:
 
 
 def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
-    """Yield process number and path (``/proc/PID/fd/N``) of each open loop memory, of process `pid` or of all."""
+    """Yield process number and path (``/proc/PID/fd/N``) of each open shared memory of a loop, in `pid` or in all."""
     for process in os.listdir(_PROC) if pid is None else [str(pid)]:
         if not process.isdecimal():
             continue
@@ -78,7 +78,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return a path to the memory with this open `descriptor`; it stays valid after the process at `path` has ended."""
+    """Return a path by which this process can open the shared memory again, even if the process at `path` ends."""
     return f"{_PROC}/self/fd/{descriptor}"
 
 
@@ -95,7 +95,7 @@ def is_process(pid: int, creator: int) -> bool:
 
 
 def may_look(pid: int) -> bool:
-    """Return True if this user may list the open files of a process; raise `ProcessLookupError` if it has ended."""
+    """Return True if this user may list a process's open files; raise `ProcessLookupError` without such a process."""
     try:
         os.listdir(f"{_PROC}/{pid}/fd")
     except PermissionError:

@@ -86,7 +86,7 @@ class CLibrary:
         )
 
     def compiled(self, directory: Path) -> Path:
-        """Return the path of this library in `directory`, compiled if missing; raise `ConfigError` if that fails."""
+        """Return the path of this C library in `directory`, compiled if missing; raise `ConfigError` on failure."""
         command = self.compiler()
         path = directory / f"{self.name}-{self.key(command)}.so"
         if path.exists():
@@ -99,7 +99,7 @@ class CLibrary:
         return path
 
     def opened(self, directory: Path, load: Callable[[Path], ctypes.CDLL]) -> ctypes.CDLL:
-        """Return this library opened by `load`, compiled if missing; raise `ConfigError` if either step fails."""
+        """Return this C library, compiled if missing and opened by `load`; raise `ConfigError` on failure."""
         path = self.compiled(directory)
         try:
             return load(path)
@@ -110,7 +110,7 @@ class CLibrary:
             ) from error
 
     def key(self, command: list[str]) -> str:
-        """Return a hash (sixteen hex digits) of this library's sources, its flags and the compiler."""
+        """Return a hash (sixteen hex digits) of the C library's sources, its flags and the compiler."""
         # Size and time of the compiler instead of its version: an update is seen without running it.
         facts = Path(command[0]).resolve().stat()
         digest = hashlib.sha256(f"{command} {facts.st_size} {facts.st_mtime_ns} {self.flags}".encode())

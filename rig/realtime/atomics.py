@@ -23,7 +23,7 @@ def _pointer(builder: Any, address: Any) -> Any:
 
 @intrinsic
 def load_word(typingctx: Any, address: Any) -> Any:
-    """Return the int64 at `address`; writes that precede the `store_word` of this value are then visible (acquire)."""
+    """Return the int64 at `address` (acquire): writes that precede the `store_word` of this value are then visible."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # A plain load may be hoisted out of a loop by the compiler: a loop on a stop word would never end.
@@ -34,7 +34,7 @@ def load_word(typingctx: Any, address: Any) -> Any:
 
 @intrinsic
 def store_word(typingctx: Any, address: Any, value: Any) -> Any:
-    """Store `value` at `address`; a thread that reads it by `load_word` also sees all earlier writes (release)."""
+    """Store `value` at `address` (release): after `load_word`, another thread sees this thread's earlier writes."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # x86 orders plain stores, ARM does not: a reader there could see HEAD before the row.
@@ -76,7 +76,7 @@ def add_word(typingctx: Any, address: Any, value: Any) -> Any:
 
 
 def static_words(name: str, count: int) -> Any:
-    """Return a numba function that returns the address of `count` static int64, zero at first, one set per kernel."""
+    """Return a numba function that returns the address of `count` static int64, zero at first, with symbol `name`."""
     kind = ir.ArrayType(_WORD, count)
 
     @intrinsic

@@ -260,7 +260,7 @@ def _open(values: Ints, layout: Ints, type_id: int, session: int, sequence: int,
 
 @kernel(_i64(_bytes, _i64))
 def _seal(out: Bytes, at: int) -> int:
-    """Append the CRC to the message in ``out[1:at]``, encode both by COBS in place, append 0; return the bytes."""
+    """Append CRC and delimiter to the message in ``out[1:at]``, COBS-encoded in place; return the length (bytes)."""
     crc = crc32(out, 1, at, 0)
     for k in range(_CRC_BYTES):
         out[at + k] = (crc >> (8 * k)) & 0xFF
@@ -332,62 +332,63 @@ def _decode(
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a COMMAND (values at the indices `COMMAND`) into `out`; return the frame's bytes, or BAD_VALUE (< 0).
+    """Encode a COMMAND message with its field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0).
 
-    `out` has at least FRAME_BYTES bytes. BAD_VALUE means that a value exceeds the range of its field.
+    `values` are in the order of `COMMAND`; `out` has at least FRAME_BYTES bytes. BAD_VALUE means that a value exceeds
+    the range of its field.
     """
     return _encode(values, _COMMAND_LAYOUT, _COMMAND_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a STATE (values at the indices `STATE`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
+    """Encode a STATE message with its field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
     return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a COMMAND from `raw` and `length`, the results of `decode_frame`.
+    """Decode a COMMAND message from `raw` and `length`, the results of `decode_frame`.
 
     Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a COMMAND) or BAD_PAYLOAD (wrong length).
-    `header` (indices `HEAD`) is always written, `values` (indices `COMMAND`) only if the result is 0.
+    `header` (in the order of `HEAD`) is always written, `values` (in the order of `COMMAND`) only if the result is 0.
     """
     return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a STATE into `header` and `values`; return 0, or a negative number as `decode_command` does."""
+    """Decode a STATE message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a GET_TIME (values at the indices `GET_TIME`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
+    """Encode a GET_TIME message with its field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
     return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a TIME into `header` and `values`; return 0, or a negative number as `decode_command` does."""
+    """Decode a TIME message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode an ACK into `header` and `values`; return 0, or a negative number as `decode_command` does."""
+    """Decode an ACK message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_BEGIN (values: indices `SET_BEGIN`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
+    """Encode a SET_BEGIN message with field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
     return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_COMMIT (values: indices `SET_COMMIT`) into `out`; return the frame's bytes, or BAD_VALUE (< 0)."""
+    """Encode a SET_COMMIT message with field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
     return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
 
 
@@ -395,9 +396,9 @@ def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> 
 def encode_set_chunk(
     session: int, sequence: int, values: Ints, block: Bytes, start: int, stop: int, out: Bytes
 ) -> int:
-    """Encode a SET_CHUNK with the data ``block[start:stop]`` into `out` (at least FRAME_BYTES long).
+    """Encode a SET_CHUNK message with the data ``block[start:stop]`` into `out` (at least FRAME_BYTES long).
 
-    Returns the frame's length (bytes), or BAD_VALUE (negative) if a value exceeds the range of its field or the data
+    Returns the message's length (bytes), or BAD_VALUE (negative) if a value exceeds the range of its field or the data
     exceed `CHUNK_BYTES`.
     """
     if stop - start > CHUNK_BYTES:

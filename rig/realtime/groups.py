@@ -52,7 +52,7 @@ def group(cls: type[T]) -> type[T]:
 
 @cache
 def type_of(cls: type[tuple[Any, ...]]) -> Any:
-    """Return the numba type of a group class (see `group`), for the signature of a kernel."""
+    """Return the numba type of a group (a `NamedTuple` that kernels accept), for the signature of a kernel."""
     hints = get_type_hints(cls, include_extras=True).values()
     return types.BaseTuple.from_types([hint.__metadata__[0] for hint in hints], cls)
 
@@ -77,7 +77,7 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 
 def kind_of(value: Any) -> Any:
-    """Return the numba type of `value` if it is a group and each member has the type of its field; None otherwise."""
+    """Return the numba type of a group (a `NamedTuple` for kernels); None if a member does not match, or for others."""
     return _type_if_fitting(value) if type(value) in _GROUPS else None
 
 
@@ -116,7 +116,7 @@ def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None)
 
 @cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
-    """Return the number of bytes that an instance of the group class needs in memory, for `group_at`."""
+    """Return the number of bytes that a group (a `NamedTuple` for kernels) needs in memory."""
     context = cpu_target.target_context
     return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
 

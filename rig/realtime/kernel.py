@@ -161,7 +161,7 @@ def prepare(*functions: Any) -> None:
 
 
 def rule(function: F) -> F:
-    """Return a function that Python runs without compilation and that kernels may also call, compiled then."""
+    """Return a function that runs as plain Python, and compiled where a kernel calls it."""
     return cast("F", register_jitable(function))
 
 

@@ -95,7 +95,7 @@ def state_after_claiming(state: int) -> int:
 
 @kernel(_i64(_address, _bytes))
 def fill(mailbox: int, message: Any) -> int:
-    """Copy a message (a multiple of 8 bytes) into the mailbox's writer slot; return the number it gets when posted."""
+    """Copy a message (a multiple of 8 bytes) into the mailbox's writer slot; return its number for `publish`."""
     state = load_word(mailbox)
     number = (state >> NUMBER) + 1
     slot = slot_address(mailbox, writers_slot(state))
@@ -145,7 +145,7 @@ def copy_message(mailbox: int, slot: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def take(mailbox: int, into: Any) -> int:
-    """Copy the newest message of a mailbox into an array, unless it was taken before; it never waits.
+    """Copy the newest message of a mailbox into an array, without waiting, unless it was taken before.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def _acquire_lock(descriptor: int) -> None:
     while not locks.lock(descriptor):
         if time.monotonic() > deadline:
             raise RigError(
-                f"another process changes this loop's parameters and does not release it within {PATIENCE_S} s",
+                f"another process does not release the lock of this loop's parameters within {PATIENCE_S} s",
                 remedy="end the other `rig set` command, and try again",
             )
         time.sleep(0.001)

@@ -26,7 +26,7 @@ else:
 
 
 class LoopMemory:
-    """The control words of a running loop, opened from another process; a context manager that closes them.
+    """The control words (64-bit words in shared memory) of a running loop; a context manager that closes them.
 
     Attributes
     ----------

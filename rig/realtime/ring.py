@@ -170,7 +170,7 @@ class Ring:
 
     @property
     def info(self) -> dict[str, Any]:
-        """Return the description of the run as JSON types; empty if it is missing or of another layout version."""
+        """Return the description of the run as JSON types; empty if it is missing or has another memory layout."""
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
@@ -187,7 +187,7 @@ class Ring:
         return {}, word
 
     def get(self, word: int) -> int:
-        """Return the control word with index `word`; after `close`, its value at the time of `close`."""
+        """Return the control word with index `word` (`rig.realtime.control_words`), after `close` its last value."""
         from rig.realtime.atomics import read_word  # noqa: PLC0415
 
         return int(read_word(self.words.ctypes.data + 8 * word))

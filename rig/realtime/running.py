@@ -184,7 +184,7 @@ def _is_rig(words: list[bytes]) -> bool:
 
 
 def the_loop(pid: int | None = None) -> RunningLoop:
-    """Return the only running loop (of process `pid`, if given); raise `ConfigError` for none or more than one."""
+    """Return the only running loop (of process `pid`, if given); raise `ConfigError` if none or several run."""
     loops = [loop for loop in running() if pid is None or loop.pid == pid]
     if len(loops) == 1:
         return loops[0]

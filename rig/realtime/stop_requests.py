@@ -63,7 +63,7 @@ def _on_signal(number: int, info: int, context: int) -> int:
     """Count a signal as a stop request and call the handler that was installed before; return 0.
 
     The default action (to end the process) waits until the last recording is sealed. Called with `number` 0, the
-    function only returns the address of its words.
+    function only returns the address of the table of requests.
     """
     table = _static_table()
     if number == 0:

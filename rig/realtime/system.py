@@ -91,7 +91,7 @@ def monotonic_sleep(handle: int, deadline_ns: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def virtual_sleep(handle: int, deadline_ns: int) -> int:
-    """Set a virtual clock (int64 at address `handle`) to `deadline_ns` (ns) unless it is later; return 0."""
+    """Set a virtual clock (int64 at address `handle`) to `deadline_ns` (ns) unless its time is later; return 0."""
     store_word(handle, max(load_word(handle), deadline_ns))
     return 0
 

@@ -31,7 +31,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count: travel / time since the last; 0 at the first."""
+    """Return the velocity (rad/s or m/s) at a new encoder count: travel / time since the last count, 0 at first."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count

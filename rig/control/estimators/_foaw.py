@@ -74,7 +74,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(
-            f"foaw: window_limit = {limit:g} is not a whole number of velocity periods",
+            f"estimator foaw: window_limit = {limit:g} is not a whole number of velocity periods",
             remedy=f"choose {int(limit)} or {int(limit) + 1}",
         )
     return [settings["band"] * (1.0 + ROUNDING_MARGIN), limit, float(STOPS.index(settings["stop"]))]

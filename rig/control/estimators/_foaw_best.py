@@ -40,7 +40,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the longest accepted line.
+    """Return the velocity (rad/s or m/s): the slope of the longest least-squares line that fits the last counts.
 
     It is zero for the first sample.
     """
@@ -88,7 +88,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the parameters of the window (`rig.control.estimators._foaw.design`), then the index of the anchor."""
+    """Return the window's parameters (`_foaw.design`), then the rule for the line's intercept (index in `ANCHORS`)."""
     return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
 
 

@@ -2,8 +2,7 @@
 
 Sample i lies within the band of a line through the newest sample if and only if the slope of the line is in the cone
 [(rise_i − d)/span_i, (rise_i + d)/span_i]. So a chord is accepted if its slope lies in the cones of all samples in
-between. One more sample adds one cone to their intersection, so that the cost is O(W); a test of every sample again
-would cost O(W²) and give the same window. `rig.control.estimators._foaw` explains band, window and stop rule.
+between. `rig.control.estimators._foaw` explains band, window and stop rule.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the longest accepted chord.
+    """Return the velocity (rad/s or m/s): the slope of the longest chord between two counts that fits those between.
 
     It is zero for the first sample.
     """
@@ -48,6 +47,8 @@ def update(
             slope, window = chord, span
         elif stop_first or lowest > highest:
             break
+        # One more sample adds one cone to the intersection of all: O(W). To test every sample again would cost O(W²)
+        # and give the same window.
         lowest = max(lowest, chord - band * per_period)
         highest = min(highest, chord + band * per_period)
     state_i[WINDOW] = window

@@ -10,8 +10,6 @@ low pass of `double` is a second-order Butterworth filter with a lag of √2/ω0
 without lag, but has a peak near ω0. Set `bandwidth_hz` first; use q to copy the value of a paper, in position² per s⁵
 (s³ for `double`).
 
-The paper's q = 2.5e4 with `variance = "paper"`, at 1 kHz and 1 µm, is a bandwidth of 327 Hz: nearly a finite
-difference.
 
 Fading. If innovations are larger than the model explains, the propagated covariance is multiplied by
 λ = max(1, (Ĉ0 − r − Q11)/M11), M = A·P·Aᵀ. With one measured quantity the variants of the literature differ only in
@@ -81,7 +79,7 @@ _SIX = types.UniTuple(types.float64, 6)
 def _propagate(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the covariance A·P·Aᵀ after one period, with A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
+    """Return the covariance of the Kalman filter after one period: A·P·Aᵀ, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
     a12 = p12 + p22 + 0.5 * p23
     a13 = p13 + p23 + 0.5 * p33
     a23 = p23 + p33
@@ -210,7 +208,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return variances, prior, options and steady gain (counts, periods); raise `ConfigError` for conflicts."""
+    """Return the Kalman filter's parameters: noise, prior, options, steady gain; raise `ConfigError` for conflicts."""
     order, r = ORDERS[settings["model"]], VARIANCES[settings["variance"]]
     printed, steady = settings["noise"] == "printed", settings["gain"] == "steady"
     _check_options(order, printed, steady, settings["fading"], settings["fading_window"])
@@ -275,7 +273,7 @@ def _intensity(
     if q > 0.0:
         if bandwidth_hz != DEFAULT_BANDWIDTH_HZ:
             raise ConfigError(
-                f"estimator kalman: q = {q:g} and bandwidth_hz = {bandwidth_hz:g} Hz are both given",
+                f"estimator kalman: q = {q:g} and bandwidth_hz = {bandwidth_hz:g} Hz are given; only one is allowed",
                 remedy="give one of the two",
             )
         return float(q * period_s ** (2 * order - 1) / resolution**2)
@@ -295,6 +293,8 @@ ESTIMATOR = Estimator(
         Setting(
             "bandwidth_hz", DEFAULT_BANDWIDTH_HZ, 0.1, 1e6, "Hz", "ω0/2π of the steady filter, if q is 0"
         ),
+        # The paper's q = 2.5e4 with variance = "paper", at 1 kHz and 1 µm, is a bandwidth of 327 Hz: nearly a finite
+        # difference.
         Setting(
             "q",
             0.0,

@@ -5,8 +5,7 @@ A copy x of the position follows the measurement f with the velocity u; u is the
     e = x − f,   x' = u,   u = u1 − λ·|e|^½·sign(e),   u1' = −α·sign(e),      α = μ1·C, λ = μ2·√C.
 
 If C is too small, the estimate does not follow a hard impact; if C is too large, it passes the encoder's noise: the
-error grows with √(C·Δ). If μ1·C·T²/Δ, the largest change of velocity in one period in counts, is above a count or two,
-the implicit form equals the finite difference. `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
+error grows with √(C·Δ). `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
 
 The code computes in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
 
@@ -76,6 +75,8 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
     # once, and x lies on the sample.
     b = -error - u1
     beyond = abs(b) - alpha
+    # If α, the largest change of velocity in one period, is above a count or two, this always holds: the result is the
+    # finite difference.
     if beyond <= 0.0:
         return 0.0, -error, -error
     push = math.copysign(1.0, b)
@@ -163,7 +164,7 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
             mu2,
             "≥",
             levant_regions.hba_mu1(mu2),
-            "mu2 above 2 (the larger, the smaller the least mu1)",
+            "a larger mu2 (above 2), which lowers the least mu1",
         )
     if gains == "lfba" and not levant_regions.in_lfba(mu1, mu2):
         raise _region_error(estimator, gains, mu1, mu2, ">", levant_regions.lfba_mu1(mu2), "a larger mu2")
@@ -181,7 +182,7 @@ def _region_error(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the gains α·T²/Δ and λ·T/√Δ of Levant's differentiator, then the indices of discretisation and output."""
+    """Return Levant's gains α·T²/Δ and λ·T/√Δ (counts, periods), then the indices of discretisation and output."""
     mu1, mu2 = multipliers(settings)
     return own_parameters(settings, mu1, mu2, resolution, period_s)
 

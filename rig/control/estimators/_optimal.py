@@ -8,7 +8,7 @@ noise; the noise of the three samples can add up to 2·N:
     N̂ = max over 0 < j < l ≤ n of ½·(|f_{k−j} − f_k + (f_k − f_{k−l})·j/l| − C·T²·j·(l − j)/2), and 0 at least.
 
 Like Levant's differentiator it needs only C. It has no memory beyond its window, so that it neither overshoots after an
-impact nor chatters at rest. n is the length of the chord for half a count of noise. The cost is n²/2 comparisons.
+impact nor chatters at rest. n is the length of the chord for half a count of noise.
 
 Source: Seeber and Haimovich, "Optimal robust exact differentiation via linear adaptive techniques", Automatica 148
 (2023); the error bound for uniform samples is 2·√(2·N·C) + C·T/2 (Aldana-López et al., arXiv 2404.05863). Only
@@ -44,8 +44,9 @@ RISE, SPAN = 0, foaw.LONGEST + 1  # state_f: the window laid out flat
 
 @kernel("f8(f8[::1], i8, f8)", inline=True)
 def _noise(state_f: Floats, samples: int, bend: float) -> float:
-    """Return N̂, the estimated noise (counts), from the rises and spans of the samples 1 to `samples`."""
+    """Return the estimated noise N̂ (counts) of the newest samples, from counts and periods relative to the newest."""
     noise = 0.0
+    # n²/2 comparisons in each period, n the longest chord.
     for l in range(2, samples + 1):  # noqa: E741  (as in the formula)
         span = state_f[SPAN + l]
         chord = state_f[RISE + l] / span
@@ -68,7 +69,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count: the slope of the chosen chord.
+    """Return the velocity (rad/s or m/s): the slope of the chord between two counts with the least possible error.
 
     It is zero for the first sample.
     """
@@ -96,10 +97,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return C·T²/Δ and the longest chord in periods, ⌈2·√(N/C)/T⌉ within 2 … `window_limit`.
-
-    A chord of one period would show no noise.
-    """
+    """Return the acceleration bound C·T²/Δ (counts per period²) and the longest chord (periods, at least 2)."""
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(
@@ -109,6 +107,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     bend = settings["lipschitz"] * period_s**2 / abs(resolution)
     # For half a count, which is all an ideal encoder has: a C that is too small costs delay, but no more than this.
     needed = math.ceil(2.0 * math.sqrt(settings["noise"] / bend))
+    # At least 2: a chord of one period would show no noise.
     return [bend, min(limit, max(2.0, needed))]
 
 

@@ -56,14 +56,14 @@ _FRACTION = {
 }
 
 
-def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> NDArray[Any]:
+def whole_numbers(values: ArrayLike, array_name: str, also: tuple[str, ...] = ()) -> NDArray[Any]:
     """Return the values as an integer array: of their own type if that is an integer type, else of int64.
 
     Parameters
     ----------
     values
         Integers, or floats with whole values.
-    what
+    array_name
         `COUNTS` or `ELAPSED`, for messages.
     also
         Names of further arrays (``elapsed``, ``edge_time``) from which the remedy removes the same samples.
@@ -74,10 +74,10 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
         The array is not flat, has missing values (the message has their indices), another type, fractions, or floats so
         large that not every whole number can be represented.
     """
-    array = _floats_if_missing(values, what)
+    array = _floats_if_missing(values, array_name)
     if array.ndim != 1:
         raise ConfigError(
-            f"the array {what} has {array.ndim} dimensions instead of 1",
+            f"the array {array_name} has {array.ndim} dimensions instead of 1",
             remedy="give a one-dimensional array",
         )
     if len(array) == 0:
@@ -85,36 +85,39 @@ def whole_numbers(values: ArrayLike, what: str, also: tuple[str, ...] = ()) -> N
     if array.dtype.kind in "iu":
         return array
     if array.dtype.kind != "f":
-        raise _type_error(what, array.dtype.kind, str(array.dtype))
+        raise _type_error(array_name, array.dtype.kind, str(array.dtype))
     missing = np.flatnonzero(np.isnan(array))
     if len(missing):
-        remedy = FROM_SECONDS if what == ELAPSED else _remove_missing(values, also)
-        raise ConfigError(f"{what} is not a number at {_format_indices(missing, len(array))}", remedy=remedy)
+        remedy = FROM_SECONDS if array_name == ELAPSED else _remove_missing(values, also)
+        raise ConfigError(
+            f"{array_name} is not a number at {_format_indices(missing, len(array))}", remedy=remedy
+        )
     parts = np.flatnonzero((array != np.trunc(array)) | np.isinf(array))
     if len(parts):
         raise ConfigError(
-            f"{what}[{parts[0]}] = {array[parts[0]]:g} is not a whole number", remedy=_FRACTION[what]
+            f"{array_name}[{parts[0]}] = {array[parts[0]]:g} is not a whole number",
+            remedy=_FRACTION[array_name],
         )
     bits = np.finfo(array.dtype).nmant + 1
     too_large = np.flatnonzero(np.abs(array) > min(2.0**bits, LARGEST_COUNT))
     if len(too_large):
         raise ConfigError(
-            f"{what}[{too_large[0]}] = {array[too_large[0]]:.17g} is above 2^{bits}, where {array.dtype} does not hold "
-            "every whole number",
-            remedy=f"give {what} as they were recorded, as integers",
+            f"{array_name}[{too_large[0]}] = {array[too_large[0]]:.17g} is above 2^{bits}, where {array.dtype} cannot "
+            "represent every whole number",
+            remedy=f"give {array_name} as they were recorded, as integers",
         )
     return array.astype(np.int64)
 
 
-def real_numbers(values: ArrayLike, what: str, unit: str) -> Floats:
+def real_numbers(values: ArrayLike, array_name: str, unit: str) -> Floats:
     """Return the values as float64, NaN where masked; raise `ConfigError` for text, dates and other non-numbers.
 
-    `what` is the name of the array and `unit` its unit, for the message.
+    `array_name` is the name of the array and `unit` its unit, for the message.
     """
     array = _unmask(values)
     if array.dtype.kind in _KINDS:
         raise ConfigError(
-            f"{what} holds {_KINDS[array.dtype.kind]} ({array.dtype}), not numbers",
+            f"{array_name} holds {_KINDS[array.dtype.kind]} ({array.dtype}), not numbers",
             remedy=f"give numbers in {unit}",
         )
     return array.astype(np.float64)
@@ -214,7 +217,7 @@ def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
         )
 
 
-def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
+def _floats_if_missing(values: ArrayLike, array_name: str) -> NDArray[Any]:
     """Return plain numbers: floats with NaN if a value is missing; raise `ConfigError` for other objects."""
     array = _unmask(values)
     if array.dtype.kind != "O" or array.ndim != 1:
@@ -222,18 +225,18 @@ def _floats_if_missing(values: ArrayLike, what: str) -> NDArray[Any]:
     present = [value for value in array if not _is_missing(value)]
     for value in present:
         if isinstance(value, bool | np.bool_):
-            raise _type_error(what, "b", "bool")
+            raise _type_error(array_name, "b", "bool")
         if isinstance(value, str | bytes):
-            raise _type_error(what, "U", "str")
+            raise _type_error(array_name, "U", "str")
         if not isinstance(value, numbers.Real):
             kind = np.asarray(value).dtype.kind
-            raise _type_error(what, kind, type(value).__name__)
+            raise _type_error(array_name, kind, type(value).__name__)
     if len(present) == len(array) and all(isinstance(value, numbers.Integral) for value in present):
         try:
             return np.array([int(value) for value in array], np.int64)
         except OverflowError:
             raise ConfigError(
-                f"{what} has a value beyond ±2^63", remedy="give values that fit into 64 bits"
+                f"{array_name} has a value beyond ±2^63", remedy="give values that fit into 64 bits"
             ) from None
     return np.array([np.nan if _is_missing(value) else float(value) for value in array])
 
@@ -250,13 +253,14 @@ def _is_missing(value: Any) -> bool:
         return True
 
 
-def _type_error(what: str, kind: str, name: str) -> ConfigError:
+def _type_error(array_name: str, kind: str, name: str) -> ConfigError:
     if _KINDS.get(kind) == "text":
-        remedy = f"convert them: {what} = numpy.asarray({what}, dtype=float); give {what}={what}"
+        convert = f"{array_name} = numpy.asarray({array_name}, dtype=float)"
+        remedy = f"convert them: {convert}; give {array_name}={array_name}"
     else:
-        remedy = _REMEDIES.get((what, kind), "give whole numbers, as integers or floats")
+        remedy = _REMEDIES.get((array_name, kind), "give whole numbers, as integers or floats")
     return ConfigError(
-        f"{what} are {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
+        f"{array_name} are {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
     )
 
 

@@ -174,7 +174,7 @@ def own_inputs(
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
-            f"dt = {dt!r} s is not a sampling period: it must be above 0 and finite",
+            f"dt = {dt!r} s is not a valid sampling period: it must be above 0 and finite",
             remedy="give the time between two samples in s",
         )
     _check_resolution(resolution)
@@ -235,12 +235,12 @@ def require_effort(estimator: Estimator, effort: object) -> None:
     if effort is None and estimator.uses_effort:
         raise ConfigError(
             f"estimator {estimator.name} needs the effort of the motor",
-            remedy="give the effort of each sample (N·m or N), or choose an estimator of counts alone",
+            remedy="give the effort of each sample (N·m or N), or choose an estimator that uses only counts",
         )
 
 
 def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
-    """Return the efforts (N·m or N), shape (samples,); raise `ConfigError` for another shape or NaN, infinity."""
+    """Return the efforts (N·m or N) as float64, shape (samples,); raise `ConfigError` if they are not such numbers."""
     applied = real_numbers(effort, "effort", "N·m or N")
     if applied.shape != (samples,):
         raise ConfigError(
@@ -292,6 +292,6 @@ def update_all(
 def _check_resolution(resolution: float) -> None:
     if not (math.isfinite(resolution) and resolution != 0.0):
         raise ConfigError(
-            f"resolution = {resolution!r} is not a travel per count: it must be finite and not 0",
-            remedy="give rad or m per count",
+            f"resolution = {resolution!r} is not a valid travel for one count: it must be finite and not 0",
+            remedy="give the travel for one count (rad or m)",
         )

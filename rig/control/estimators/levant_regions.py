@@ -25,31 +25,28 @@ _QUADRATURE = 4001  # directions; more change the contraction by less than 1e-6
 
 
 def hba_mu1(mu2: float) -> float:
-    """Return the smallest μ1 = α/C that the homogeneity-based proof allows for μ2 = λ/√C; infinite for μ2 ≤ 2.
-
-    It is (μ2² + 4)/(μ2² − 4).
-    """
+    """Return the least μ1 = α/C in the homogeneity-based proof for Levant's differentiator; infinite for μ2 ≤ 2."""
     square = mu2 * mu2
     return (square + 4.0) / (square - 4.0) if mu2 > 2.0 else math.inf
 
 
 def lfba_mu1(mu2: float) -> float:
-    """Return the bound that μ1 = α/C must exceed in the Lyapunov-based proof, 3 + 2/μ2²; infinite for μ2 ≤ 0."""
+    """Return the bound that μ1 = α/C must exceed in the Lyapunov-based proof for Levant's differentiator."""
     return 3.0 + 2.0 / (mu2 * mu2) if mu2 > 0.0 else math.inf
 
 
 def in_hba(mu1: float, mu2: float) -> bool:
-    """Return True if (μ1, μ2) lies in the region of the homogeneity-based proof: α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
+    """Return True if Levant's gains satisfy the homogeneity-based proof: α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
     return mu2 > 2.0 and mu1 >= hba_mu1(mu2)
 
 
 def in_lfba(mu1: float, mu2: float) -> bool:
-    """Return True if (μ1, μ2) lies in the region of the Lyapunov-based proof: α > 3·C + 2·C²/λ², λ > 0."""
+    """Return True if Levant's gains satisfy the Lyapunov-based proof: α > 3·C + 2·C²/λ², λ > 0."""
     return mu2 > 0.0 and mu1 > lfba_mu1(mu2)
 
 
 def find_crossing() -> tuple[float, float]:
-    """Return (μ1, μ2) where the boundaries of both regions cross: μ2⁴ − 7·μ2² − 4 = 0, (3.2656, 2.7443)."""
+    """Return (μ1, μ2) = (3.2656, 2.7443), where the regions of the homogeneity- and Lyapunov-based proof cross."""
     mu2 = math.sqrt((7.0 + math.sqrt(65.0)) / 2.0)
     return lfba_mu1(mu2), mu2
 
@@ -87,7 +84,10 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
 
 
 def worst_case_mu2(mu1: float) -> float:
-    """Return the smallest μ2 = λ/√C with which the error contracts in every half cycle; infinite for μ1 ≤ 1."""
+    """Return the least μ2 = λ/√C with which the error of Levant's differentiator contracts in every half cycle.
+
+    It is infinite for μ1 ≤ 1.
+    """
     if mu1 <= 1.0:
         return math.inf
     low, high = 0.0, LARGEST_MU2

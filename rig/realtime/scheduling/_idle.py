@@ -1,7 +1,4 @@
-"""Keep idle processors from deep sleep, because waking from deep sleep takes 0.1 ms and more.
-
-The kernel applies the smallest latency that any open descriptor of /dev/cpu_dma_latency requests.
-"""
+"""Keep idle processors from deep sleep, because waking from deep sleep takes 0.1 ms and more."""
 
 from __future__ import annotations
 
@@ -17,6 +14,7 @@ DEVICE = "dev/cpu_dma_latency"
 
 def hold(root: Path = ROOT) -> int:
     """Keep idle processors from deep sleep until the returned descriptor is closed; raise `OSError` if not allowed."""
+    # The kernel applies the smallest latency that any open descriptor of this device requests.
     descriptor = os.open(root / DEVICE, os.O_WRONLY)
     try:
         os.write(descriptor, struct.pack("=i", LATENCY_US))

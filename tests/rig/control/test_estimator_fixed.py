@@ -143,7 +143,7 @@ def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign() -> None:
         ({"state_bits": 20, "word_bits": 21}, r"Q1\.20 cannot represent one count"),
         ({"coefficient_bits": 30, "word_bits": 40}, r"overflow 64 bits"),
         ({"cutoff_hz": 1.0, "coefficient_bits": 8}, r"changes the filter.*more coefficient_bits than 8"),
-        ({"cutoff_hz": 1000.0}, r"estimator fdm-butterworth-fixed: .*Nyquist 1000 Hz"),
+        ({"cutoff_hz": 1000.0}, r"estimator fdm-butterworth-fixed: .*Nyquist frequency 1000 Hz"),
         ({"rounding": "even"}, r"rounding = 'even' is unknown.*floor, zero, nearest"),
     ],
 )

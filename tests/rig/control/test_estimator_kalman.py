@@ -238,8 +238,8 @@ def test_every_variant_keeps_the_promises_of_the_family(chosen: Any) -> None:
     ("chosen", "message"),
     [
         ({"bandwidth_hz": 500.0}, r"bandwidth_hz = 500 Hz is not below the Nyquist frequency 500 Hz"),
-        ({"bandwidth_hz": 50.0, "q": 1.0}, r"q = 1 and bandwidth_hz = 50 Hz are both given.*give one"),
-        ({"model": "double", "noise": "printed"}, r"for the triple integrator only.*integral"),
+        ({"bandwidth_hz": 50.0, "q": 1.0}, r"q = 1 and bandwidth_hz = 50 Hz are given; only one.*give one"),
+        ({"model": "double", "noise": "printed"}, r"only for the triple integrator.*integral"),
         ({"gain": "steady", "fading": "stf"}, r"excludes fading.*recursive"),
         ({"noise": "printed", "q": 1e7}, r"negative variances at a bandwidth of ω0·T = .*up to 3"),
         ({"fading_window": 2.5, "fading": "window"}, r"fading_window = 2.5 is not a whole number"),

@@ -56,7 +56,9 @@ def test_a_setting_out_of_range_is_refused_with_value_and_range(value: Any) -> N
 
 @pytest.mark.parametrize("cutoff_hz", [1000.0, 1200.0])
 def test_a_cut_off_at_or_above_nyquist_cannot_be_realised(cutoff_hz: float) -> None:
-    with pytest.raises(ConfigError, match=rf"cutoff_hz = {cutoff_hz:g} Hz .* Nyquist 1000 Hz.*200 Hz"):
+    with pytest.raises(
+        ConfigError, match=rf"cutoff_hz = {cutoff_hz:g} Hz .* Nyquist frequency 1000 Hz.*200 Hz"
+    ):
         butterworth(cutoff_hz=cutoff_hz)
     butterworth(cutoff_hz=999.0)
 
@@ -66,7 +68,7 @@ def test_a_setting_without_a_default_must_be_given() -> None:
     needy = type(base)(
         base.name, "", "", base.update, 0, 2, (Setting("gain", None, 0.0, 1.0, "1/s", "how fast"),)
     )
-    with pytest.raises(ConfigError, match=r"fdm needs gain.*give gain in 1/s: how fast"):
+    with pytest.raises(ConfigError, match=r"fdm needs the setting gain.*give gain in 1/s: how fast"):
         needy.prepare({}, RESOLUTION, PERIOD)
 
 

@@ -112,7 +112,7 @@ def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand() -> Non
         ({"damping": 1e-9}, r"damping is .* quanta per LSB.* can represent only as the integer 0"),
         (
             {"stiffness": 0.5625, "damping": 7.0, "velocity": Format(20, 0)},
-            r"stiffness is .* can represent only as \d+",
+            r"stiffness is .* can represent only as the integer \d+",
         ),
         ({"wall_position": 2000.0}, r"wall position in counts = .* does not fit the format Q24\.8"),
     ],

@@ -154,7 +154,8 @@ def test_a_serial_number_selects_one_of_two_devices(bus: Any) -> None:
     caught = refused(bus, DeviceNotFoundError, *pair)
     assert "usb://1209:0001/A, usb://1209:0001/B" in caught.remedy
     assert (
-        "connected numbers: A, B" in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
+        "of a connected device: A, B"
+        in refused(bus, DeviceNotFoundError, *pair, url="usb://1209:0001/C").remedy
     )
     open_link("usb://1209:0001/B").close()
     assert pair[0].calls == []

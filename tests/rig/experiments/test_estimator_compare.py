@@ -88,8 +88,8 @@ def test_a_narrow_counter_and_lost_samples_are_taken_as_estimate_takes_them() ->
         ({"velocity": [0.0, 1.0, np.nan]}, r"3 counts, .*shape \(3,\), 2 of them finite"),
         ({"settle_s": 1.0}, "3 samples last 0.003 s, not longer than the settling time of 1 s"),
         ({"counts": [0, 1.5, 2]}, "is not a whole number"),
-        ({"resolution": 0.0}, "is not a travel per count"),
-        ({"dt": -1.0}, "is not a sampling period"),
+        ({"resolution": 0.0}, "is not a valid travel for one count"),
+        ({"dt": -1.0}, "is not a valid sampling period"),
     ],
 )
 def test_arrays_that_cannot_be_judged_are_refused(changes: Any, message: str) -> None:

@@ -289,7 +289,7 @@ def test_a_writer_of_another_process_is_waited_for_but_not_for_ever(monkeypatch:
     monkeypatch.setattr(mailbox, "PATIENCE_S", 0.05)
     with Ring.allocate(1, shared=True) as ring, Ring.attach(f"/proc/self/fd/{ring.descriptor}") as other:
         fcntl.flock(other.descriptor, fcntl.LOCK_EX)
-        with pytest.raises(RigError, match="does not release it"):
+        with pytest.raises(RigError, match="does not release the lock"):
             ring.post([1.0])
         assert Mailbox(ring.mailbox).posted == 0
         fcntl.flock(other.descriptor, fcntl.LOCK_UN)
