@@ -147,7 +147,7 @@ WRONG = {
     "unknown estimator": ({"name": "fmd"}, "unknown estimator 'fmd'"),
     "unknown setting": ({"cutof": 3.0}, "unknown parameter 'cutof'"),
     "setting out of range": ({"cutoff_hz": -1.0}, "out of range"),
-    "no period": ({"dt": 0.0}, "not a sampling period"),
+    "no period": ({"dt": 0.0}, "not a valid sampling period"),
     "no resolution": ({"resolution": 0.0}, "not a valid travel for one count"),
     "floats as counts": ({"counts": [0.1, 0.2]}, "not a whole number.*quantise"),
     "table of counts": ({"counts": [[1, 2]]}, "2 dimensions"),

@@ -86,7 +86,7 @@ def test_driven_hand_without_real_time_or_operator_is_refused(tmp_path: Path) ->
     url = f"sim://?hand={tmp_path / 'hand'}"
     with pytest.raises(ConfigError, match="a hand cannot be driven in virtual time"):
         open_link(DeviceUrl.parse(url), rotary_rig())
-    with pytest.raises(ConfigError, match="the experiment has none"), serve_locally(url, rotary_rig()):
+    with pytest.raises(ConfigError, match="the experiment has no hand"), serve_locally(url, rotary_rig()):
         pass
     with (
         pytest.raises(ConfigError, match="cannot open this file"),
