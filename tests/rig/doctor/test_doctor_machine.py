@@ -213,7 +213,7 @@ def clocks(current: str, available: str) -> dict[str, str]:
         (kernel.isolation, ISOLATED, {}, OK, "isolated processors for host.cpu: 3", ""),
         (kernel.isolation, ISOLATED, {"cpu": 3}, OK, "is isolated", ""),
         (kernel.isolation, ISOLATED, {"cpu": 2}, WARNING, "not isolated", "isolcpus=2"),
-        (kernel.isolation, ISOLATED, {"cpu": 7}, REFUSED, "this machine has 0, 1, 2, 3", ""),
+        (kernel.isolation, ISOLATED, {"cpu": 7}, REFUSED, "this computer has 0, 1, 2, 3", ""),
         (kernel.virtual_machine, {}, {}, OK, "", ""),
         (
             kernel.virtual_machine,
