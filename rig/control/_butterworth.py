@@ -13,10 +13,7 @@ _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the second-order sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass, fastest poles first.
-
-    The first section contains the gain.
-    """
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass, fastest poles first, gain in the first."""
     corner = _prewarp(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 

@@ -40,10 +40,7 @@ TOLERANCE = 0.1  # relative error of gain at rest, and of 1 + a1 + a2, that a de
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def shift_right(value: int, bits: int, rounding: int) -> int:
-    """Return value / 2^bits, rounded by the rule `rounding` (index into `ROUNDINGS`).
-
-    0 ≤ bits ≤ 62, and value + 2^bits must fit 64 bits.
-    """
+    """Return value / 2^bits (0 ≤ bits ≤ 62), rounded by the rule `rounding`, an index into `ROUNDINGS`."""
     if rounding == NEAREST:
         value += (1 << bits) >> 1
     elif rounding == ZERO and value < 0:
@@ -53,10 +50,7 @@ def shift_right(value: int, bits: int, rounding: int) -> int:
 
 @kernel("i8(i8, i8, i8)", inline=True)
 def divide(numerator: int, denominator: int, rounding: int) -> int:
-    """Return numerator / denominator, rounded by a rule of `ROUNDINGS`.
-
-    The denominator is above zero; the sum of both numbers must fit 64 bits.
-    """
+    """Return numerator / denominator (above 0), rounded by the rule `rounding`, an index into `ROUNDINGS`."""
     if rounding == NEAREST:
         numerator += denominator >> 1
     elif rounding == ZERO and numerator < 0:
@@ -93,10 +87,7 @@ class Format:
         return -(1 << (self.word_bits - 1)), (1 << (self.word_bits - 1)) - 1
 
     def quantised(self, value: float, what: str = "a value") -> int:
-        """Return the integer of this format that is nearest to a value; halves are rounded towards +∞.
-
-        Raise `ConfigError`, whose message calls the value `what`, if it does not fit.
-        """
+        """Return the nearest integer of this format, halves towards +∞; raise `ConfigError` if `what` does not fit."""
         numerator, denominator = value.as_integer_ratio()
         integer = (2 * (numerator << self.fraction_bits) + denominator) // (2 * denominator)
         least, greatest = self.limits

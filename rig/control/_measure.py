@@ -207,10 +207,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """Count flags and lost samples, in the whole trial and after the contact, and write the counts to `numbers`.
-
-    Run `_contact` before.
-    """
+    """Write the counts of flags and lost samples, of the whole trial and since the contact, to `numbers`."""
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])

@@ -31,10 +31,7 @@ def _partition(values: Floats, low: int, high: int, pivot: float, equal: bool) -
 
 @kernel(types.float64(_SCRATCH_TYPE, types.int64), no_refcount=True)
 def median(values: Floats, count: int) -> float:
-    """Return the median of the first `count` values; the function changes their order.
-
-    Method: Hoare's selection, with the median of three random values as pivot.
-    """
+    """Return the median of the first `count` values by Hoare's selection, which changes their order."""
     middle = count // 2
     low, high = 0, count  # the element of rank `middle` lies in low … high - 1
     draw = 1

@@ -43,10 +43,7 @@ WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
 def effort_at(position: float, harmonics: Any) -> float:
-    """Return the cogging effort (N·m or N) at a position (rad or m).
-
-    `harmonics` contains wavenumber, cosine and sine of each harmonic, in a flat array (`rig.core.model.Cogging`).
-    """
+    """Return the cogging effort (N·m or N) at a position (rad or m); `harmonics` as in `rig.core.model.Cogging`."""
     effort = 0.0
     for i in range(0, harmonics.shape[0], HARMONIC):
         angle = harmonics[i + WAVENUMBER] * position
@@ -69,10 +66,7 @@ def bounded_at(position: float, minimum: float, maximum: float, limit: float, ha
 
 
 def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
-    """Return a law with the effort of `law` plus a compensation of cogging, at most `limit` (N·m or N).
-
-    The new law is compiled when it is first used (a second or two).
-    """
+    """Return a law with the effort of `law` plus a compensation of cogging, at most `limit` (N·m or N)."""
     harmonics = cogging.harmonics
 
     def design(wall: Mapping[str, Any]) -> list[float]:

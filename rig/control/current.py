@@ -254,10 +254,7 @@ def _slot(words: Ints, back: int) -> int:
 
 @rule
 def _extremes(words: Ints) -> tuple[int, int, int]:
-    """Return lowest and highest delayed current over all possible delays, and that at the nominal delay.
-
-    All three currents are in 1/16384 quantum.
-    """
+    """Return lowest, highest and nominal delayed current over all possible delays (1/16384 quantum)."""
     slot = _slot(words, words[CURRENT.first])
     # The delay is no whole number of ticks: extremes over whole ticks around half and twice of it.
     low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]

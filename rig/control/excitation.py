@@ -248,10 +248,7 @@ class Multisine:
         return replace(self, amplitudes=factor * self.amplitudes)
 
     def through(self, response: ArrayLike) -> Multisine:
-        """Return the steady output of a linear system under this multisine, as another multisine.
-
-        `response` is the system's complex gain at each line, shape (n,).
-        """
+        """Return the steady output of a linear system with complex gain `response` (n,) at the lines (a multisine)."""
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
             self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrap_phase(self.phases + np.angle(gain))

@@ -113,10 +113,7 @@ def dead_band_of(resolution: float, velocity_rate: float, cutoff_hz: float) -> f
 
 
 def compensate_friction(law: Law, wanted: Compensation) -> Law:
-    """Return a law with the effort of `law` plus a compensation of friction.
-
-    The new law is compiled when it is first used (a second or two).
-    """
+    """Return a law with the effort of `law` plus a compensation of friction."""
 
     def design(wall: Mapping[str, Any]) -> list[float]:
         inwards, outwards = (wanted.up, wanted.down) if wall["side"] > 0 else (wanted.down, wanted.up)

@@ -136,10 +136,7 @@ def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
 
 
 def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
-    """Return the numbers of one trial (ripples, contact, losses, …), from which `Measured` derives the outcome.
-
-    `thrown_out` is True if a guard ended the run.
-    """
+    """Return the numbers of one trial, from which `Measured` derives the outcome; `thrown_out`: ended by a guard."""
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )

@@ -496,10 +496,7 @@ def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> Non
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
-    """Limit the effort and its slew rate, round it (steps 6 and 7), set the flags, and return the current (quanta).
-
-    The current is 0, and the phase becomes DONE, if a flag ends the run.
-    """
+    """Limit effort and slew rate, round (steps 6 and 7), set flags, return the current (quanta; 0 if the run ends)."""
     c, m = control[0], memory[0]
     if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
         m["flags"] |= NONFINITE

@@ -23,10 +23,7 @@ def installed_path() -> str:
 
 
 def find_program(name: str) -> str | None:
-    """Return the path of a program in `installed_path`; None if it is not installed. `name` may also be a path.
-
-    Start the program with `installed_path` as its ``PATH``: a compiler finds its linker there.
-    """
+    """Return the path of a program in `installed_path`, None if it is missing; start it with this ``PATH`` too."""
     if os.path.dirname(name):
         return shutil.which(name)
     found = shutil.which(name, path=installed_path())

@@ -16,10 +16,7 @@ _POWERS = (4, 5)  # 4·3 is less than the terms
 
 
 def expm(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(matrix) of a square matrix by scaling and squaring: the Taylor series of matrix / 2ⁿ, squared n times.
-
-    Source of the choice of n: Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009.
-    """
+    """Return exp(matrix) by scaling and squaring (Al-Mohy and Higham, SIAM J. Matrix Anal. Appl. 31, 2009)."""
     # From the norms of powers, not of the matrix itself: powers hardly depend on the units of the rows, and each
     # squaring costs precision.
     norm = max(np.linalg.norm(np.linalg.matrix_power(matrix, p), 1) ** (1 / p) for p in _POWERS)

@@ -207,10 +207,7 @@ class Cogging:
 
     @property
     def ripple(self) -> NDArray[np.float64]:
-        """Return wavenumber (rad per rad or m), cosine and sine (ratios) of each ripple harmonic, in a flat array.
-
-        The array is empty without ripple.
-        """
+        """Return wavenumber (rad per rad or m), cosine and sine (ratios) of each ripple harmonic, flat, or empty."""
         return self._rows(self.ripple_cosine, self.ripple_sine) if self.ripple_cosine else np.empty(0)
 
     def _rows(self, cosine: tuple[float, ...], sine: tuple[float, ...]) -> NDArray[np.float64]:

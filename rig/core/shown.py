@@ -80,10 +80,7 @@ class Picture:
     figure: Any
 
     def save(self, path: str | Path) -> Path:
-        """Write the picture as PNG, SVG or PDF, by the suffix of `path`, and return the path.
-
-        Raise `RecordingError` if it cannot be written.
-        """
+        """Write the picture as PNG, SVG or PDF, by the suffix of `path`; raise `RecordingError` on failure."""
         written: Path = extras.load("writers", "file")(self.figure, Path(path))
         return written
 
@@ -103,10 +100,7 @@ class Drawn:
 
 
 def plot(result: object) -> Picture:
-    """Draw a result that has a picture, such as a hit, a recording or one of its columns, a map or an impedance.
-
-    Raise `ConfigError` for a result without a picture.
-    """
+    """Draw a result (hit, recording, column, map, impedance, …); raise `ConfigError` if it has no picture."""
     known = extras.added("pictures")
     for kind in type(result).__mro__:
         if issubclass(kind, Drawn) and kind.__name__ in known:

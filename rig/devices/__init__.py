@@ -81,10 +81,7 @@ def broken(scheme: str) -> str:
 
 
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
-    """Import the backend of a device URL and return its function, which opens a link.
-
-    Raise `ConfigError` if the scheme is unknown, and `DeviceNotFoundError` if the import fails.
-    """
+    """Import the backend of a device URL and return its function that opens a link; errors as `open_link`."""
     scheme = DeviceUrl.parse(url).scheme
     if scheme in BUILT_IN:
         opener = loaded(BUILT_IN[scheme], scheme)
@@ -152,10 +149,7 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
 
 
 def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:
-    """Open a simulated rig in virtual time, with scripted faults of link and device, for tests.
-
-    Errors as `open_link`, and `ConfigError` if the URL is not ``sim://…``.
-    """
+    """Open a simulated rig in virtual time, with scripted faults of link and device; errors as `open_link`."""
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
@@ -178,10 +172,7 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
 
 
 def is_made_for_a_rig(url: str) -> bool:
-    """Return True if the backend of a device URL builds the device from the experiment's rig, as a simulation does.
-
-    Raise `ConfigError` if the scheme belongs to an extra that is missing or broken.
-    """
+    """Return True if the backend of a device URL builds the device from the experiment's rig, as a simulation does."""
     scheme = url.partition(":")[0]
     if scheme in BUILT_IN:
         return scheme == "sim"
@@ -197,26 +188,17 @@ def url_for(url: str, loop: str) -> str:
 
 
 def simulated_rig() -> OpenRig:
-    """Return the function that creates simulated rigs for fast hits without a link.
-
-    Raise `DeviceNotFoundError` if the simulation is not installed.
-    """
+    """Return the function that creates simulated rigs for fast hits; raise `DeviceNotFoundError` if missing."""
     return cast("OpenRig", loaded(HITS))
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return the function that creates simulated rigs with a second actuator for excitation, without a link.
-
-    Raise `DeviceNotFoundError` if the simulation is not installed.
-    """
+    """Return the function that creates simulated rigs with a second actuator; errors as `simulated_rig`."""
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return two functions of the simulation: one builds a plant, one runs a trial with recorded signals on a plant.
-
-    Raise `DeviceNotFoundError` if the simulation is not installed.
-    """
+    """Return two functions: one builds a simulated plant, one runs a trial on a plant; errors as `simulated_rig`."""
     return loaded(PLANT).build, loaded(TRIAL)
 
 

@@ -64,10 +64,7 @@ class ThreadedLine:
                 return
 
     def _ready(self, timeout_s: float) -> bool:
-        """Wait at most `timeout_s` (s) for bytes in the buffer; return True if there are some.
-
-        A failure of the reader thread is raised as `OSError` after its last bytes were read.
-        """
+        """Wait at most `timeout_s` (s) for bytes; return True if there are some. Then raise the reader's `OSError`."""
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
             if self._error and not self._pending:

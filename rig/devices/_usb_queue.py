@@ -28,10 +28,7 @@ _BULK = 2
 
 
 class QueuedTransfers:
-    """The two bulk endpoints of a USB interface by queued libusb transfers, for Python and the compiled loop.
-
-    Errors are `OSError` with the numbers of `rig.devices._failures`.
-    """
+    """The two bulk endpoints of a USB interface by queued libusb transfers; errors are `OSError` (see `_failures`)."""
 
     note = ""
 

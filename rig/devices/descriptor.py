@@ -40,10 +40,7 @@ class DescriptorLink(RealLink):
         self._writable.register(descriptor, select.POLLOUT)
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the bytes that the device has sent; wait at most `timeout_s` (s) for the first byte.
-
-        Raise `LinkLostError` if the device is gone.
-        """
+        """Return the device's bytes; wait at most `timeout_s` (s) for the first; `LinkLostError` if it is gone."""
         if self._descriptor == CLOSED:
             raise self._lost(None)
         try:

@@ -128,10 +128,7 @@ class ActiveParameters:
 
 
 def active_parameters(device: FramedDevice) -> ActiveParameters:
-    """Return the active parameters of an open device, without changing them.
-
-    Raise `LinkLostError` if the device does not reply.
-    """
+    """Return the active parameters of an open device without changing them; `LinkLostError` without a reply."""
     values = device.active_parameters()
     known = {info.name: info for info in device.dictionary.parameters}
     found = [

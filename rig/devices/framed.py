@@ -111,10 +111,7 @@ class FramedDevice:
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
-        """Return the device's dictionary: its description of its parameters, constants, settings and faults.
-
-        It is read from the device at the first use.
-        """
+        """Return the device's dictionary (its description of its parameters, constants and faults), read only once."""
         if self._dictionary is None:
             self._dictionary = self.identify()
         return self._dictionary
@@ -362,10 +359,7 @@ class FramedDevice:
         self._command(m.Disarm(self._next_nonce(), flags))
 
     def enter_bootloader(self) -> None:
-        """Request a reset of the device into its boot loader; the reset follows 50 ms after the reply.
-
-        Raise `DeviceRefusedError` if the device is armed or has no boot loader.
-        """
+        """Request a reset of the device into its boot loader, in 50 ms; `DeviceRefusedError` if it is armed."""
         self.dictionary  # noqa: B018  (a device in BOOT knows IDENTIFY alone)
         self._command(m.EnterBootloader(self._next_nonce()))
 

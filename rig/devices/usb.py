@@ -191,10 +191,7 @@ def _path(device: Any) -> str:
 
 
 def _text(device: Any, which: str, *, ask: bool = True) -> str:
-    """Return a USB device's serial number or product name (`which`) from sysfs or, with `ask`, from the device.
-
-    The text is empty if it is unknown.
-    """
+    """Return a USB device's serial number or product name (`which`) from sysfs or (`ask`) the device; may be empty."""
     # From sysfs first: a request to the device would disturb another program that has it open.
     with suppress(OSError):
         return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
@@ -228,10 +225,7 @@ def _pipes(device: Any) -> _Pipes | None:
 
 
 def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
-    """Open the USB device, claim its interface and reset its endpoints.
-
-    Return True if a kernel driver had to be detached from the interface.
-    """
+    """Open the USB device, claim its interface, reset its endpoints; return True if a kernel driver was detached."""
     detached = False
     try:
         try:

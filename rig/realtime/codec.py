@@ -144,11 +144,8 @@ _CRC = _crc_tables(8)
 
 @kernel(_i64(_bytes, _i64, _i64, _i64))
 def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
-    """Return the CRC-32/ISO-HDLC of ``buffer[start:stop]``, equal to the result of `zlib.crc32`.
-
-    `seed` is the CRC of the bytes before `start`, or 0. Source: "slicing by 8", Kounavis and Berry 2005.
-    """
-    # Eight bytes a step: recordings check whole blocks with it, not only short frames.
+    """Return the CRC-32 of ``buffer[start:stop]`` as `zlib.crc32`; `seed` is the CRC of the bytes before, or 0."""
+    # Eight bytes a step ("slicing by 8", Kounavis and Berry 2005): recordings check whole blocks with it.
     crc = seed ^ 0xFFFFFFFF
     at = start
     while at + 8 <= stop:

@@ -85,10 +85,7 @@ class LoopMemory:
 
 
 def memories(pid: int | None = None) -> Iterator[LoopMemory]:
-    """Yield the shared memory of each running loop once; `pid` selects the loops of one process.
-
-    The caller must close each memory. A memory that disappears during the search is skipped.
-    """
+    """Yield the memory of each running loop (of process `pid`, if given) once; the caller must close each memory."""
     known: set[tuple[int, int]] = set()
     for process, path in place.paths(pid):
         try:
@@ -111,11 +108,7 @@ def _made_by(memory: LoopMemory) -> bool:
 
 
 def ask_to_stop(pid: int | None = None) -> list[LoopMemory]:
-    """Request loops to stop by setting their stop words, and return their memories without waiting for the end.
-
-    `pid` selects the loops of one process; None means all loops of this user. The caller must close the returned
-    memories.
-    """
+    """Set the stop words of the loops of a process (None: of all) without waiting; the caller closes the memories."""
     asked = []
     for memory in memories(pid):
         memory.ask_to_stop()

@@ -87,10 +87,7 @@ class StoppedLoop:
 
 
 def running(*, done: bool = False) -> list[RunningLoop]:
-    """Return the loops that this user runs in real time on this computer (for root: all users), oldest first.
-
-    With ``done=True`` the result includes loops that have ended while their recording is not sealed yet.
-    """
+    """Return the running loops of this user, oldest first; with `done` also those whose recording is not sealed."""
     found = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:

@@ -203,10 +203,7 @@ def requester() -> str:
 
 
 def request(number: int = 0) -> int:
-    """Request all runs of this process to stop, without waiting; return the number of runs in progress.
-
-    A signal handler may call this function. `number` is the signal that caused the request, or 0.
-    """
+    """Request all runs of this process to stop, for signal `number` or 0; return the number of runs in progress."""
     return int(_add_request(_process().table, number))
 
 
@@ -248,10 +245,7 @@ class RunSeries:
 
 @contextmanager
 def listening() -> Iterator[RunSeries]:
-    """Count stop signals within this context and yield a `RunSeries`, by which the caller sees whether to stop.
-
-    In the main thread, signals between two runs are left to Python's own handlers.
-    """
+    """Count stop signals within this context and yield a `RunSeries`, by which the caller sees whether to stop."""
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
     else:

@@ -121,10 +121,7 @@ def descriptor_read(descriptor: int, address: int, size: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def descriptor_write(descriptor: int, address: int, size: int) -> int:
-    """Write up to `size` bytes from memory at `address` to a non-blocking descriptor, by one call of write(2).
-
-    Returns the number of bytes written, 0 if the descriptor's buffer is full, or a negative errno.
-    """
+    """Write up to `size` bytes from `address` without blocking; return the bytes written, 0 if full, or -errno."""
     done = _write(descriptor, address, size)
     if done >= 0:
         return int(done)
@@ -143,10 +140,7 @@ def descriptor_sync(descriptor: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def descriptor_wait(descriptor: int, deadline_ns: int) -> int:
-    """Wait for input on a descriptor until CLOCK_MONOTONIC reaches `deadline_ns` (ns).
-
-    Returns 1 if input is available, 0 at the deadline, or a negative errno.
-    """
+    """Wait for input until CLOCK_MONOTONIC reaches `deadline_ns`; return 1 (input), 0 (deadline), or -errno."""
     pollfd = _one_word()
     timespec = _two_words()
     while True:

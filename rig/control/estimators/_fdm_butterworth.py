@@ -38,10 +38,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the low-pass filtered velocity (rad/s or m/s) at a new encoder count.
-
-    After lost samples the filter runs once for each lost period.
-    """
+    """Return the low-pass filtered velocity (rad/s or m/s) at a new encoder count, also after lost samples."""
     slope = fdm.update(count, edge_age_s, elapsed_ticks, effort, state_f, state_i, parameters)
     out = slope
     for _ in range(min(elapsed_ticks, LONGEST_GAP)):

@@ -56,10 +56,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count, low-pass filtered in fixed point.
-
-    After lost samples the filter runs once for each lost period.
-    """
+    """Return the velocity (rad/s or m/s) at a new encoder count, low-pass filtered in fixed point."""
     if state_i[fdm.STARTED] == 0:
         state_i[fdm.STARTED] = 1
         state_i[fdm.PREVIOUS] = count

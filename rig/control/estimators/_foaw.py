@@ -67,10 +67,7 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return noise band (counts, with rounding margin), longest window (periods) and index of the stop rule.
-
-    Raises `ConfigError` if `window_limit` is not a whole number.
-    """
+    """Return noise band (counts, with rounding margin), longest window (periods) and index of the stop rule."""
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

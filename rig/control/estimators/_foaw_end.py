@@ -26,10 +26,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s): the slope of the longest chord between two counts that fits those between.
-
-    It is zero for the first sample.
-    """
+    """Return the velocity (rad/s or m/s): slope of the longest chord that fits the counts in between, 0 at first."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit = parameters[BAND], int(parameters[LIMIT])

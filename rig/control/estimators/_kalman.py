@@ -174,10 +174,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count, by the Kalman filter; 0 for the first sample.
-
-    Lost samples are predicted, then corrected once.
-    """
+    """Return the velocity (rad/s or m/s) at a new encoder count, by the Kalman filter; 0 for the first sample."""
     # The position is stored less the newest count, so that large counts cost no digits.
     scale = parameters[RESOLUTION] / parameters[PERIOD]
     moved = count_difference(count, state_i[PREVIOUS])

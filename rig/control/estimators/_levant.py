@@ -114,10 +114,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count, by Levant's differentiator.
-
-    It is zero for the first sample, at which the copy x of the position starts at rest.
-    """
+    """Return the velocity (rad/s or m/s) at a new encoder count, by Levant's differentiator; 0 for the first sample."""
     if state_i[STARTED] == 0:
         state_i[STARTED] = 1
         state_i[PREVIOUS] = count

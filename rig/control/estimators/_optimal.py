@@ -69,10 +69,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s): the slope of the chord between two counts with the least possible error.
-
-    It is zero for the first sample.
-    """
+    """Return the velocity (rad/s or m/s): slope of the chord with the least possible error, 0 for the first sample."""
     newest = foaw.remember(count, elapsed_ticks, state_i)
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     bend, limit = parameters[BEND], int(parameters[LIMIT])

@@ -110,10 +110,7 @@ def whole_numbers(values: ArrayLike, array_name: str, also: tuple[str, ...] = ()
 
 
 def real_numbers(values: ArrayLike, array_name: str, unit: str) -> Floats:
-    """Return the values as float64, NaN where masked; raise `ConfigError` for text, dates and other non-numbers.
-
-    `array_name` is the name of the array and `unit` its unit, for the message.
-    """
+    """Return the values as float64, NaN where masked; raise `ConfigError`, with name and unit, for text and dates."""
     array = _unmask(values)
     if array.dtype.kind in _KINDS:
         raise ConfigError(
@@ -186,10 +183,7 @@ def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
 
 
 def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:
-    """Raise `ConfigError` if a step of the counts is so far from the previous speed that its direction is ambiguous.
-
-    The limit is half the range of a counter of `bits` bits.
-    """
+    """Raise `ConfigError` if a step of the counts differs from the previous speed by half the counter's range."""
     expected = np.concatenate(([0.0], steps[:-1] / elapsed[1:-1] * elapsed[2:]))
     wrong = np.flatnonzero(np.abs(steps - expected) >= 2 ** (bits - 1))
     if len(wrong):

@@ -103,10 +103,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s) at a new encoder count: the slope between the last two edges.
-
-    The magnitude is limited by the time without an edge since then.
-    """
+    """Return the velocity (rad/s or m/s): slope between the last two encoder edges, limited by the time since then."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:

@@ -59,10 +59,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s): the slope from the edge before the window to the last encoder edge.
-
-    The magnitude is limited by the time without an edge since then.
-    """
+    """Return the velocity (rad/s or m/s): slope from the edge before the window to the last, limited by its age."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:

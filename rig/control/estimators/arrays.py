@@ -168,10 +168,7 @@ def own_inputs(
     elapsed: ArrayLike | None = None,
     width: Any = None,
 ) -> tuple[Ints, Floats, Ints]:
-    """Check the arguments of `estimate`; return unwrapped counts, age of the last edge (s) and elapsed periods.
-
-    Raises `ConfigError` for the same reasons as `estimate`.
-    """
+    """Check the arguments of `estimate`; return unwrapped counts, age of the last edge (s) and elapsed periods."""
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
             f"dt = {dt!r} s is not a valid sampling period: it must be above 0 and finite",

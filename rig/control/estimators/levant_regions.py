@@ -84,10 +84,7 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
 
 
 def worst_case_mu2(mu1: float) -> float:
-    """Return the least μ2 = λ/√C with which the error of Levant's differentiator contracts in every half cycle.
-
-    It is infinite for μ1 ≤ 1.
-    """
+    """Return the least μ2 = λ/√C with which the error of Levant's differentiator contracts; infinite for μ1 ≤ 1."""
     if mu1 <= 1.0:
         return math.inf
     low, high = 0.0, LARGEST_MU2
