@@ -39,6 +39,7 @@ def recording(hit: Path, tmp_path: Path) -> str:
     return str(shutil.copy(hit, tmp_path))
 
 
+@pytest.mark.exhaustive("::test_the_default_hit_is_the_one_of_the_reference_study")
 @pytest.mark.usefixtures("undrawn")
 def test_a_picture_has_the_format_of_its_option(run: Any) -> None:
     code, out, err = run("hit", "--json", "--format", "svg", *QUICK)

@@ -14,6 +14,7 @@ from rig.devices.framed import FramedDevice
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.recording.reader import open_recording
 from sim_backend.ends.link import open_link
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import CURRENTS, trial_on
 
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
@@ -30,15 +31,18 @@ COGS = {
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [
-        ("koul-compliant", {}),
-        ("koul-compliant", HELD),
-        ("koul-compliant", COGS),
-        ("chawda-linear", HELD | COGS),
-        ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "disturbance"}),
-        ("koul-rigid", HELD | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
-        ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
-    ],
+    first_by_default(
+        [
+            ("koul-compliant", {}),
+            ("chawda-linear", HELD | COGS),
+            ("koul-rigid", {"controller.velocity_rate": 20000, "controller.estimator": "disturbance"}),
+            ("koul-compliant", HELD),
+            ("koul-compliant", COGS),
+            ("koul-rigid", HELD | {"rig.encoder.sign": -1, "wall.stiffness": 600.0}),
+            ("chawda-linear", {"rig.simulation.computation_delay_ticks": 2}),
+        ],
+        3,
+    ),
 )
 def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
     name: str, changes: Any, tmp_path: Path

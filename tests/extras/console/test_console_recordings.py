@@ -29,6 +29,7 @@ from rig.recording._parquet import write_parquet
 from rig.recording.data import Recording
 from rig.recording.export import export
 from rig.recording.reader import open_recording
+from tests.conformance.tiers import first_by_default
 from tests.extras.console.console_fakes import Page, ask, run, shared
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
@@ -223,7 +224,7 @@ def test_other_paths_are_not_of_this_view(output: Path, path: str) -> None:
     assert fetch(output, path) is None
 
 
-@pytest.mark.parametrize("form", ["csv", "mat", "parquet"])
+@pytest.mark.parametrize("form", first_by_default(["csv", "mat", "parquet"]))
 def test_an_export_is_that_of_the_command(output: Path, tmp_path: Path, form: str) -> None:
     path = export(output / "one.parquet", tmp_path / f"exported.{form}")
     found = fetch(output, f"/recordings/one.parquet/export?form={form}").body

@@ -146,6 +146,7 @@ def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
     os.close(mouth)
 
 
+@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
 def test_a_link_reports_the_refusal_of_its_bridge(port: str) -> None:
     model = bridged_rig()
     other = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=1.0))

@@ -303,7 +303,7 @@ def test_an_ascending_series_that_failed_at_once_is_noted_and_bounds_nothing(tmp
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("rule", ["staircase", "interleaved"])
+@pytest.mark.parametrize("rule", first_by_default(["staircase", "interleaved"]))
 def test_a_search_that_ended_by_most_is_marked_and_left_out_unless_asked_for(
     rule: str, tmp_path: Path
 ) -> None:

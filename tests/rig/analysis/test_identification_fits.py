@@ -415,6 +415,7 @@ def test_motion_that_has_not_settled_is_refused(rubbing: Any) -> None:
         check_excited([changed(run, periods=2, **twice)] * 2, QUANTUM)
 
 
+@pytest.mark.exhaustive("::test_motion_that_does_not_follow_the_excitation_is_refused")
 def test_a_motion_that_no_model_explains_is_refused(rubbing: Any) -> None:
     with pytest.raises(IdentificationError, match="50 % of the motion"):
         check_explained(0.5)

@@ -181,6 +181,7 @@ def test_a_third_party_with_a_dead_zone_is_not_linear(foreign: Any) -> None:
         linear.realise("deaf", {}, 1e-3, RESOLUTION)
 
 
+@pytest.mark.exhaustive("::test_nonlinear_estimator_is_refused_by_name")
 def test_estimator_that_changes_with_time_is_refused(foreign: Any) -> None:
     def tiring(count: Any, edge: Any, elapsed: Any, state_f: Any, state_i: Any, parameters: Any) -> Any:
         state_f[40] += 1.0

@@ -20,12 +20,13 @@ from rig.core.errors import RecordingError
 from rig.core.shown import Picture
 from rig.views.plots import style
 from tests.conformance.commands import commands
+from tests.conformance.tiers import first_by_default
 from tests.rig.views.conftest import a_figure
 
 BEGINS = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
-@pytest.mark.parametrize("ending", style.FORMATS)
+@pytest.mark.parametrize("ending", first_by_default(style.FORMATS))
 def test_the_name_chooses_the_format_and_the_same_picture_has_the_same_bytes(
     ending: str, tmp_path: Path
 ) -> None:
