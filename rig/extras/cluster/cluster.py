@@ -54,14 +54,14 @@ class Cluster:
                 self._threads = sum(self._client.nthreads().values())
             except Exception as error:
                 # distributed raises errors of whatever library carries the connection.
-                raise self._lost() from error
+                raise self._scheduler_lost_error() from error
             self._counted_s = time.monotonic()
         return self._threads
 
     def explain(self, error: BaseException) -> Failure:
         """Convert the exception of a future to a `Failure`; raise `RigError` if the scheduler is gone."""
         if isinstance(error, CancelledError):
-            raise self._lost() from error
+            raise self._scheduler_lost_error() from error
         if isinstance(error, self._dask.KilledWorker):
             ended = f"it ended every worker that ran it ({error.allowed_failures + 1} workers)"
             return Failure(ended, "find the cause in the log of a worker", str(error))
@@ -89,7 +89,7 @@ class Cluster:
                 remedy="start one with `dask scheduler` and name its address, like tcp://10.0.0.5:8786",
             ) from error
 
-    def _lost(self) -> RigError:
+    def _scheduler_lost_error(self) -> RigError:
         return RigError(
             f"the connection to the Dask scheduler at {self._scheduler} was lost",
             remedy="start the scheduler again",

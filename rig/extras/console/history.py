@@ -101,7 +101,7 @@ class History:
         return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
 
     def row_at(self, seconds: float) -> int:
-        """Return the row at `seconds` (s since the first row), rounded up to a stored bucket; at most `rows`."""
+        """Return the row at `seconds` (s since the first row), rounded up to a multiple of 32; at most `rows`."""
         if self._buckets == 0 or seconds >= self._newest_s():
             return self.rows
         kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)
@@ -128,8 +128,8 @@ class History:
     def cut(self, columns: Sequence[str], first: int, last: int, step: int) -> HistoryExcerpt:
         """Return points of some columns from row `first` to `last` - 1, each point over `step` rows.
 
-        Only complete points are returned. If rows are stored only in buckets, `step` is rounded up to whole buckets.
-        Rows that are in no bucket any more are left out.
+        Only complete points are returned. If rows are stored only in buckets (minima and maxima of 32 rows), `step` is
+        rounded up to whole buckets. Rows that are in no bucket any more are left out.
         """
         last = min(last, self.rows)
         if first >= self.oldest_row:

@@ -56,7 +56,7 @@ class Live(Service):
         }
 
     def greet(self, client: Client) -> None:
-        """Send the followed loop to a newly connected page."""
+        """Send facts about the followed control loop to a newly connected page."""
         client.show(self._followed)
         self._send_loop(client)
 
@@ -177,7 +177,7 @@ class Live(Service):
                 self._shared.report_trouble(defect(what, error))
 
     async def search(self) -> None:
-        """Follow the loop of the job, or the loop that a page chose; none while the operator must not see the wall."""
+        """Follow the control loop of the job, or of a page's choice; none if the operator must not see the wall."""
         if self._shared.blinded:
             self._withhold()
             return

@@ -108,9 +108,9 @@ def describe_map(directory: str) -> dict[str, Any]:
 
 
 def growth(directory: str, place: int) -> dict[str, Any]:
-    """Read the map's journal (one line per finished column) from the byte offset `place` on.
+    """Read the results that were added to a map's journal after the byte offset `place`.
 
-    Return the new columns, the new offset, and the state of the map: "running", "finished" or "stopped".
+    Return the new columns (results at one damping), the new offset, and the state: "running", "finished" or "stopped".
     """
     path = Path(directory)
     plan, _ = _plan(path)

@@ -112,7 +112,7 @@ class Watched:
             self.begun_s, self.begun_weight = now_s, self._weight()
 
     def progress_message(self, columns: list[dict[str, Any]], now_s: float, *, anew: bool) -> str:
-        """Return a JSON message with `columns` and the map's progress; `anew`: the page must discard older columns."""
+        """Return a JSON message with results (`columns`) and the map's progress; `anew`: drop older results."""
         return json.dumps(
             {
                 "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,
@@ -205,7 +205,7 @@ class MapService(Service):
         return watched.facts
 
     async def _follow(self, watched: Watched) -> None:
-        """Send new columns of the journal to the pages that show a map, until it is finished or no page shows it."""
+        """Send new results of a map to the pages that show it, until the map is finished or no page shows it."""
         try:
             while watched.state != "finished" and watched.clients:
                 anew = not watched.columns

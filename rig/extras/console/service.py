@@ -127,7 +127,7 @@ class Service(ABC):
         """Send a newly connected page its initial messages."""
 
     def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """Handle a message of a job. Return True if it must not be sent to the pages."""
+        """Handle a message of a job; return True if the pages must not receive the message."""
         return False
 
     async def download(self, path: str) -> Download | None:

@@ -75,9 +75,9 @@ class PageDesk(AskingDesk):
 
 
 def digest_of(protocol: str, directory: str) -> str:
-    """Return a short digest of a session's protocol and experiment, from the protocol's name or file.
+    """Return a short digest of protocol and experiment, from the name or file `protocol`.
 
-    If `directory` is not empty, return the digest of the session that its log began with.
+    If `directory` is not empty, use protocol and experiment in the log of the session there instead.
     """
     if directory:
         began = read(Path(directory) / LOG)[0].content

@@ -32,7 +32,7 @@ class SessionPerson:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginSession(Request):
-    """Begin a session of `protocol`, or resume that in `directory`, like `rig session run` or `rig session resume`.
+    """Begin a session of `protocol`, or resume the session in `directory`.
 
     `study` is the directory that contains all participants, or empty.
     """

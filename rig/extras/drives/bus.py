@@ -151,7 +151,7 @@ class AdapterBus:
 
     @property
     def refused(self) -> int:
-        """Number of lines that the adapter refused."""
+        """Number of text lines, each of them a frame to send, that the adapter refused."""
         return int(self._adapter.refused)
 
     def send(self, frame: CanFrame) -> None:
@@ -218,7 +218,7 @@ class CanBus:
         try:
             self._socket.send(packed.raw[:count])
         except OSError as error:
-            raise self._lost(error) from None
+            raise self._interface_failed_error(error) from None
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """Return the next CAN frame, or None after the timeout; raise `LinkLostError` if the interface failed."""
@@ -230,7 +230,7 @@ class CanBus:
             try:
                 data = os.read(self.descriptor, READ_BYTES)
             except OSError as error:
-                raise self._lost(error) from None
+                raise self._interface_failed_error(error) from None
             if self._library.socketcan_take(data, len(data), ctypes.byref(frame)) == _FRAME_KIND:
                 return CanFrame(frame.id, frame.data)
         return None
@@ -239,7 +239,7 @@ class CanBus:
         """Close the socket of the interface."""
         self._socket.close()
 
-    def _lost(self, error: OSError) -> LinkLostError:
+    def _interface_failed_error(self, error: OSError) -> LinkLostError:
         return LinkLostError(
             f"the CAN interface {self.place} has failed: {error.strerror}",
             remedy=f"check its state with `ip -details link show {self.place}`: it must be up and not bus-off",

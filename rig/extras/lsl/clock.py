@@ -43,7 +43,7 @@ class LiveClock:
         return None if fit is None else fit.asymmetry_bound_ns + round(3.0 * fit.offset_sd_ns)
 
     def look(self, ring: Ring) -> None:
-        """Read the newest clock exchange from the ring, and fit the line again: at first always, later at intervals."""
+        """Read the newest clock exchange from the ring, and fit the conversion again: at first always, later seldom."""
         done, stamps = ring.clock_exchange()
         if stamps is None or done == self._seen:
             return

@@ -52,7 +52,7 @@ def load() -> Any:
 
 
 def clock_offset(pylsl: Any) -> ClockOffset:
-    """Measure LSL's clock minus the host's, from the narrowest of `TRIES` pairs of host readings around one of LSL."""
+    """Measure LSL's clock minus the host's: read LSL's between two readings of the host's clock, `TRIES` times."""
     best: tuple[int, float] | None = None
     for _ in range(TRIES):
         before = time.monotonic_ns()

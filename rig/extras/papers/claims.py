@@ -36,7 +36,7 @@ BEGIN = re.compile(r"(title|source|claim|paper|ours|only with|in part|needs|rule
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """A claim of the paper as a row of the report's table; the docstring of this module explains the fields."""
+    """A claim of the paper, this project's numbers, the verdict, and what it depends on: a row of the report."""
 
     key: str
     claim: str

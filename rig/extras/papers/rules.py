@@ -115,7 +115,7 @@ class Ruling:
 def judge(
     cases: Mapping[str, bool], *, conditions: Mapping[str, Sequence[str]] | None = None, **numbers: Any
 ) -> Ruling:
-    """Judge a claim that was tested in several cases, by the rule in this module's docstring.
+    """Judge a claim: "reproduced" if it holds in all `cases`, "reproduced only with" a condition if in all its cases.
 
     `numbers` are for the report's sentence only. A claim without cases is not reproduced.
     """

@@ -84,7 +84,7 @@ class BlockRow:
 
 
 def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
-    """Compute the slopes along the session: of limits by each measure, of verdict times, and of invalid trials."""
+    """Compute the slopes along the session: of limits (by each definition), verdict times, and invalid trials."""
     found: list[Slope] = []
     places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
         ("order", lambda run: float(run.order)),

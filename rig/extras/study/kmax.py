@@ -195,7 +195,7 @@ def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bou
 
 
 def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
-    """Return the stiffness limits of complete runs by a measure.
+    """Return the stiffness limits of complete runs, by the definition `measure`.
 
     `pooled` has the limits from all verdicts of a participant under a condition at a damping, which K50 uses.
     """
@@ -336,7 +336,7 @@ def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
 def _compare_pairs(
     each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
 ) -> list[Paired]:
-    """Return the differences of all pairs of conditions by one measure, without Holm's correction."""
+    """Return the differences of all pairs of conditions for one definition of limits, without Holm's correction."""
     of = [one for one in each if one.measure == measure]
     known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
     beyond: dict[Cell, Beyond] = {}
@@ -441,7 +441,7 @@ def rounding_of(roundings: Sequence[float]) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """Correct p values for their number by Holm's method (Scandinavian Journal of Statistics 6, 1979), without NaN."""
+    """Correct p values by Holm's method (Scandinavian Journal of Statistics 6, 1979); NaN stays NaN, not counted."""
     known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
     adjusted, largest = [math.nan] * len(p), 0.0
     for rank, (value, place) in enumerate(known):
@@ -491,9 +491,10 @@ def _differences(
     condition: str,
     damping: float | None,
 ) -> tuple[Floats, float]:
-    """Return `condition` minus `against` for each participant who has both, at one or (None) all common dampings.
+    """Return `condition` minus `against` for each participant who has both, at `damping`.
 
-    The second value is the standard deviation of the differences that rounding to the levels causes.
+    With `damping` None it is the mean difference over all common dampings. The second value is the standard deviation
+    of the differences that rounding to the searched stiffnesses causes.
     """
     participants = dict.fromkeys(code for code, _, _ in known)
     of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}

@@ -45,7 +45,7 @@ _LOST = 1e-3  # of log likelihood, that statsmodels may end below the optimum th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """An estimated value of the model with its 95 % interval; no interval (NaN) for order and block."""
+    """An estimated value of the model with its 95 % interval; no interval (NaN) for the covariates order and block."""
 
     name: str
     value: float
@@ -128,7 +128,7 @@ class Mixed:
 
 
 def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
-    """Fit the mixed model to the limits by one measure. Raise no error: `Mixed.problem` contains the reason.
+    """Fit the mixed model to the limits by the definition `measure`. Raise no error: `Mixed.problem` has the reason.
 
     Each of `conditions` is compared with all conditions before it in the sequence.
     """
@@ -301,7 +301,7 @@ class _Design:
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
     def by_person(self, values: Floats) -> Floats:
-        """Arrange `values` by participant, shape (participants, most values of one participant), padded by 0."""
+        """Arrange `values` in a row for each participant, padded with zeros: shape (participants, n, …)."""
         of = self.frame.groupby("participant")
         person, own = of.ngroup().to_numpy(), of.cumcount().to_numpy()
         rows = np.zeros((person.max() + 1, own.max() + 1, *values.shape[1:]))

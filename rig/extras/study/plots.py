@@ -350,7 +350,10 @@ def _draw_functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour
 
 
 def _describe_k50(one: PsychometricFit) -> str:
-    """Return K50 as text: with ≥ or ≤ if it is a bound, or the number of censored K50 if bounds differ."""
+    """Return K50 (stiffness with half of the verdicts stable) as text: with ≥ or ≤ if it is a bound.
+
+    If participants have bounds of both kinds, the text is their number instead.
+    """
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="

@@ -27,7 +27,7 @@ Judge = Literal["person", "automatic"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """Estimate of a parameter: mean of the posterior (median for K50) and 95 % interval (NaN: no interval)."""
+    """Estimate of a parameter: mean of the posterior (for K50 its median) and 95 % interval (NaN: no interval)."""
 
     mean: float
     low: float
@@ -75,7 +75,7 @@ class PsychometricFit:
 
     @property
     def bounded(self) -> bool:
-        """True if K50 lies within the searched stiffnesses for every participant."""
+        """True if every participant's K50 (stiffness with half of the verdicts stable) lies within the range."""
         return not self.above and not self.below
 
     def share(self, stiffness: Floats) -> Floats:
@@ -91,7 +91,7 @@ def psychometrics(
 ) -> tuple[PsychometricFit, ...]:
     """Fit all functions, by judge, condition and damping: of each participant, then of all participants together.
 
-    `complete` has participant and number of each run that counts, see `complete_runs`. Participants whose K50 is marked
+    `complete` has participant and number of each run that counts, see `complete_runs`. Participants whose fit is marked
     (not supported by the verdicts) are left out of the common function, unless `include_marked`.
     """
     found: list[PsychometricFit] = []
@@ -189,7 +189,7 @@ def together(
 ) -> PsychometricFit:
     """Fit the common function of several participants under one condition to all of their verdicts.
 
-    K50 is the mean of the single fits `each`, with Student's interval.
+    K50 (stiffness with half of the verdicts stable) is the mean of the single fits `each`, with Student's interval.
     """
     # Student's interval over people's own K50: it shows a K50 that drifts between repeats, for which the posterior's is
     # too narrow.

@@ -78,7 +78,7 @@ class _Condition:
 
 @dataclass(frozen=True, slots=True)
 class _StatedSearch:
-    """Settings of a search: of the study (`condition` None), or of one condition that has its own."""
+    """Settings of a search: of the study (`condition` None), or of one condition that has its own settings."""
 
     condition: str | None
     levels: tuple[float, ...]

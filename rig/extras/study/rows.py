@@ -23,7 +23,7 @@ MEASURES: tuple[Measure, ...] = ("rule", "K50 person", "K50 automatic")
 
 @dataclass(kw_only=True)
 class TrialRow(RecordedTrial):
-    """A trial of the log with its participant, its place in the study, and the numbers of its automatic verdict."""
+    """A trial of the log: participant, place in the study, person's verdict, and measured values (ripples, efforts)."""
 
     participant: Annotated[str, Quantity("", "code")]
     row: Annotated[int, Quantity("", "participant's row of the order, from 0")]

@@ -172,7 +172,7 @@ def read_study(
 
 
 def _with_trials(sessions: list[StudySession]) -> tuple[list[StudySession], list[str]]:
-    """Return the sessions with trials, and a message about sessions without; all sessions if none has trials."""
+    """Return the sessions with trials, and a message about sessions without trials; all sessions if none has any."""
     empty = [session for session in sessions if not session.state.trials]
     if not empty or len(empty) == len(sessions):
         return sessions, []

@@ -27,7 +27,7 @@ FACTS: Mapping[str, Quantity] = {
 
 
 def facts_of(row: TrialRow) -> dict[str, Any]:
-    """Return the value of each of `FACTS` (name in files) for one trial."""
+    """Return the exported values of one trial, by their names in files (`FACTS`)."""
     return {name: getattr(row, field) for name, field in _FIELDS.items()}
 
 

@@ -274,7 +274,7 @@ def _caught(
 
 
 def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
-    """Estimate the stiffness limits of a run; return them by measure, and a note about them."""
+    """Estimate the stiffness limits of a run; return them by definition (*measure*), and a note about them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     probes, note = answers(state, run, "followed"), ""

@@ -126,7 +126,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Compare the limits that ladder, bisection and grid searches would find on one map."""
+        """Compare the limits that three searches (ladder, bisection, grid) would find on one map."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)

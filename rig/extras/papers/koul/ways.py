@@ -14,14 +14,15 @@ from rig.experiments.mapping.interface import TRUE, Passes, ZWidth, limit_of
 
 @dataclass(frozen=True, slots=True)
 class GridColumn:
-    """Results at one damping and one encoder offset of a grid.
+    """Results of all walls at one damping and one encoder offset of a grid.
 
     Attributes
     ----------
     tried
         True if the wall of a stiffness (N·m/rad) passed; None if unknown.
     ladder, bisection, highest
-        Limits by a ladder and by a bisection, and the stiffest stable wall of all (N·m/rad; 0: no wall).
+        Largest stiffness (N·m/rad) that a search with rising stiffnesses up to the first failure would find, that a
+        bisection would find, and of all stable walls; 0: no wall.
     islands
         Intervals of stable walls (N·m/rad) above a wall that fails.
     """
@@ -37,13 +38,13 @@ class GridColumn:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Comparison of ladder, bisection and grid for one scheme and criterion, over all columns (dampings and offsets).
+    """Comparison of three searches (ladder, bisection, grid) for one scheme and criterion, over all of its columns.
 
     Attributes
     ----------
     columns, islands, higher
-        Number of columns; number with stable walls above one that fails; number in which a bisection ends above the
-        ladder.
+        Number of columns (damping and offset); number with stable walls above one that fails; number in which a
+        bisection ends above the ladder (rising stiffnesses up to the first failure).
     damping_ladder, damping_grid
         Largest damping (N·m·s/rad) at which the ladder finds a wall, and at which any wall is stable.
     """
@@ -58,7 +59,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Compare ladder, bisection and grid for the scheme with index `scheme` and name `key`, over all offsets."""
+    """Compare three searches (ladder, bisection, grid) for the scheme with index `scheme`, over all offsets."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
