@@ -347,7 +347,7 @@ def _facts(talk: Asked, drive: int, firmware: str, mode: int) -> MoteusFacts:
 
 
 def switches_of(texts: Mapping[str, str]) -> Switches:
-    """Return the switches for texts like ``{"hold": "aux1.2"}``: a port of the drive, and a bit of its pins.
+    """Read the hold and stop switches from texts like ``{"hold": "aux1.2"}``: a port of the drive, and a pin's bit.
 
     Raises `ConfigError` for a text of another form, and for switches on two ports.
     """

@@ -79,7 +79,7 @@ class OwnWall:
                 bool(c["extrapolate"]),
                 "controller.prediction",
                 '"extrapolate"',
-                "the drive does not hold the velocity between samples",
+                "the drive does not extrapolate the velocity",
                 'choose controller.prediction = "hold"',
             ),
             (
@@ -99,12 +99,7 @@ class OwnWall:
         )
         for there, key, shown, why, instead in lacks:
             if there:
-                raise NotOnDeviceError(
-                    key,
-                    f'{shown} with controller.arithmetic = "drive"',
-                    f"a drive does not have it: {why}",
-                    instead,
-                )
+                raise NotOnDeviceError(key, f'{shown} with controller.arithmetic = "drive"', why, instead)
 
     def planned(self, experiment: Experiment) -> list[Check]:
         """Return one check for the plan, which states what the drive's own wall lacks."""

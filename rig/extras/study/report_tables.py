@@ -434,7 +434,7 @@ def whole(found: StudyAnalysis) -> tuple[list[PsychometricFit], list[Psychometri
 
 
 def no_slope(found: StudyAnalysis) -> dict[str, list[str]]:
-    """Return, for each reason, the names of the slopes that have no value."""
+    """Return, for each reason, the names of the slopes along the session that have no value."""
     problems: dict[str, list[str]] = {}
     for one in found.slopes:
         if one.problem:

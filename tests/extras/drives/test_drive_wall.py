@@ -291,7 +291,7 @@ def test_a_wall_that_no_motion_confirms_fades_though_there_is_no_push() -> None:
         ("wall.damping_on", "entry", "the drive damps in both directions"),
         ("wall.law", "bilateral", "a spring and a damper beyond a bound"),
         ("controller.velocity_rate", 500, "has a single rate"),
-        ("controller.prediction", "extrapolate", "does not hold the velocity"),
+        ("controller.prediction", "extrapolate", "does not extrapolate"),
         ("controller.slow_velocity_rate", 500, "has a single rate"),
         ("controller.estimator", "kalman", "the drive computes the velocity by its own filter"),
         ("controller.friction_compensation", 0.5, "a spring and a damper beyond a bound"),

@@ -255,7 +255,7 @@ class Profiles:
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile
-        raise KeyError(key)
+        raise KeyError(f"no profile for velocity rate and arithmetic {key}")
 
 
 def koul_figure_8(
