@@ -384,8 +384,7 @@ class Connection:
         """Host: begin a transaction of one request, or of all messages of `transfer.set_parameters`.
 
         Call `say` next to get the frames to send. `session` is the number of the new session for ARM, else None. An
-        unfinished
-        transaction is abandoned.
+        unfinished transaction is abandoned.
         """
         self._require_role(Role.HOST, "begin")
         self._requests, self._session_to_open = requests, session

@@ -60,10 +60,8 @@ class Sync(IntFlag):
     """Bits of the device's sync outputs, which mark ticks and trials for an oscilloscope or another recorder.
 
     `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device sets these pins when the current
-    of
-    the COMMAND becomes active, and clears them when the lifetime of the COMMAND is over, at STOP, at a fault and
-    outside of
-    a session. With mode SUPERVISE the law on the device controls the pins.
+    of the COMMAND becomes active, and clears them when the lifetime of the COMMAND is over, at STOP, at a fault and
+    outside of a session. With mode SUPERVISE the law on the device controls the pins.
     """
 
     TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND

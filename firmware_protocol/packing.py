@@ -126,8 +126,7 @@ def unpack(raw: bytes) -> tuple[Header, Message]:
     """Return the header and the message of a raw frame (header and payload, without CRC).
 
     Raise `RemoteProtocolError` for an unknown message type or a payload of wrong length. The caller must check the
-    major
-    version, because a device accepts IDENTIFY from every version.
+    major version, because a device accepts IDENTIFY from every version.
     """
     if len(raw) < HEADER_BYTES:
         raise RemoteProtocolError(

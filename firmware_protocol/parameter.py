@@ -12,8 +12,7 @@ class Parameter:
     """A parameter of the device: id in messages, name, C type, unit, range, default and meaning.
 
     `excluded` are values inside the range that the device rejects. A `live` parameter may change while the device is
-    armed,
-    in a parameter block that contains only live parameters.
+    armed, in a parameter block that contains only live parameters.
     """
 
     id: int

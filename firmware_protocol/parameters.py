@@ -28,8 +28,7 @@ class ParameterError(ProtocolError):
     """A parameter or a parameter block is not valid.
 
     `status` and `detail` are the fields of the ACK that rejects the block; `detail` is the id of the parameter, or 0
-    for
-    the whole block. `name` is the name of the parameter, or empty.
+    for the whole block. `name` is the name of the parameter, or empty.
     """
 
     def __init__(self, status: Status, message: str, *, detail: int = 0, name: str = "") -> None:
@@ -275,7 +274,9 @@ def _by_name(name: str) -> Parameter:
 
 def _check_one(parameter: Parameter, value: Value) -> None:
     if parameter.ctype != "f32" and not hasattr(value, "__index__"):
-        raise _refusal(parameter, f"{parameter.name} = {value} is not a whole number")
+        raise _refusal(
+            parameter, f"{parameter.name} = {value} is not a whole number; its type is {parameter.ctype}"
+        )
     if not parameter.accepts(value):
         excluded = "".join(f", not {banned}" for banned in parameter.excluded)
         limits = f"{parameter.minimum} … {parameter.maximum}{excluded}"

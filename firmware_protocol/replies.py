@@ -1,8 +1,7 @@
 """Execute each request at most once: a device answers a repeated request with its stored reply.
 
 The host repeats a request if the reply does not arrive in time; it cannot detect whether request or reply was lost.
-Requests that only read may be executed again; a request that changes the device must not. The host waits for each reply
-before its next request, so the device needs to store only one reply.
+Requests that only read may be executed again; a request that changes the device must not.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ class Replies:
     """A device's memory of its last request that changes something (a type in `REMEMBERED`), and of the reply."""
 
     def __init__(self) -> None:
+        # One reply is enough, because the host waits for each reply before its next request.
         self._key: tuple[int, int, int] | None = None
         self._reply: Message | None = None
 

@@ -103,8 +103,7 @@ class PageReader:
         """Add one page of the reply; ignore a page that was added before.
 
         `total` is the length of the whole reply (bytes), `fingerprint` its hash or CRC. Raise `RemoteProtocolError` if
-        `total`
-        is above the limit, a page is missing, or `total` or `fingerprint` differ from those of the first page.
+        `total` is above the limit, a page is missing, or `total` or `fingerprint` differ from those of the first page.
         """
         if self._head is None:
             if total > self._limit:

@@ -91,7 +91,9 @@ class PortCheckRequest:
 
     wired: Annotated[
         bool,
-        Keyword("Sync outputs tick and trial are wired to encoder A and B, inside to the sync input."),
+        Keyword(
+            "Give this if the sync outputs tick and trial are wired to encoder A and B, inside to the sync input."
+        ),
     ] = False
     current: Annotated[
         int,
@@ -106,9 +108,11 @@ class PortCheckRequest:
         float,
         Ge(0.05),
         Le(600.0),
-        Keyword("How long the board's time is observed; 280 s from power-up include the change of bit 32."),
+        Keyword("Time (s) for which the board's clock is observed; 280 s from power-up test its bit 32 too."),
     ] = 1.0
-    bootloader: Annotated[bool, Keyword("Try the way into the boot loader, last of all.")] = False
+    bootloader: Annotated[bool, Keyword("Also test the restart into the boot loader, as the last test.")] = (
+        False
+    )
     real_time: bool = True
 
 

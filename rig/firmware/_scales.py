@@ -1,8 +1,7 @@
 """Check that the scales of a board's current output and sensor fit the rig and its amplifier.
 
 The checks reject saturation, limits that cannot act, and coarse steps. A device reports the commanded current; it
-equals
-the real current only while the board's output can deliver it.
+equals the real current only while the board's output can deliver it.
 """
 
 from __future__ import annotations

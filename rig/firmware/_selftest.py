@@ -1,7 +1,6 @@
 """Test a device and its link without moving the handle: the checks of `rig firmware selftest`.
 
-The tests use the same link as a loop. All checks run, even if one fails; the test ends early only if the device does
-not reply to the first request.
+The tests use the same link as a loop.
 """
 
 from __future__ import annotations
@@ -60,8 +59,8 @@ class SelfTestRequest:
 
     experiment: Experiment | None = None
     rate: int | None = None
-    seconds: Annotated[float, Ge(0.05), Le(600.0), Keyword("Duration of the count of ticks.")] = 1.0
-    move: Annotated[bool, Keyword("Ask for the handle to be moved by hand, and look for its counts.")] = False
+    seconds: Annotated[float, Ge(0.05), Le(600.0), Keyword("Time (s) for which ticks are counted.")] = 1.0
+    move: Annotated[bool, Keyword("Test the encoder: move the handle by hand when asked.")] = False
     stream: Annotated[
         bool,
         Keyword("Check the samples of the law on the device: it is armed, with a current limit of zero."),
@@ -143,6 +142,7 @@ def selftest(
     checks = []
     for number, (name, step) in enumerate(steps.items()):
         on_progress(name, number / len(steps))
+        # All checks run, even if one fails, so that one run shows everything that is wrong.
         try:
             answer = step(device, request)
         except RigError as error:

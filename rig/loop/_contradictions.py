@@ -99,8 +99,7 @@ def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool
     """Compare a STATE with the last one (`before`); return by how many samples it is newer, and 1 if accepted, else 0.
 
     A STATE with a contradiction is rejected, and the contradiction is stored in `progress`. A STATE that reports a
-    fault is
-    always accepted, because it ends the run anyway.
+    fault is always accepted, because it ends the run anyway.
     """
     p = progress[0]
     newer, error, found = 1, 0, _NONE

@@ -1,7 +1,6 @@
 """Check in every tick that commanded, active and measured current agree.
 
-The active current in a STATE must be that of the COMMAND that the STATE names as active, unless a limit acted. If this
-COMMAND arrived in the same tick, an earlier one was active in the tick: a late host sends several in one tick.
+The active current in a STATE must be that of the COMMAND that the STATE names as active, unless a limit acted.
 `rig.control.current` compares the measured current with the active one. The results are flags of the recorded row
 (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
 """
@@ -61,6 +60,7 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
     if state[STATE.limits] & _ACTING != 0:
         return
     active, current = state[STATE.command_sequence], state[STATE.current_commanded]
+    # If this COMMAND arrived in the same tick, an earlier one was active in it: a late host sends several in one tick.
     older = OLDER if state[STATE.command_age] <= 1 else 0
     for back in range(older + 1):
         if _was_sent(sent, active - back, current):

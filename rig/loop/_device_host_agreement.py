@@ -1,9 +1,8 @@
 """Compare the current of a law on the device with the current that the same law computes on the host.
 
 The current that is active at a sample is compared with the host's result at the sample before. The two laws use
-different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, and after a gap
-until the estimators no longer depend on it. A STATE reports limits afterwards, so differences are counted when the next
-STATE arrives; samples that no STATE covers, because it was lost or the run ended, are excluded.
+different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, after a gap, and
+without a STATE that covers them.
 """
 
 from __future__ import annotations
@@ -41,6 +40,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
     v, s = supervision[0], settings[0]
     if v["comparable"] == 0:
         return
+    # After a gap the estimators of host and device have seen different samples: wait until they no longer depend on it.
     if elapsed != 1:
         v["forgetting"] = max(FORGET_PERIODS * control[0]["velocity_divider"], FORGET_NS // s["period_ns"])
     if v["forgetting"] > 0:
@@ -59,6 +59,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
     """Count the current differences since the last STATE, or exclude them if the new STATE reports an active limit."""
+    # A STATE reports the limits that acted before it, so the samples up to it can be counted only now.
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING
     if state[CONTIGUOUS] == 1 and (limits | v["limits_before"]) == 0:

@@ -160,8 +160,7 @@ def run(
     -------
     int
         `EndReason`; also stored in the ring. The caller must set the control word LOOP_DONE, because it must be set
-        after
-        an exception of a law too.
+        after an exception of a law too.
     """
     memory, state, words = controller.memory, buffers.state, shared.words
     p, m = buffers.progress[0], memory[0]

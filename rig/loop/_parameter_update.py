@@ -4,8 +4,6 @@ Python encodes a posted set (`update_of`) for the loop, which owns the link: the
 wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
 see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last reply
 names the first sample with the new wall; the host's law waits for this reply.
-
-A newer update replaces one that waits for the handle to be in free space, but not one that is being sent.
 """
 
 from __future__ import annotations
@@ -146,6 +144,7 @@ def send_update(
     v, p = supervised.supervision[0], buffers.progress[0]
     if mailbox == 0:
         return 0
+    # A newer update replaces one that waits for the handle to be in free space, but not one that is being sent.
     if v["step"] <= WAITING:
         _take_update(mailbox, buffers, supervised)
     if v["step"] == IDLE or v["step"] == GRANTED:

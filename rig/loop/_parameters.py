@@ -1,8 +1,7 @@
 """Parameter updates of a running loop: the loop takes a new set from a mailbox and activates it between two ticks.
 
-A step of stiffness, damping or position inside the wall would be a step of effort. So a new parameter set waits until
-the handle is outside both the present and the new wall; a newer set replaces a waiting one. Each set that became active
-is stored with its first tick, for the replay.
+A new parameter set waits until the handle is outside both the present and the new wall; a newer set replaces a waiting
+one. Each set that became active is stored with its first tick, for the replay.
 """
 
 from __future__ import annotations
@@ -65,6 +64,7 @@ def renew_parameters(
         p["waiting_set"] = number
     if p["waiting_set"] == 0 or p["sets"] == len(buffers.sets):
         return
+    # Inside the wall, a step of stiffness, damping or position would be a step of effort.
     count = buffers.state[STATE.count]
     if inside(control, control[0]["wall_position"], count) or inside(control, waiting[0], count):
         return

@@ -77,8 +77,7 @@ def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
 
     Return the number of samples since the last stored STATE, 0 if no newer one arrived; ``progress["fresh"]`` is the
     number of STATEs that arrived. A reply to a clock exchange is stored in `buffers.exchanges`. An unfinished frame
-    moves
-    to the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
+    moves to the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
     """
     p, header = buffers.progress[0], buffers.header
     p["fresh"] = 0

@@ -39,17 +39,15 @@ class Signals:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Signals]:
-    """Return a context in which SIGINT, SIGTERM and SIGHUP stop the loop instead of raising an exception.
+    """Return a context in which Ctrl-C, SIGTERM and a closed terminal stop the loop, and raise no exception.
 
-    An exception during the run, also by a second signal, could interrupt the code that brings the rig to rest. The
-    caller's
-    own signal handler is called at once; its exception is stored until the end of the run. A signal that arrives while
-    the
-    previous handlers are being restored is raised again afterwards.
+    The caller's own signal handler is called at once; its exception is stored until the end of the run. A signal that
+    arrives while the previous handlers are being restored is raised again afterwards.
     """
     received: int | None = None
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
 
+    # Never raise: an exception, also by a second signal, could interrupt the code that brings the rig to rest.
     def stop(number: int, frame: object) -> None:
         seen.append(number)
         if received is not None:

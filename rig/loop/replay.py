@@ -29,8 +29,7 @@ def replay_rows(controller: ControllerArguments, recorded: Any, replayed: Any, s
     """Run the law (`rig.control.step.step`) on each row of `recorded`, and write the results into `replayed`.
 
     Each row of `sets` is a parameter set that became active during the run: first tick, wall position (rad or m), and
-    the
-    law's parameters.
+    the law's parameters.
     """
     due = 0
     for i in range(len(recorded)):

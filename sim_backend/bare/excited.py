@@ -38,8 +38,7 @@ class ExcitedTrace(NamedTuple):
     """Recording of a run, in arrays that `excite` fills.
 
     `bound` (length 1) counts the ticks with a clipped effort. `counts`, `positions` (rad or m) and `velocities` (rad/s
-    or
-    m/s) are those of the handle; `withheld` is the sent minus the wanted effort in each tick (N·m or N).
+    or m/s) are those of the handle; `withheld` is the sent minus the wanted effort in each tick (N·m or N).
     """
 
     bound: Ints
@@ -142,8 +141,7 @@ class ExcitedPlant:
         """Run the law for `ticks` ticks, from rest at `position` (rad or m), and return the recorded motion.
 
         `excitation` is the second actuator's effort in each inner step of one period (N·m or N); it rises during
-        `ramp_s` (s).
-        Raise `LawError` if the estimator or the law gave a value that is not finite.
+        `ramp_s` (s). Raise `LawError` if the estimator or the law gave a value that is not finite.
         """
         plant = self._plant
         state = plant.at_rest(position)

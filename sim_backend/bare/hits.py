@@ -50,8 +50,7 @@ def hit(
 
     The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
     rows. `meter` contains the filters of the measurement. The measured numbers are written to `recorded` (from the
-    values
-    that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`.
+    values that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.

@@ -34,8 +34,7 @@ class Trace(NamedTuple):
     """Recording of a trial, one row for each tick.
 
     A row has the plant's state, encoder count, phase, active and commanded current (quanta) and row flags. If the law
-    did
-    not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
+    did not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
     """
 
     states: FloatRows
@@ -76,11 +75,9 @@ def run_ticks(
     """Run until the law is done or the trace is full; return the number of ticks up to the law's last sample.
 
     `script` contains the intended motion of the hand. `ages` is the age in ticks, in each tick, of the newest sample
-    that
-    has reached the law; 0 means no delay, also for ticks beyond the array's end. Late samples get the flags of the real
-    loop. `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of the
-    first
-    sample, `tick_units` the length of a tick (1/16 µs).
+    that has reached the law; 0 means no delay, also for ticks beyond the array's end. Late samples get the flags of the
+    real loop. `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of
+    the first sample, `tick_units` the length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     # The device moves one tick under zero effort between ARM and its first sample.

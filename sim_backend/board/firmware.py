@@ -123,7 +123,8 @@ class FirmwareDevice:
     Parameters
     ----------
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
-        Same as for `SimulatedDevice`.
+        Rig, name of the device, highest and first tick rate (Hz), seed of the sensor noise, position of the handle at
+        power-up (rad or m), and True to record the plant's state, as for `SimulatedDevice`.
     law_maximum
         Largest value of the parameter `law` that the device accepts; 0 for a device without a law.
     library

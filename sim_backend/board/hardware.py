@@ -194,8 +194,8 @@ class Hardware:
         """Run ticks with the currents that a compiled device requests; return the number of ticks.
 
         The arguments are those of `sim_backend.board.lockstep.run_ticks`, and the log for true states (None: no log).
-        The run
-        stops early if noise, space for the true states or script of the hand are used up; call it again for more ticks.
+        The run stops early if noise, space for the true states or script of the hand are used up; call it again for
+        more ticks.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)

@@ -280,8 +280,7 @@ def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
     """Return the runaway fault bit if a large effort has lasted too long without encoder motion, else 0.
 
     `current` is the active current (quanta), `moved` the change of the count in the window of the speed check, and
-    `stood`
-    is True if the count stayed on two neighbouring values.
+    `stood` is True if the count stayed on two neighbouring values.
     """
     # LARGEST_SHARE times the threshold in whole quanta: no rounding, as in the firmware.
     if LARGEST_SHARE * abs(current) <= rules[AT.large]:

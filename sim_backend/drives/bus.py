@@ -9,8 +9,7 @@ class Frame(NamedTuple):
     """A frame on a CAN bus: identifier and data bytes.
 
     `extended` marks a 29-bit identifier, `remote` a request for the frame of that identifier. `error` marks a report of
-    the
-    CAN controller about the bus; its identifier is an error class of include/uapi/linux/can/error.h.
+    the CAN controller about the bus; its identifier is an error class of include/uapi/linux/can/error.h.
     """
 
     identifier: int

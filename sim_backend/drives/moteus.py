@@ -184,8 +184,8 @@ class SimulatedMoteus:
         """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
         Events are those of any drive (`Motor.happenings`; the value of ``fault`` is a fault code), ``mode`` (the
-        console
-        commands a mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on the bus).
+        console commands a mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on
+        the bus).
         """
         return self._happenings()[name](value) or []
 

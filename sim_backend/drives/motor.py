@@ -181,8 +181,8 @@ class Motor:
         """Return functions that apply an external event to the drive, by name of the event; each takes a value.
 
         The events of all drives are ``fault`` (a fault code of the drive), ``voltage`` (V), ``temperature`` (°C),
-        ``slip`` (counts), ``expire`` (the watchdog expires now) and ``reboot``.
-        `words` names the indices of the law's memory, `watchdog` is the index of the remaining watchdog time.
+        ``slip`` (counts), ``expire`` (the watchdog expires now) and ``reboot``. `words` names the indices of the law's
+        memory, `watchdog` is the index of the remaining watchdog time.
         """
 
         def put(word: int) -> Callable[[float], None]:

@@ -216,8 +216,7 @@ class SimulatedOdrive:
         """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
         Events are those of any drive (`Motor.happenings`; the value of ``fault`` is error bits), ``mode`` (the control
-        mode
-        changes), ``master`` (a second host commands a torque in N·m; its frame is on the bus), ``estop`` and
+        mode changes), ``master`` (a second host commands a torque in N·m; its frame is on the bus), ``estop`` and
         ``bus-off`` (the drive's CAN controller is off for the given number of seconds; 0: for ever).
         """
         return self._happenings()[name](value) or []

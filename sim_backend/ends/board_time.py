@@ -131,8 +131,7 @@ def keep_time(
 
     The reason is `AGAIN` (time is up), `ASK` (a buffer is used up, or the device was armed or changed its rate) or
     `GONE` (the host hung up). `line` is the address of the port (`_keep`), `grid` the state of the runner (`BOOT_NS`
-    …).
-    `output` has `PENDING_BYTES` for bytes that wait to be sent and `OUTPUT_BYTES` behind them, `received` has
+    …). `output` has `PENDING_BYTES` for bytes that wait to be sent and `OUTPUT_BYTES` behind them, `received` has
     `RECEIVED_BYTES`.
     """
     words, port = software.words, _at(line)

@@ -35,9 +35,10 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Copy row `row` of a hand's script to the intentions in `state`; return the number of the next row.
+    """Copy row `row` of a hand's script to the hand's intended motion in `state`; return the number of the next row.
 
-    The intentions lie before the index `edge_age`. Row `again` follows the last row. An empty script changes nothing.
+    The intended motion lies before the index `edge_age`. Row `again` follows the last row. An empty script changes
+    nothing.
     """
     if script.shape[0] == 0:
         return 0

@@ -45,8 +45,8 @@ def rub_one(free: float, gain: float, coulomb: float) -> tuple[float, float]:
     """Return the Coulomb friction on a mass (N·m or N), and the velocity of the mass after a step (rad/s or m/s).
 
     The velocity is exactly zero if the mass comes to rest. `free` is the velocity at the end of the step without
-    friction,
-    `gain` the change of that velocity for 1 N·m (or N) of friction, `coulomb` the largest friction (N·m or N).
+    friction, `gain` the change of that velocity for 1 N·m (or N) of friction, `coulomb` the largest friction (N·m or
+    N).
     """
     # The quotient does not depend on the loop's variables and leaves it; a division by gain would not.
     friction = free * (-1.0 / gain)
@@ -98,9 +98,8 @@ def encode(
     """Return the encoder cell and the age of the last edge (s) at the end of a step.
 
     The step goes from position `before`, in cell `old`, to position `after`. The time of an edge is interpolated
-    linearly.
-    If the step passes several edges, only the last is used. If the step ends in the cell where it began, there is no
-    edge.
+    linearly. If the step passes several edges, only the last is used. If the step ends in the cell where it began,
+    there is no edge.
     """
     new = cell(after, resolution, offset)
     if new == old:

@@ -1,11 +1,11 @@
 """Simulate the mechanics of a rig: exact between inner steps, with implicit Coulomb friction, one kernel call a tick.
 
 Devices call `advance` from Python and sweeps call it from compiled code; with the same arrays both give the same bits.
-Everything that changes is in one flat array, so a copy of that array is a copy of the plant. It contains the states of
-`rig.core.model.state_space`, the intentions of a person who holds the handle (if there is one), the age of the last
-encoder edge (s), and the commands that do not act yet because of the delay, oldest first.
+Everything that changes is in one flat array, so a copy of that array is a copy of the plant. The array contains the
+states of `rig.core.model.state_space`, the intended motion of a person who holds the handle (if there is one), the age
+of the last encoder edge (s), and the commands that do not act yet because of the delay, oldest first.
 
-The amplifier's limit and lag stand for stall torque and L/R of the motor's data sheet. Under voltage drive the command
+The amplifier's limit and lag represent stall torque and L/R of the motor's data sheet. Under voltage drive the command
 is the voltage in units of effort; the effort state is k_t times the current, back-EMF included.
 """
 
@@ -58,8 +58,7 @@ class PlantArguments(NamedTuple):
     """Arguments of `advance`: the changing state of a plant, and the matrices and indices of its `DiscretePlant`.
 
     `other` is the compiled function that moves the plant by one tick if a hand holds it or its motor cogs. The function
-    is
-    passed by address, so a program that simulates neither does not compile it.
+    is passed by address, so a program that simulates neither does not compile it.
     """
 
     state: Floats
