@@ -1,7 +1,7 @@
-"""Recordings of trials on disk, and the times of their events.
+"""Recordings of trials as files, and the times at which the samples and commands of a trial occurred.
 
-`recorder` writes a trial as raw blocks that survive the death of the process (`_capture` documents every byte). `seal`
-converts this capture to Parquet, `reader.open_recording` reads it, and `export` writes it for other programs. All of
-them use one type, `data.Recording`: a header with everything known before the trial, one row per tick, and a trailer
-that states how the trial ended.
+`recorder` writes a trial as a capture: a ``.rigcap`` file of raw blocks, whose rows survive a crash of the process
+(`_capture` documents every byte). `seal` converts a capture to Parquet, `reader.open_recording` reads both formats, and
+`export` writes a recording for other programs. All of these modules use one type, `data.Recording`: a header with
+everything known before the trial, one row per control tick, and a trailer that states how the trial ended.
 """

@@ -1,14 +1,14 @@
-"""The capture format (``.rigcap``): raw blocks under a header that describes them; readable even if the writer dies.
+"""The capture format (``.rigcap``): blocks of raw rows after a header that describes them; readable after a crash.
 
-Everything is little-endian, every part starts at a multiple of 8 bytes, every CRC is CRC-32/ISO-HDLC (that of
-zlib)::
+All numbers are little-endian, every part starts at a multiple of 8 bytes, every CRC is the CRC-32 of zlib (ISO-HDLC).
+Each line below gives offset and size in bytes::
 
     file    = header  rows*  [end]
 
     header    0  8  magic  89 "RIGCAP" 0A
               8  4  format version (`rig.recording.header.VERSION`)
              12  4  n, length of the JSON
-             16  n  JSON, UTF-8, blanks at its end fill up to the multiple of 8
+             16  n  JSON, UTF-8, filled up with blanks to a multiple of 8
            16+n  4  CRC of all bytes before
 
     rows      0  8  magic  89 "RIGROWS"
@@ -20,13 +20,13 @@ zlib)::
              48  n  the rows
            48+n  8  CRC of the block's bytes before
 
-    end       as rows, with magic 89 "RIGEND" 0A, the count of all rows as the number of the first, and a JSON
-    instead of rows
+    end       like rows, but with the magic 89 "RIGEND" 0A, the number of all rows in place of the number of the first
+              row, and a JSON (the trailer) in place of the rows
 
-The JSON of the header holds under ``schema`` the size of a row and the dtype, offset, unit and meaning of each column:
-a reader needs this page and a JSON parser. A damaged block is skipped and reported, with its number of rows if its
-own head or the next one is valid. A file without an end block was cut off: its last bytes may be an incomplete block,
-all other blocks are valid.
+The JSON of the header contains under ``schema`` the size of a row and the dtype, offset, unit and meaning of each
+column: to read a capture, this page and a JSON parser suffice. The reader skips and reports a damaged block, with the
+number of its rows if its own head or the next head is valid. A file without an end block was cut off: its last bytes
+may be an incomplete block, all other blocks are valid.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ CRC_BYTES = _BLOCK_CRC.size
 
 
 class BlockHead(NamedTuple):
-    """Head of a block: the six 64-bit words before its rows."""
+    """Head of a block of a capture: the six 64-bit words before the rows.
+
+    `size` is the size of the rows in bytes, `checksum` the CRC-32 of the five words before it.
+    """
 
     magic: bytes
     number: int
@@ -84,32 +87,36 @@ class BlockHead(NamedTuple):
 
 
 def pack_header(header: dict[str, Any]) -> bytes:
-    """Return the bytes of the file before its first block."""
+    """Return the bytes of a capture file before its first block: magic, version, header as JSON, and CRC."""
     text = _pad(canonical_json(header), _FILE_HEAD.size + _CRC.size)
     start = _FILE_HEAD.pack(MAGIC, VERSION, len(text)) + text
     return start + _CRC.pack(zlib.crc32(start))
 
 
 def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: bytes) -> bytes:
-    """Return the bytes of one block: magic, number, rows, payload and checksum."""
+    """Return the bytes of one block of a capture: head (magic, number, rows, size, CRC), payload, and CRC."""
     head = _BLOCK_HEAD.pack(magic, number, first_row, count, len(payload), 0)[:-8]
     start = head + _BLOCK_CRC.pack(zlib.crc32(head)) + payload
     return start + _BLOCK_CRC.pack(zlib.crc32(start))
 
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
-    """Return the bytes of the end block, which states that `number` blocks with `rows` rows precede it."""
+    """Return the bytes of the end block, which contains the trailer.
+
+    `number` and `rows` are the numbers of blocks and of rows before the end block.
+    """
     return pack_block(END_MAGIC, number, rows, 0, _pad(canonical_json(trailer), 0))
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
-    """Write a recording from memory as a capture; write the end block only if the recording is complete.
+    """Write a recording from memory to `file` as a capture; write the end block only if the recording is complete.
 
-    Raise `RecordingError` for a recording with losses: the format cannot store `Recording.lost`.
+    Raise `RecordingError` if parts of the recording are lost: the format cannot store `Recording.lost`.
     """
     if recording.lost:
         raise RecordingError(
-            "a recording with lost parts cannot be written as a capture", remedy="keep the original file"
+            "a recording with lost parts (damaged or missing rows) cannot be written as a capture",
+            remedy="keep the original file",
         )
     file.write(pack_header(recording.header))
     number = 0
@@ -130,7 +137,7 @@ def _pad(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """Blocks, losses and trailer that were found so far while following the blocks of a capture."""
+    """Valid blocks, lost parts and trailer that were found so far in a capture."""
 
     blocks: list[tuple[int, int]] = field(default_factory=list)  # place of the rows, their count
     lost: list[Loss] = field(default_factory=list)
@@ -139,9 +146,9 @@ class _Findings:
 
 
 def read_capture(path: Path, columns: Collection[str] | None = None) -> Recording:
-    """Read all valid rows of a capture, also of one that was cut off.
+    """Read all valid rows of a ``.rigcap`` capture, also of an incomplete file.
 
-    With `columns` the rows have only these columns; the header still describes all of them.
+    If `columns` is given, the rows have only these columns; the header still describes all columns.
 
     Raises
     ------
@@ -169,7 +176,10 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_capture_header(path: Path) -> Recording:
-    """Return the header of a capture as a recording without rows and trailer; errors as `read_capture`."""
+    """Return the header of a ``.rigcap`` capture as a recording without rows and trailer.
+
+    Raise `RecordingError` if the file does not exist, is not a capture, or has a damaged header or another version.
+    """
     with _open_mapped(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
@@ -192,7 +202,7 @@ def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
 
 
 def _forget(data: mmap.mmap) -> None:
-    """Release the file pages that have been read, since they count as memory of this process."""
+    """Release the pages of the mapped file that were read, because they count as memory of this process."""
     if sys.platform == "linux":
         with suppress(OSError):  # of locked memory, as while another thread runs in real time
             data.madvise(mmap.MADV_DONTNEED)
@@ -224,7 +234,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
 
 
 def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
-    """Return blocks, losses and trailer, following the blocks up to the end block or the end of the file."""
+    """Return valid blocks, lost parts and trailer of a capture, starting at byte `place`."""
     found = _Findings()
     while place < len(data):
         head = _block_head(data, place)
@@ -247,7 +257,7 @@ def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
 
 
 def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int, found: _Findings) -> bool:
-    """Add a block with a valid head to `found`; return False if its contents are damaged."""
+    """Add a block whose head is valid to `found` and return True; return False if the block's contents are damaged."""
     end -= CRC_BYTES
     if zlib.crc32(memoryview(data)[place:end]) != _BLOCK_CRC.unpack_from(data, end)[0]:
         return False
@@ -262,7 +272,7 @@ def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int
 
 
 def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, found: _Findings) -> int:
-    """Record the bytes from `place` to `resume` as lost; return `resume`."""
+    """Add the bytes from `place` to `resume` to the lost parts; return `resume`."""
     whole = head is not None and place + HEAD_BYTES + head.size + CRC_BYTES <= len(data)
     reason = "damaged block" if whole or resume < len(data) else "torn tail"
     if head is None:
@@ -275,7 +285,7 @@ def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, foun
 
 
 def _count_missing(found: _Findings, place: int, first_row: int) -> None:
-    """Record the rows that are missing before a block, from the number of the block's first row."""
+    """Add the rows that are missing before the block with the first row `first_row` to the lost parts."""
     missing = max(0, first_row - found.next_row)
     if found.lost and found.lost[-1].rows is None:
         found.lost[-1] = replace(found.lost[-1], rows=missing)
@@ -285,7 +295,7 @@ def _count_missing(found: _Findings, place: int, first_row: int) -> None:
 
 
 def _block_head(data: mmap.mmap, place: int) -> BlockHead | None:
-    """Return the head of a block at byte `place`; None if the bytes there are not a valid head."""
+    """Return the head of the block at byte `place`; None if the bytes at this offset are not a valid head."""
     raw = data[place : place + HEAD_BYTES]
     if len(raw) < HEAD_BYTES:
         return None
@@ -295,7 +305,7 @@ def _block_head(data: mmap.mmap, place: int) -> BlockHead | None:
 
 
 def _next_head(data: mmap.mmap, place: int) -> int:
-    """Return the byte offset of the next valid head at or after `place`, or the length of the file."""
+    """Return the byte offset of the next valid block head at or after `place`, or else the length of the file."""
     return next((place for place in _magics(data, place) if _block_head(data, place)), len(data))
 
 

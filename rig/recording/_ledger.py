@@ -1,6 +1,6 @@
-"""The latency ledger of a recording: its columns sampled_at and applied_at, and the summary in its trailer.
+"""Latency ledger of a recording: the columns sampled_at and applied_at, and the timing summary in the trailer.
 
-A run that was ended by kill -9 has no clock exchanges: its ledger contains only the times that the host measured.
+A run that was ended by kill -9 has no clock fit: its ledger contains only the times that the host measured.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _log = logging.getLogger(__name__)
 
 
 def with_ledger(recording: Recording) -> Recording:
-    """Return the recording with the timing summary in its trailer; fill sampled_at and applied_at in place.
+    """Return the recording with a timing summary in its trailer; fill the columns sampled_at and applied_at in place.
 
-    Return the recording unchanged if it has no rows or no clock in its trailer. Return it unchanged and log a warning
-    if that clock is invalid: an invalid clock must not prevent a recording from being stored.
+    Return the recording unchanged if it has no rows, or if its trailer has no clock fit or (with a logged warning) an
+    invalid one: an invalid clock fit must not prevent a recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer or not len(recording):
@@ -58,14 +58,14 @@ def with_ledger(recording: Recording) -> Recording:
 
 
 def ledger_of(recording: Recording) -> Ledger:
-    """Compute the ledger of a recording from its rows, and from the clock of its trailer if it has one.
+    """Return the times of each tick of a recording, from its rows and from the clock fit in its trailer.
 
     Raises
     ------
     RecordingError
-        There are no rows.
+        The recording has no rows.
     RigError
-        The clock of the trailer is invalid.
+        The clock fit in the trailer is invalid.
     """
     if not len(recording):
         raise RecordingError("the recording has no rows", remedy="record again: the loop received no sample")
@@ -74,13 +74,16 @@ def ledger_of(recording: Recording) -> Ledger:
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the host-device clock fit in a recording's trailer, None if missing; raise `RigError` if invalid."""
+    """Return the fit of host time over device time in a recording's trailer; None if missing.
+
+    Raise `RigError` if the fit is invalid.
+    """
     clock = (recording.trailer or {}).get(CLOCK_KEY)
     return None if clock is None else ClockFit.from_mapping(clock)
 
 
 def period_ns_of(recording: Recording) -> float:
-    """Return the length of a device tick (ns): from the position rate, or else from the rows' device times."""
+    """Return the length of a device tick (ns): from the experiment's position rate, or else from the device times."""
     rate = (recording.experiment.get("controller") or {}).get("position_rate")
     if rate:
         return 1e9 / float(rate)

@@ -1,9 +1,11 @@
-"""A recording as MCAP, the log format of robotics that Foxglove, PlotJuggler and rosbag2 read.
+"""Export of a recording as MCAP, the log format of robotics that Foxglove, PlotJuggler and rosbag2 read.
 
-Topic ``/rig/rows`` has one JSON message a row, all columns by name; ``/rig/marks`` has what happened when (see
-`rig.recording.marks`). The JSON schema of each carries units and meanings, and the metadata ``recording`` the rest.
-Each time is the creation time of the recording plus the time since its first row, on the device's clock. If the device
-gave no time, the host's time of receipt is used. NaN and infinities are written as null, because JSON lacks them.
+The topic ``/rig/rows`` has one JSON message per row with all columns by name; ``/rig/marks`` has one per event (see
+`rig.recording.marks`). The JSON schema of each topic contains units and meanings; the metadata ``recording`` contains
+header and trailer.
+
+The time of a message is the creation time of the recording plus the time since its first row on the device's clock, or
+on the host's clock if the device's was not recorded. NaN and infinities are null, because JSON lacks them.
 
 Source: MCAP format specification (mcap.dev/spec) through the package ``mcap``; "well-known" encodings json, jsonschema.
 """
@@ -32,7 +34,7 @@ _MARK_SCHEMA = {
 
 
 def write_mcap(file: BinaryIO, recording: Recording) -> None:
-    """Write a recording as MCAP; raise `RigError` when the package ``mcap`` is not installed."""
+    """Write a recording to `file` as MCAP; raise `RigError` if the package ``mcap`` is not installed."""
     try:
         writer = mcap.Writer(file)
     except ImportError as error:
@@ -56,14 +58,14 @@ def write_mcap(file: BinaryIO, recording: Recording) -> None:
 
 
 def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
-    """Register a topic of JSON objects with these properties; return the number of its channel."""
+    """Register a topic whose messages are JSON objects with these properties; return the number of its channel."""
     schema = {"type": "object", "properties": properties}
     number = writer.register_schema(topic.removeprefix("/").replace("/", "."), "jsonschema", _json(schema))
     return int(writer.register_channel(topic, "json", number))
 
 
 def _columns(recording: Recording) -> dict[str, Any]:
-    """Return the JSON schema of each column, by name."""
+    """Return the JSON schema of each column, by the column's name."""
     return {
         name: {
             "type": "integer" if recording.rows.dtype[name].kind in "iu" else ["number", "null"],

@@ -1,8 +1,8 @@
 """Recordings as Parquet: the format for storage, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
 
-Unit and meaning are metadata of each field (``unit``, ``description``); header, trailer, completeness and
-losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum over all of it and the
-columns. pyarrow is loaded when a function here is called.
+Unit and meaning of a column are metadata of its field (``unit``, ``description``). Header, trailer, completeness and
+losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum of these metadata and all columns.
+pyarrow is imported only when a function of this module is called.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ READ_BYTES = 1 << 25
 
 
 def has_pyarrow() -> bool:
-    """Return True if pyarrow is installed, so that Parquet can be written and read."""
+    """Return True if pyarrow is installed, which is needed to read and write Parquet."""
     try:
         return bool(parquet.ParquetFile)
     except ImportError:
@@ -42,13 +42,16 @@ def has_pyarrow() -> bool:
 
 
 def check_pyarrow() -> None:
-    """Raise `RecordingError` if pyarrow is missing, without which Parquet and CSV cannot be read."""
+    """Raise `RecordingError` if pyarrow is not installed, which is needed for Parquet and for the import of CSV."""
     if not has_pyarrow():
-        raise RecordingError("Parquet needs pyarrow", remedy="pip install pyarrow, or use captures and CSV")
+        raise RecordingError(
+            "Parquet needs pyarrow, which is not installed",
+            remedy="pip install pyarrow, or use .rigcap captures",
+        )
 
 
 def write_parquet(file: BinaryIO, recording: Recording) -> None:
-    """Write a recording as Parquet; equal recordings give equal bytes with the same version of pyarrow."""
+    """Write a recording to `file` as Parquet; equal recordings give equal bytes with the same version of pyarrow."""
     check_pyarrow()
     units, descriptions, dtype = recording.units, recording.descriptions, recording.rows.dtype
     fields = [
@@ -74,7 +77,6 @@ def write_parquet(file: BinaryIO, recording: Recording) -> None:
 
 
 def _to_arrow(rows: NDArray[np.void], name: str) -> Any:
-    """Return a column as an Arrow array."""
     # pyarrow.array would import pandas, if installed, to check where the column comes from.
     column = np.ascontiguousarray(rows[name])
     return pyarrow.Array.from_buffers(
@@ -96,7 +98,7 @@ def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
 
 
 def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
-    """Return the Parquet encoding of each column: byte-stream split for floats, deltas for integers."""
+    """Return the Parquet encoding of each column: byte-stream split for floats, deltas for integers of 4 or 8 bytes."""
     # Neighbouring floats share exponents; most whole numbers repeat or rise evenly.
     chosen = {
         name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
@@ -107,16 +109,19 @@ def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
 
 
 def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recording:
-    """Read a sealed recording; with `columns`, its rows have only these columns, but its header describes all.
+    """Read a Parquet recording; with `columns`, the rows have only these columns, but the header describes all of them.
 
-    Raise `RecordingError` when the file is not a recording, or when a bit of any column has changed.
+    Raise `RecordingError` if the file is not a recording, or if any bit of a column was changed.
     """
     with _open_file(path) as file:
         return _recording(path, file, _metadata(path, file.schema_arrow), columns)
 
 
 def read_parquet_facts(path: Path) -> Recording:
-    """Return a sealed recording without its rows; raise `RecordingError` if the file is not a recording."""
+    """Return header and trailer of a Parquet recording as a recording without rows.
+
+    Raise `RecordingError` if the file is not a recording.
+    """
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)
@@ -144,7 +149,10 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
 
 
 def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a chunk of a column as an array over the same memory; raise `ValueError` for empty values."""
+    """Return a chunk of a pyarrow column as an array over the same memory.
+
+    Raise `ValueError` if the chunk has nulls or another dtype.
+    """
     # pyarrow's own conversion imports pandas.
     if chunk.null_count:
         raise ValueError(f"a column of {dtype} has {chunk.null_count} empty values")
@@ -166,7 +174,7 @@ def _recording(
 
 
 def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
-    """Return True if the named columns of a sealed recording equal those of `expected` bit by bit."""
+    """Return True if the columns `names` of a Parquet recording equal the columns of `expected` bit by bit."""
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         facts = _facts(path, metadata)
@@ -181,10 +189,10 @@ def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
 def _checked_columns(
     file: Any, metadata: Mapping[bytes, bytes], facts: Recording
 ) -> Iterator[tuple[str, int, NDArray[Any]]]:
-    """Yield column name, first row and values of each chunk; at the end, raise `ValueError` for a wrong checksum."""
+    """Yield column name, first row and values of each chunk; raise `ValueError` at the end if the checksum is wrong."""
     stored: list[str] = file.schema_arrow.names
     if set(stored) != set(facts.names):
-        raise ValueError("its columns are not those of its header")
+        raise ValueError("the columns of the file differ from those that its header lists")
     together = max(1, READ_BYTES // (8 * file.metadata.num_rows + 1))
     crc = _checksum_of(metadata)
     for first in range(0, len(stored), together):
@@ -199,7 +207,7 @@ def _checked_columns(
                     yield name, row, values
                     row += len(values)
     if b"%08x" % crc != metadata[CHECKSUM_KEY]:
-        raise ValueError("its checksum does not match")
+        raise ValueError("the checksum of header and columns does not match")
 
 
 def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:

@@ -1,7 +1,7 @@
-"""Required shape of header and trailer of a recording, for code that reads numbers and names from them.
+"""Required shape of the header and trailer of a recording, for code that reads numbers and names from them.
 
-A checksum shows that a file was not changed by accident, not that this program wrote it. Only keys that this program
-reads are listed. `rig.config` checks the experiment, and a replay checks the controller's initial state.
+A checksum shows that a file was not changed by accident, not that this program wrote the file. Only keys that this
+program reads are listed. `rig.config` checks the experiment, and a replay checks the controller's initial state.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ TRAILER: dict[str, Any] = {
 
 
 def parse_json(text: bytes) -> Any:
-    """Parse JSON; raise `ValueError` for text that is not valid JSON, or is nested deeper than `DEPTH` levels."""
+    """Parse JSON; raise `ValueError` if the text is not valid JSON, or is nested deeper than `DEPTH` levels."""
     try:
         value = json.loads(text)
     except RecursionError:
@@ -77,10 +77,10 @@ def _parts(value: Any) -> Any:
 
 
 def misfit(value: Any, shape: Any, name: str) -> str:
-    """Return a sentence about the first part of `value` that does not match `shape`; "" if all of it matches.
+    """Return a sentence about the first part of `value` that does not match `shape`; "" if all parts match.
 
-    In a shape, a key that ends in "?" may be missing or null, and "*" stands for every key. A tuple or a range
-    requires one of its values.
+    `shape` is a tree of types, e.g. ``{"reason?": str}``. A key that ends in "?" may be missing or null; "*" matches
+    every key. A tuple or a range requires one of its members.
     """
     inside: list[tuple[Any, Any, str]] = []
     if isinstance(shape, list):

@@ -1,4 +1,4 @@
-"""Summary of a latency ledger: how long each stage took, which ticks were worst, and the loop's counters."""
+"""Summary of the latencies of a recording: duration of each stage, the worst ticks, and the loop's counters."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Duration of one stage over all ticks in which it is known (ns).
+    """Statistics of the duration of one latency stage over all ticks in which the duration is known (ns).
 
-    `counts` is a histogram over `TimingSummary.edges_ns`: ticks below the first edge, between each two edges, and from
-    the last edge on. `negative` counts ticks in which the end seems to come before the begin. The bounds of the
-    quantiles assume independent ticks; they are too tight if late ticks come in bursts.
+    `counts` is a histogram over `TimingSummary.edges_ns`: number of ticks below the first edge, between each two edges,
+    and from the last edge on. `negative` counts ticks in which the end seems to precede the begin. The bounds of the
+    quantiles assume independent ticks; the bounds are too tight if late ticks come in bursts.
     """
 
     ticks: int
@@ -53,7 +53,10 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class BadTick:
-    """One of the worst ticks: time since the first receipt (s), and length of its stages (ns; None if unknown)."""
+    """One of the worst ticks: time since the first received sample (s), and duration of each stage (ns).
+
+    A duration is None if it is unknown.
+    """
 
     tick: int
     sample_index: int
@@ -63,19 +66,19 @@ class BadTick:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingSummary(TimingFacts):
-    """Timing of a recording.
+    """Summary of the timing of a recording.
 
     Attributes
     ----------
     ticks, duration_s
-        Number of steps of the law, and time from the first to the last receipt of a sample (s).
+        Number of control ticks, and time from the first to the last receipt of a sample (s).
     stages
-        Stages by name (`STAGES`, `LATENESS`); None if the length of a stage is known in no tick.
+        Statistics of each stage by its name (`STAGES`, `LATENESS`); None if the stage's duration is known in no tick.
     edges_ns
         Edges of the histograms (ns).
     worst
-        Ticks with the longest delay from sample to command and its effect, or, without a clock fit, the latest ticks;
-        the worst first.
+        Ticks with the longest delay from sample to command and its effect, the worst first; without a clock fit, the
+        latest ticks.
     counts
         Number of ticks, samples or commands of each kind in `COUNTED`; None if the loop stored no counters.
     """
@@ -88,7 +91,7 @@ class TimingSummary(TimingFacts):
     counts: dict[str, int | None]
 
     def items(self) -> list[Item]:
-        """Return tables and rows of all stages and counters, to print."""
+        """Return tables and lines with the durations of all stages and the counters, to print."""
         head = ("stage", "ticks", "least", "p50", "p99", "p99.9", "longest")
         found: list[Item] = [
             f"{self.ticks} ticks in {self.duration_s:.4g} s, one every {duration(self.period_ns)}",
@@ -154,14 +157,14 @@ class TimingSummary(TimingFacts):
 
 
 def label(name: str) -> str:
-    """Return the text of a stage, like ``sampled to received``, with its cause of delay if it has one."""
+    """Return the printed name of a latency stage, like ``sampled to received``, with its further cause of delay."""
     if name == LATENESS:
         return "late on the grid of the samples"
     return ", ".join(filter(None, (STAGES[name].label, STAGES[name].with_)))
 
 
 def _shown(quantile: Quantile) -> str:
-    """Return a quantile as text, with its upper bound if there are enough ticks: ``87 µs (≤ 93 µs)``."""
+    """Return a quantile (ns) as text, with its upper confidence bound if known: ``87 µs (≤ 93 µs)``."""
     text = duration(quantile.value)
     if quantile.high is None or quantile.high == quantile.value:
         return text
@@ -169,7 +172,10 @@ def _shown(quantile: Quantile) -> str:
 
 
 def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Summarise a ledger; `counters` are the loop's counters from the recording's trailer, None without a trailer."""
+    """Return the timing summary of a ledger (times of each tick).
+
+    `counters` are the loop's counters from the recording's trailer, or None without a trailer.
+    """
     counts = {name: (counters or {}).get(name) for name in COUNTED}
     if counts["late"] is None:
         counts["late"] = int(np.count_nonzero(ledger.late))
@@ -202,9 +208,10 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
 
 
 def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
-    """Return how bad each tick is (ns), and where this is known; without a clock fit it is the lateness.
+    """Return a measure of how bad each tick is (ns), and a mask that is True where the measure is known.
 
-    Otherwise it is the time from sample to sent command, plus the wait for the effect beyond one device tick.
+    The measure is the time from the sample to the sent command, plus the wait for the effect beyond one device tick.
+    Without a clock fit, the measure is the lateness.
     """
     answered, known = ledger.stage("answered")
     if not known.any():
@@ -215,7 +222,7 @@ def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
 
 
 def _worst(ledger: Ledger) -> list[BadTick]:
-    """Return at most `WORST` ticks, the worst first and the earlier of two equal ones; omit ticks without delay."""
+    """Return at most `WORST` ticks, the worst first, of equal ticks the earlier first; omit ticks without delay."""
     values, known = _badness(ledger)
     candidates = np.flatnonzero(known & (values > 0))
     if len(candidates) > WORST:  # only what can be among the worst is sorted

@@ -1,11 +1,11 @@
 """Canonical JSON: equal contents give equal bytes.
 
-Keys are sorted, without blanks, in UTF-8. Floats are written with the shortest digits that read back to the same
-bits; the three values that JSON lacks are the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``, which
-`float` understands.
+Keys are sorted; the text is UTF-8 without blanks between its parts. Floats have the shortest digits from which the same
+bits are read back; NaN and infinities, which JSON lacks, are the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``,
+which the Python function `float` accepts.
 
-Writers of recordings, trials and the console call it. Do not change the format: headers of old recordings would no
-longer be equal byte for byte.
+Writers of recordings, trials and the console use this module. Do not change the format: headers of new and old
+recordings would no longer be equal byte for byte.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from rig.core.present import plain
 
 
 def lossless(value: Any) -> Any:
-    """Convert to JSON types by `rig.core.present.plain`, with NaN and infinities as strings."""
+    """Convert `value` to JSON types (dict, list, str, numbers, bool, None), with NaN and infinities as strings."""
     return plain(value, _spell)
 
 
 def canonical_json(value: Any) -> bytes:
-    """Return `value` as canonical JSON in UTF-8."""
+    """Return `value` as JSON in UTF-8 with sorted keys, so that equal values give equal bytes."""
     text = json.dumps(
         lossless(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )

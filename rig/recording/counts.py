@@ -1,9 +1,9 @@
-"""Recordings from the CSV files of other loggers: times and counts on a regular grid, with detection of lost samples.
+"""Import of CSV files of other loggers: times and encoder counts on a regular grid, with detection of lost samples.
 
-Such a recording has no rig, wall or trial: unknown columns are NaN or 0, and `rig.recording.origin.counts_facts`
-returns its rate, resolution and lost samples.
+The imported recording has no rig, virtual wall or trial: its unknown columns are NaN or 0, and
+`rig.recording.origin.counts_facts` returns its rate, resolution and lost samples.
 
-`rig recording import` and `rig recording show` call it. It must not fill in a lost sample with a guessed count.
+`rig recording import` and `rig recording show` use this module. It must not replace a lost sample by a guessed count.
 """
 
 from __future__ import annotations
@@ -55,40 +55,41 @@ def read_counts(
     motion: Motion = "rotary",
     delimiter: str | None = None,
 ) -> Recording:
-    """Read times and encoder counts from a CSV file as a recording, to compare and tune estimators on.
+    """Read times and encoder counts from a CSV file as a recording, to compare and tune velocity estimators.
 
     Parameters
     ----------
     path
-        Text in UTF-8. A header line and lines before it that begin with # or % are recognised. A row without a count
-        or without a time is a lost sample.
+        Text file in UTF-8. A header line is recognised; lines before it that begin with # or % are skipped. A row
+        without a count or without a time counts as a lost sample.
     count, time
-        Columns, by the name in the header line or by number from 0. Times are numbers, or dates as ISO 8601.
+        Columns of counts and of times: name in the header line, or number from 0. Times are numbers, or dates as ISO
+        8601.
     resolution
-        Travel for one count (rad or m); negative when counts fall while the position rises.
+        Travel per count (rad or m); negative if counts fall while the position rises.
     time_unit
         Unit of times that are numbers: s, ms, us or ns.
     period_s
-        Time between two rows (s), instead of `time`, for files whose every row is a sample.
+        Time between two rows (s). Give either `time` or `period_s`; with `period_s`, every row must be a sample.
     width
-        Bits of the counter, if fewer than 32 and it wraps (see `rig.estimate`).
+        Number of bits of the counter, if it has fewer than 32 and wraps around (see `rig.estimate`).
     motion
         "rotary" (rad) or "linear" (m).
     delimiter
-        Separator of columns; by default the first of semicolon, tab and comma that occurs in the first line. With
+        Separator of columns. Default: the first of semicolon, tab and comma that occurs in the first line. With
         semicolons or tabs, numbers may have decimal commas.
 
     Returns
     -------
     Recording
         One row for each sample in the file; `elapsed_ticks` is above 1 in the row after lost samples.
-        ``rig.export(recording, "log.parquet")`` saves it.
+        ``rig.export(recording, "log.parquet")`` saves the recording.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, has no such column, or a column contains text; `rig.estimate` would refuse the counts;
-        times do not increase; or an interval differs by more than 10 % of a period from a whole number of periods.
+        The file cannot be read or lacks a given column; a column contains text; the counts cannot be unwrapped; times
+        do not increase; or an interval differs by more than 10 % of a period from a whole number of periods.
     ConfigError
         Resolution, unit or period is invalid.
     """
@@ -105,8 +106,8 @@ def read_counts(
     rows = np.flatnonzero(known)
     if len(rows) < FEWEST:
         raise RecordingError(
-            f"{path} has {len(rows)} samples; at least {FEWEST} are needed",
-            remedy="check that the given columns are those of count and time",
+            f"{path} has {len(rows)} rows with a count and a time; at least {FEWEST} are needed",
+            remedy="check that `count` and `time` name the right columns",
         )
     if seconds is None:
         assert period_s is not None
@@ -139,7 +140,10 @@ def read_counts(
 
 
 def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
-    """Return rate, resolution and lost samples (`counts_facts`) as rows to print."""
+    """Return rate (Hz), resolution (rad or m per count) and lost samples of imported counts as rows of a printed table.
+
+    `facts` is the result of `rig.recording.origin.counts_facts`.
+    """
     rows = [
         Row("rate", facts["rate_hz"], "Hz", digits=9),
         Row("resolution", facts["resolution"], unit_of("position", motion), "a count"),
@@ -165,7 +169,10 @@ def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
 
 @dataclass(frozen=True)
 class SampleGrid:
-    """Regular sampling grid: index of each sample, period (s), and deviation of the intervals (periods)."""
+    """A regular sampling grid fitted to time stamps: grid index of each sample, and the sampling period (s).
+
+    `deviation_max` and `deviation_rms` state how far the measured intervals deviate from whole periods (in periods).
+    """
 
     index: Ints
     period_s: float
@@ -174,7 +181,7 @@ class SampleGrid:
 
     @property
     def rate_hz(self) -> float:
-        """Return the sampling rate (Hz), rounded to whole Hz if it differs by at most the share `WHOLE_HZ`."""
+        """Sampling rate (Hz), rounded to a whole number of Hz if the rounding changes it by at most 0.01 %."""
         rate = 1.0 / self.period_s
         return float(round(rate)) if abs(rate - round(rate)) <= WHOLE_HZ * rate else rate
 
@@ -202,7 +209,7 @@ def _check(resolution: float, time: object, time_unit: str, period_s: float | No
 
 
 def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[Any]:
-    """Return the wanted columns (pyarrow.ChunkedArray), with the types that pyarrow infers from their text."""
+    """Return the columns named in `wanted` (pyarrow.ChunkedArray) with the types that pyarrow infers from the text."""
     check_pyarrow()
     with plain_errors("read", path), open_regular(path, ROWS_BYTES) as file:
         lines = file.read(HEAD_BYTES).decode("utf-8-sig", "replace").splitlines()
@@ -215,7 +222,7 @@ def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[An
     names = [name.strip() for name in next(lines_of.reader([lines[skipped]], delimiter=between))]
     header = not all(_is_number(name) for name in names)
     comma = between != "," and any(re.search(r"\d,\d", line) for line in lines[skipped:])
-    columns = [f"f{_number_of(path, one, names if header else [], len(names))}" for one in wanted]
+    columns = [f"f{_column_number(path, one, names if header else [], len(names))}" for one in wanted]
     try:
         table = csv.read_csv(
             path,
@@ -230,7 +237,8 @@ def _read(path: Path, wanted: list[str | int], delimiter: str | None) -> list[An
     except pyarrow.ArrowException as error:
         reason = str(error).partition("\n")[0]
         raise RecordingError(
-            f"{path} is not a CSV file of equal rows: {reason}", remedy="correct this row of the file"
+            f"{path} is not a CSV file whose rows have equal numbers of columns: {reason}",
+            remedy="correct this row of the file",
         ) from error
     return [table.column(name) for name in columns]
 
@@ -243,27 +251,29 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _number_of(path: Path, wanted: str | int, names: list[str], columns: int) -> int:
-    if isinstance(wanted, int):
-        if 0 <= wanted < columns:
-            return wanted
+def _column_number(path: Path, column: str | int, names: list[str], columns: int) -> int:
+    if isinstance(column, int):
+        if 0 <= column < columns:
+            return column
         raise RecordingError(
-            f"{path} has {columns} columns; there is no column number {wanted}",
+            f"{path} has {columns} columns; there is no column number {column}",
             remedy=f"choose a number from 0 to {columns - 1}",
         )
-    if names.count(wanted) == 1:
-        return names.index(wanted)
-    if wanted in names:
+    if names.count(column) == 1:
+        return names.index(column)
+    if column in names:
         raise RecordingError(
-            f"{path} has several columns {wanted!r}", remedy="give the number of one of them, counted from 0"
+            f"{path} has several columns with the name {column!r}",
+            remedy="give the number of the column instead of its name, counted from 0",
         )
     if not names:
         raise RecordingError(
-            f"{path} has no header line with names", remedy=f"give column numbers, 0 to {columns - 1}"
+            f"{path} has no header line with column names",
+            remedy=f"give the number of the column, from 0 to {columns - 1}",
         )
-    close = get_close_matches(wanted, names, n=1)
+    close = get_close_matches(column, names, n=1)
     raise RecordingError(
-        f"{path} has no column {wanted!r}",
+        f"{path} has no column {column!r}",
         remedy=f"did you mean {close[0]!r}?" if close else f"its columns are {', '.join(names)}",
     )
 
@@ -279,7 +289,7 @@ def _numbers(path: Path, name: str | int, column: Any) -> Floats:
 
 
 def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the time of each row (s, up to a constant offset), and a mask of the rows that have a time."""
+    """Return the time of each row (s, with an arbitrary zero), and a mask that is True for rows that have a time."""
     known = ~np.asarray(column.is_null().to_numpy(zero_copy_only=False), dtype=bool)
     types = pyarrow.types
     if types.is_timestamp(column.type) or types.is_time(column.type):
@@ -296,7 +306,11 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
 
 
 def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
-    """Return the sampling grid of times (s, from 0); `rows` are row numbers in the file, for error messages."""
+    """Fit a regular sampling grid to the times of the samples (s, from 0).
+
+    `rows` are the samples' row numbers in the file, for error messages. Raise `RecordingError` if the times are
+    irregular.
+    """
     intervals = np.diff(time_s)
     back = np.flatnonzero(intervals <= 0.0)
     if len(back):

@@ -1,10 +1,10 @@
-"""A cut: an interval of a recording as a recording of its own, with all columns at full rate.
+"""Cut an interval out of a recording and store the interval as a recording of its own, with all columns at full rate.
 
-Its header names the source file with its SHA-256, the interval, and the time of cutting. Its trailer states that it is
-a cut, not how the trial ended: a verdict needs the whole recording.
+The header of the cut names the source file with its SHA-256, the interval, and the time of cutting. The trailer only
+states that the recording is a cut, not how the trial ended: a verdict needs the whole recording.
 
-Only `rig.experiments.trials.cutting` calls it, which adds the controller's state so that the cut can be replayed. It
-must not change the source recording.
+Only `rig.experiments.trials.cutting` uses this module; it adds the controller's state, so that the cut can be replayed.
+The source recording must not be changed.
 """
 
 from __future__ import annotations
@@ -31,42 +31,43 @@ from rig.recording.seal import SEALED_SUFFIX
 def cut(
     recording: Recording, first_s: float, last_s: float, initial_state: Mapping[str, Any] | None = None
 ) -> Recording:
-    """Return the part of a recording between two times as a new recording.
+    """Return the rows of a recording between two times as a new recording in memory.
 
     Parameters
     ----------
     recording
-        Whole recording, or a cut.
+        Whole recording, or an earlier cut.
     first_s, last_s
-        Begin and end of the interval, since the first row of the recording (s).
+        Begin and end of the interval, counted from the first row of the recording (s); rows at these times are
+        included.
     initial_state
-        State of the controller before the first row of the cut, if known (`rig.experiments.trials.cutting`); without it
-        only a cut from the beginning can be replayed.
+        State of the controller before the first row of the cut, in the form of the header's key ``initial_state``.
+        Without this state, the cut can be replayed only if it begins with the first row of the recording.
 
     Returns
     -------
     Recording
-        Cut with rows, header and trailer; it is not written to a file yet.
+        Rows of the interval, and header and trailer of the cut. No file is written.
 
     Raises
     ------
     RecordingError
-        There are fewer than two rows between these times, or ticks are lost between them.
+        The interval contains fewer than two rows, or ticks are missing inside it.
     """
     times, rows = recording.time_s, recording.rows
     first, end = np.searchsorted(times, first_s, "left"), np.searchsorted(times, last_s, "right")
     if end - first < 2:
-        reach = f"it has rows from 0 to {times[-1]:.6g} s" if len(times) else "it has no rows"
+        extent = f"rows from 0 to {times[-1]:.6g} s" if len(times) else "no rows"
         raise RecordingError(
             f"there are fewer than 2 rows between {first_s:.6g} and {last_s:.6g} s of the recording",
-            remedy=f"choose a longer interval: {reach}",
+            remedy=f"choose a longer interval; the recording has {extent}",
         )
     taken = rows[first:end].copy()
     missing = int(taken["tick"][-1] - taken["tick"][0]) + 1 - len(taken)
     if missing:
         raise RecordingError(
-            f"{missing} ticks are lost between {first_s:.6g} and {last_s:.6g} s",
-            remedy="cut before or after the lost ticks",
+            f"the recording has no rows for {missing} control ticks between {first_s:.6g} and {last_s:.6g} s",
+            remedy="choose an interval before or after these missing ticks",
         )
     header, trailer = recording.header, recording.trailer or {}
     begins = {} if first else header["initial_state"]
@@ -98,7 +99,11 @@ def cut(
 
 
 def write_cut(made: Recording, directory: Path) -> Path:
-    """Write a cut into a directory under a free name; return its path. Raise `RecordingError` on a disk error."""
+    """Write a cut (a part of a recording) as a new file in a directory and return the file's path.
+
+    The file is named like the source recording, with ``-cut`` and a number if needed, and is Parquet if pyarrow is
+    installed, otherwise a ``.rigcap`` capture. Raise `RecordingError` on a disk error.
+    """
     make_directories(directory)
     of = Path((cut_facts(made) or {}).get("recording") or "recording").stem
     path = free_name(directory, f"{of}-cut")

@@ -1,7 +1,7 @@
-"""A recording in memory: the one type that every reader returns and every writer takes.
+"""A recording in memory: the type that every reader of recordings returns and every writer accepts.
 
-Trials, verdicts, replays, maps, sessions, pictures, studies and `rig.testing` use it. It must not read or write a
-file, nor judge the recording.
+Trials, verdicts, replays, maps, sessions, plots, studies and `rig.testing` use this module. It must not read or write a
+file, nor judge a recording.
 """
 
 from __future__ import annotations
@@ -22,7 +22,11 @@ from rig.core.shown import Drawn, Shown
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Bytes of a file that could not be read, and the number of rows in them (None if unknown)."""
+    """A damaged or missing part of a recording file: `size` bytes at byte `offset`.
+
+    The part contained `rows` rows, the first with the number `first_row`; `rows` is None if unknown. `reason` is a
+    text, e.g. "damaged block".
+    """
 
     reason: str
     offset: int
@@ -42,9 +46,10 @@ class Loss:
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
 class Column(Shown, Drawn):
-    """One column of a recording: one value per row, their SI unit, and the times of the rows (s).
+    """One column of a recording: name, one value per row, SI unit, meaning, and the time of each row (s).
 
-    numpy functions accept it as an array of its values. It has no arithmetic of its own: results have other units.
+    numpy functions accept a `Column` as the array of its values. Arithmetic operators are not defined, because the
+    result would have another unit.
     """
 
     name: str
@@ -60,7 +65,7 @@ class Column(Shown, Drawn):
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def brief(self) -> list[Item]:
-        """Return meaning, range and number of rows of the column, to print."""
+        """Return meaning, number of rows, minimum and maximum of the column, as lines to print."""
         rows = [Row("meaning", self.description), Row("rows", len(self))]
         if len(self):
             low, high = (float(value) for value in (self.values.min(), self.values.max()))
@@ -70,17 +75,17 @@ class Column(Shown, Drawn):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording(Shown, Drawn):
-    """Recording of one trial: header, rows, trailer, and lost parts of the file.
+    """Recording of one trial: header, rows, trailer, and damaged parts of the file.
 
     Attributes
     ----------
     header
-        Everything known before the trial (`rig.recording.header.make_header`).
+        Everything known before the trial, as JSON types (`rig.recording.header.make_header`).
     rows
-        Structured array with one row per tick: the columns of `rig.core.sample.ROW`, and in simulation also those of
-        `rig.core.sample.TRUTH_COLUMNS`.
+        Structured array with one row per control tick: the columns of `rig.core.sample.ROW`, and in simulation also the
+        true signals (`rig.core.sample.TRUTH_COLUMNS`).
     trailer
-        How and why the trial ended, with its statistics; None if the file has none, as after a crash.
+        How and why the trial ended, with its statistics; None if the file has no trailer, as after a crash.
     complete
         True if the file has its end block. A recording whose process died is incomplete but usable.
     lost
@@ -101,32 +106,35 @@ class Recording(Shown, Drawn):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the columns, in their order."""
+        """Names of the columns, in the order in which the file stores them."""
         return tuple(self.rows.dtype.names or ())
 
     @property
     def units(self) -> dict[str, str]:
-        """Return the SI unit of each column, by name."""
+        """SI unit of each column, by the column's name."""
         return {column["name"]: column["unit"] for column in self.header["schema"]["columns"]}
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """Return the meaning of each column, by name."""
+        """Meaning of each column as a text, by the column's name."""
         return {column["name"]: column["description"] for column in self.header["schema"]["columns"]}
 
     @property
     def experiment(self) -> dict[str, Any]:
-        """Return the parameters of the experiment that were in effect, as nested dictionaries."""
+        """All parameters of the experiment that were used in the trial, as nested dictionaries; {} if not recorded."""
         return dict(self.header.get("experiment") or {})
 
     @property
     def has_truth(self) -> bool:
-        """Return True if the columns include the true signals of a simulation."""
+        """True if the recording contains the true signals of a simulation, e.g. the column position_true."""
         return "position_true" in self.names
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Time of each row since the first row (s), by the device's clock, or by the host's if it is not recorded."""
+        """Time of each row since the first row (s), on the device's clock, or else on the host's clock.
+
+        The host's clock is used if the device's clock was not recorded. If neither clock was recorded, all times are 0.
+        """
         for name in ("device_time", "received_at"):
             if name in self.names:
                 time: NDArray[np.int64] = self.rows[name]
@@ -136,12 +144,12 @@ class Recording(Shown, Drawn):
         return np.zeros(len(self.rows))
 
     def __getitem__(self, name: str) -> Column:
-        """Return one column with unit, meaning and times; raise `RecordingError` for an unknown name."""
+        """Return a column with unit, meaning and times; raise `RecordingError` if the recording has no such column."""
         values = self.column(name)
         return Column(name, values, self.units[name], self.descriptions[name], self.time_s)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one column as a contiguous array; raise `RecordingError` for an unknown name."""
+        """Return the values of a column as a contiguous array; raise `RecordingError` if there is no such column."""
         if name not in self.names:
             close = get_close_matches(name, self.names, n=1)
             remedy = f"did you mean {close[0]}?" if close else f"its columns are {', '.join(self.names)}"
@@ -149,13 +157,13 @@ class Recording(Shown, Drawn):
         return np.ascontiguousarray(self.rows[name])
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
-        """Return all columns, each as a contiguous array of its own."""
+        """Return the values of all columns by name, each as a contiguous array."""
         return {name: self.column(name) for name in self.names}
 
     def to_pandas(self) -> Any:
-        """Return a DataFrame whose `attrs` hold ``units``, ``descriptions`` and ``header``.
+        """Return the rows as a pandas DataFrame, whose `attrs` contain ``units``, ``descriptions`` and ``header``.
 
-        Raise `RigError` when pandas is not installed.
+        Raise `RigError` if pandas is not installed.
         """
         try:
             frame = pandas.DataFrame(self.to_numpy())
@@ -165,9 +173,9 @@ class Recording(Shown, Drawn):
         return frame
 
     def to_xarray(self) -> Any:
-        """Return a Dataset over ``time`` (s); each variable has ``units`` and ``long_name``.
+        """Return the rows as an xarray Dataset with the coordinate ``time`` (s).
 
-        Raise `RigError` when xarray is not installed.
+        Each variable has the attributes ``units`` and ``long_name``. Raise `RigError` if xarray is not installed.
         """
         try:
             columns = {name: ("time", values) for name, values in self.to_numpy().items()}
@@ -201,7 +209,7 @@ class Recording(Shown, Drawn):
         return [f"recording of {self.header.get('rig', 'a rig')}", *rows]
 
     def detailed(self) -> list[Item]:
-        """Return the rows of `brief`, and a table of all columns with unit and meaning."""
+        """Return the lines of `brief`, and a table of all columns with unit and meaning, to print."""
         columns = [(name, self.units[name], self.descriptions[name]) for name in self.names]
         return [*self.brief(), Table(("column", "unit", "meaning"), columns, words=3)]
 

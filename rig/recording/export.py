@@ -1,10 +1,7 @@
-"""Recordings for other programs.
+"""Export of recordings as CSV, X-Y (a CSV of force over penetration), Parquet, MAT and MCAP.
 
-CSV is for any program, X-Y is a CSV of force over penetration, Parquet is for data frames, MAT for MATLAB and Octave,
-MCAP for Foxglove and PlotJuggler.
-
-`rig recording export`, `rig recording import`, the console and studies call it. It must not change the recording, and
-overwrites a file only when asked to.
+MAT is for MATLAB and Octave, MCAP for Foxglove and PlotJuggler. `rig recording export`, `rig recording import`, the
+console and studies use this module. It must not change the recording, and overwrites a file only with `overwrite`.
 """
 
 from __future__ import annotations
@@ -34,18 +31,18 @@ _ROWS_AT_ONCE = 10_000
 def export(
     recording: Recording | str | Path, path: str | Path, format: str | None = None, *, overwrite: bool = False
 ) -> Path:
-    """Write a recording in a format of another program, and return the path of the file.
+    """Write a recording as a file for another program, and return the path of that file.
 
     Parameters
     ----------
     recording
-        A recording, or its path.
+        A recording in memory, or the path of its file.
     path
-        The file to write; CSV also writes its sidecar beside it (see `sidecar_of`).
+        Path of the file to write. For CSV, a JSON file that describes the columns is written beside it (`sidecar_of`).
     format
-        One of `EXPORTERS`; without it the suffix of `path` decides.
+        One of the keys of `EXPORTERS`: "csv", "xy", "parquet", "mat" or "mcap". Default: the suffix of `path`.
     overwrite
-        Replace an existing file of that name.
+        If True, replace an existing file.
 
     Raises
     ------
@@ -72,12 +69,15 @@ def export(
 
 
 def sidecar_of(path: Path) -> Path:
-    """Return the path of the JSON file that describes the columns of a CSV file."""
+    """Return the path of the JSON file that describes the columns of a CSV file: the CSV file's name plus ``.json``."""
     return path.with_name(path.name + ".json")
 
 
 def facts(recording: Recording) -> dict[str, object]:
-    """Return header, trailer, completeness, losses, units and descriptions of a recording: all but its rows."""
+    """Return everything of a recording except its rows, as a dictionary.
+
+    The keys are header, trailer, complete, lost, units and descriptions.
+    """
     return {
         "header": recording.header,
         "trailer": recording.trailer,
@@ -89,12 +89,15 @@ def facts(recording: Recording) -> dict[str, object]:
 
 
 def write_sidecar(file: BinaryIO, recording: Recording) -> None:
-    """Write a JSON object with header, trailer, completeness, losses, units and descriptions."""
+    """Write header, trailer, completeness, losses, units and descriptions of a recording as one JSON object."""
     file.write(canonical_json(facts(recording)) + b"\n")
 
 
 def write_csv(file: BinaryIO, recording: Recording) -> None:
-    """Write a line of column names, then one line per row; floats have the fewest digits that read back equal."""
+    """Write a recording to `file` as CSV: a line with the column names, then one line per row.
+
+    Floats have the fewest digits from which the same float is read back.
+    """
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(recording.names)
@@ -104,7 +107,7 @@ def write_csv(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_xy(file: BinaryIO, recording: Recording) -> None:
-    """Write a CSV of penetration and wall effort in the trial phase; the column names contain the units."""
+    """Write a CSV of penetration and wall effort of all rows in the phase TRIAL; the column names contain the units."""
     trial = recording.rows["phase"] == Phase.TRIAL
     names = ("penetration", "effort_wall")
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
@@ -115,9 +118,10 @@ def write_xy(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_mat(file: BinaryIO, recording: Recording) -> None:
-    """Write a MATLAB 5 file with structs ``data`` (column vectors), ``units``, ``descriptions``.
+    """Write a recording as a MATLAB 5 file with the structs ``data``, ``units`` and ``descriptions``.
 
-    Header, trailer and losses are JSON text: ``jsondecode(header)`` gives a struct. Integers stay int64.
+    ``data`` has one column vector per column of the recording; integers are stored as int64. Header, trailer and losses
+    are JSON text: ``jsondecode(header)`` returns a struct.
     """
     parts = facts(recording)
     texts = {name: canonical_json(parts[name]).decode() for name in ("header", "trailer", "lost")}
@@ -132,7 +136,8 @@ def write_mat(file: BinaryIO, recording: Recording) -> None:
         scipy_io.savemat(file, contents, long_field_names=True, do_compression=True, oned_as="column")
     except ValueError as error:
         raise RecordingError(
-            f"MAT cannot hold this recording: {error}", remedy="export it as parquet, which has no such limit"
+            f"a MATLAB 5 file cannot store this recording: {error}",
+            remedy="export the recording as parquet, which has no such limit",
         ) from error
 
 

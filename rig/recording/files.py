@@ -1,7 +1,6 @@
-"""Atomic writing of files (write under another name, sync, rename), and one-line errors of the disk.
+"""Atomic writing of files (write under another name, flush to disk, rename), and messages for disk errors.
 
-Every package that writes files calls it. It must not depend on the content of a file, and no partly written file may
-have the final name.
+Every package that writes files uses this module. A partly written file must never have the final name.
 """
 
 from __future__ import annotations
@@ -38,20 +37,23 @@ _REMEDIES = {
 
 
 def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
-    """Return the `RecordingError` for an errno of the system or of `rig.core.regular_file`, with its remedy."""
+    """Return a `RecordingError` "cannot DOING PATH: REASON" for the errno `number`, with advice on what to do.
+
+    Without `reason`, the text is the operating system's. `number` may also be an errno of `rig.core.regular_file`.
+    """
     cause = reason or os.strerror(number)
     return RecordingError(f"cannot {doing} {path}: {cause}", remedy=_REMEDIES.get(number, ""))
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, in hex."""
+    """Return the SHA-256 of the contents of a file, as 64 hex digits."""
     with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
 def plain_errors(doing: str, path: Path) -> Iterator[None]:
-    """Convert an `OSError` inside the block into a `RecordingError`, whose message is one line."""
+    """Replace any `OSError` raised inside the ``with`` block by a `RecordingError` "cannot DOING PATH: REASON"."""
     try:
         yield
     except OSError as error:
@@ -59,7 +61,7 @@ def plain_errors(doing: str, path: Path) -> Iterator[None]:
 
 
 def sync_directory(directory: Path) -> None:
-    """Sync the file names of a directory to disk; do nothing where the system cannot sync directories."""
+    """Flush the file names of a directory to the disk; do nothing if the operating system cannot flush directories."""
     with suppress(OSError):
         descriptor = os.open(directory, os.O_RDONLY)
         try:
@@ -69,7 +71,7 @@ def sync_directory(directory: Path) -> None:
 
 
 def make_directories(directory: Path) -> None:
-    """Make a directory and its missing parents, and sync their names to disk.
+    """Create a directory and its missing parents, and flush their names to the disk.
 
     Raise `RecordingError` on a disk error.
     """
@@ -96,10 +98,11 @@ def refuse_existing(path: Path) -> None:
 def whole_file(
     path: Path, *, overwrite: bool = False, check: Callable[[Path], None] | None = None
 ) -> Iterator[BinaryIO]:
-    """Open a file that appears under its name only when the block ends without an exception, synced to disk.
+    """Open a file for writing that gets its name `path` only when the ``with`` block ends without an exception.
 
-    `check` is called with the path of the draft file before the renaming; if it raises an exception, no file remains.
-    Raise `RecordingError` if the file exists (unless `overwrite`), or on a disk error.
+    Before the renaming, the contents are flushed to the disk and `check` is called with the path of the temporary file.
+    If the block or `check` raises an exception, the temporary file is removed. Raise `RecordingError` if `path` exists
+    (unless `overwrite`), or on a disk error.
     """
     if not overwrite:
         refuse_existing(path)
@@ -123,7 +126,7 @@ def whole_file(
 
 @contextmanager
 def whole_directory(path: Path) -> Iterator[Path]:
-    """Yield a new directory to fill; rename it to `path` when the block ends without an exception.
+    """Yield the path of a new empty directory; rename it to `path` when the ``with`` block ends without an exception.
 
     Raise `RecordingError` if `path` exists, or on a disk error.
     """
@@ -141,7 +144,11 @@ def whole_directory(path: Path) -> Iterator[Path]:
 
 
 def free_name(directory: Path, stem: str) -> Path:
-    """Return the first free path STEM.rigcap, STEM-2.rigcap, …; invalid characters of `stem` become hyphens."""
+    """Return the first of the paths STEM.rigcap, STEM-2.rigcap, … for which no recording or picture exists.
+
+    Characters of `stem` that are not valid in a file name are replaced by hyphens. Raise `ConfigError` after 9999
+    names.
+    """
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", stem).strip(".-") or "rig"
     for number in range(1, 10_000):
         name = stem if number == 1 else f"{stem}-{number}"
@@ -151,8 +158,8 @@ def free_name(directory: Path, stem: str) -> Path:
         ):
             return capture
     raise ConfigError(
-        f"{directory} has 9999 recordings named {stem}: no name is left",
-        remedy="choose another `output`",
+        f"{directory} already has 9999 recordings with the name {stem}",
+        remedy="choose another directory or name with `output`",
     )
 
 
@@ -162,7 +169,10 @@ _reserving = threading.Lock()
 
 @contextmanager
 def reserved_name(directory: Path, stem: str) -> Iterator[Path]:
-    """Yield a `free_name` that is reserved against other threads until the block ends, since its file is made later."""
+    """Yield a path from `free_name`, and reserve it against other threads until the ``with`` block ends.
+
+    The reservation is needed because the caller creates the file later.
+    """
     with _reserving:
         capture = free_name(directory, stem)
         _reserved.add(capture)

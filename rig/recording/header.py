@@ -1,9 +1,8 @@
-"""The header of a recording: everything that is known before its first row.
+"""The header of a recording: everything that is known before the first row.
 
-The same seed, experiment and versions give the same header, except for the keys in `VOLATILE`.
-
-Trials, writers and readers of recordings, studies and sessions call it. Facts about the machine or the time of the run
-must be under keys in `VOLATILE`.
+The same seed, experiment and software versions give the same header, except for the keys in `VOLATILE`, which contain
+all facts about the machine and the time of the run. Trials, readers and writers of recordings, studies and sessions use
+this module.
 """
 
 from __future__ import annotations
@@ -35,7 +34,10 @@ _SIMPLE_DTYPE = re.compile(r"[<|][iuf][1248]")
 
 
 def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
-    """Return the layout of a row as JSON types: its size; name, dtype, offset, unit and meaning of each column."""
+    """Return the layout of a row as JSON types: its size in bytes, and a description of each column.
+
+    A column is described by name, dtype, byte offset, unit and meaning.
+    """
     dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
     described = [
         {
@@ -51,12 +53,15 @@ def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
 
 
 def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
-    """Return the numpy dtype of the rows that a schema describes; raise `RecordingError` for an invalid schema."""
+    """Return the numpy dtype of the rows that a schema from `make_schema` describes.
+
+    Raise `RecordingError` if the schema is invalid.
+    """
     try:
         columns = schema["columns"]
         formats = [column["dtype"] for column in columns]
         if not columns or not all(_SIMPLE_DTYPE.fullmatch(text) for text in formats):
-            raise ValueError("its columns are not plain numbers")
+            raise ValueError("a column's dtype is not a little-endian integer or float")
         if not all(isinstance(column[text], str) for column in columns for text in ("unit", "description")):
             raise ValueError("a column has no unit or description")
         return np.dtype(
@@ -69,12 +74,13 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RecordingError(
-            f"the recording's schema is invalid ({error})", remedy="restore the file from a copy"
+            f"the layout of the recording's rows (schema) is invalid: {error}",
+            remedy="restore the file from a copy",
         ) from error
 
 
 def schema_of(schema: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
-    """Return a schema with only the named columns, in unchanged order, with new offsets for the shorter row."""
+    """Return a row layout with only those columns of `schema` that are in `names`, in unchanged order."""
     columns = [column for column in schema["columns"] if column["name"] in names]
     dtype = np.dtype([(column["name"], column["dtype"]) for column in columns], align=True)
     placed = [{**column, "offset": _field(dtype, column["name"])[1]} for column in columns]
@@ -95,7 +101,7 @@ def make_header(
     host: Mapping[str, Any] | None = None,
     columns: Sequence[Column] = COLUMNS,
 ) -> dict[str, Any]:
-    """Return the header of a recording, of JSON types only, so that it reads back equal from every format.
+    """Return the header of a recording as JSON types, so that every file format gives back an equal header.
 
     Parameters
     ----------
@@ -104,22 +110,22 @@ def make_header(
     motion
         "rotary" or "linear", which decides the units of the columns.
     experiment
-        All parameters in effect, as the law and the device use them.
+        All parameters of the experiment, with the values that control law and device use.
     identity
-        The device's dictionary: its description of itself.
+        Description that the device sent of itself, as a dictionary.
     clocks
         Kind, origin and offset of the host's and the device's clock.
     seed
-        Seed of everything random, None when nothing is.
+        Seed of all random numbers of the trial; None if the trial uses no random numbers.
     protocol
         Version of the wire protocol.
     initial_state
-        State of estimator, law and guard before the first row, as lists of numbers. It is stored bit by bit, so that
-        a replay starts from the same state; ``[float(x) for x in …]`` also restores NaN and infinities.
+        State of estimator, control law and guard before the first row, as lists of numbers. All bits are stored, so
+        that a replay starts from the same state; ``[float(x) for x in …]`` also restores NaN and infinities.
     extra
-        Further facts about the trial that are equal when it is repeated.
+        Further facts about the trial that are equal when the trial is repeated.
     host
-        Facts about this run on this machine (obtained scheduling, …), added to `host_facts`.
+        Facts about this run on this machine (e.g. the obtained scheduling), added to `host_facts`.
     columns
         Columns of the rows.
     """
@@ -147,7 +153,7 @@ def make_header(
 
 
 def check_version(path: Path, found: object) -> None:
-    """Raise `RecordingError` if the format version of a recording is not `VERSION`."""
+    """Raise `RecordingError` if `found`, the format version of the recording at `path`, is not `VERSION`."""
     if found != VERSION:
         raise RecordingError(
             f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",
@@ -156,12 +162,12 @@ def check_version(path: Path, found: object) -> None:
 
 
 def repeatable(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a header without the keys in `VOLATILE`: the part that two runs with the same seed have in common."""
+    """Return the header without date, host and git revision: the part that is equal for two runs with the same seed."""
     return {key: value for key, value in header.items() if key not in VOLATILE}
 
 
 def versions(protocol: str) -> dict[str, str]:
-    """Return the versions of Python, protocol, haptic-rig, numpy and numba, which computed the rows."""
+    """Return the versions of Python, haptic-rig, numpy, numba and the wire protocol, by name."""
     installed = {name: _installed(name) for name in ("haptic-rig", "numpy", "numba")}
     return {"python": platform.python_version(), "protocol": protocol, **installed}
 
@@ -175,7 +181,7 @@ def _installed(package: str) -> str:
 
 
 def host_facts() -> dict[str, Any]:
-    """Return name, system and number of processors of this machine; nothing about its user."""
+    """Return name, operating system and number of processors of this machine; nothing about the user."""
     system = platform.uname()
     return {
         "name": system.node,
@@ -187,26 +193,28 @@ def host_facts() -> dict[str, Any]:
 
 
 def git_revision(directory: Path) -> dict[str, Any] | None:
-    """Return commit (`revision`) and whether tracked files were edited (`dirty`); None if not a git checkout.
+    """Return the git commit of a directory (`revision`), and if tracked files were edited (`dirty`); None outside git.
 
-    `dirty` is None if git cannot compare. Files that a git filter would convert count as edited once they were touched.
-    The answer is cached for up to a second, because git takes longer than many simulated hits.
+    `dirty` is None if git cannot compare the files. A file that a git filter converts counts as edited after it was
+    touched. The result is cached for up to a second.
     """
+    # At most one call of git a second: it takes longer than many simulated hits.
     return _describe(directory, int(time.monotonic()))
 
 
 @lru_cache(maxsize=8)
 def _describe(directory: Path, second: int) -> dict[str, Any] | None:
-    """Return `git_revision`, without running programs that the checkout's configuration, hooks or attributes name.
+    """Return the result of `git_revision` without running any program that the checkout's git configuration names.
 
-    Reading HEAD and paths runs no such program. A comparison would run core.fsmonitor and filters. So it uses an empty
-    git directory without configuration and hooks, which refers to the checkout's index and objects.
+    `second` is the time in whole seconds, as part of the key of the cache.
     """
     try:
         answer = _git(
             directory, "rev-parse", "HEAD", "--show-toplevel", "--git-path", "index", "--git-path", "objects"
         )
         revision, top, index, objects = answer.removesuffix("\n").split("\n")
+        # `git status` with the checkout's own configuration would run the programs in core.fsmonitor and filters. An
+        # empty git directory has no configuration and hooks; it refers to the checkout's index and objects.
         with scratch("git") as place:
             empty = str(place)
             for name in ("objects", "refs"):
@@ -232,7 +240,7 @@ def _describe(directory: Path, second: int) -> dict[str, Any] | None:
 
 
 def _git(directory: Path, *arguments: str, **own: str) -> str:
-    """Return the output of git; if `own` variables are given, other GIT_ variables are removed from its environment."""
+    """Return the output of a git command; if `own` is given, remove all other GIT_ environment variables."""
     inherited = {name: value for name, value in os.environ.items() if not (own and name.startswith("GIT_"))}
     return subprocess.run(
         [find_program("git") or "", "-C", str(directory), *arguments],
@@ -248,7 +256,10 @@ def _git(directory: Path, *arguments: str, **own: str) -> str:
 
 @cache
 def checkout() -> dict[str, str]:
-    """Return the commit of the checkout that this program runs from, and whether files were edited; else {}."""
+    """Return ``{"commit": TEXT}`` for the git checkout that this program runs from; {} outside a checkout.
+
+    The text is the commit, with a note if files were edited.
+    """
     sources = Path(__file__).parents[2]
     found = git_revision(sources) if (sources / ".git").exists() else None
     if found is None:

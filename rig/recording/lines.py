@@ -1,9 +1,9 @@
-"""Append-only text file with a checksum in each line: appended lines survive the death of the process.
+"""Append-only text file with a checksum in each line: appended lines survive a crash of the process.
 
-    line = CRC of the JSON (8 hex digits)  blank  JSON object in ASCII  newline
+    line = CRC-32 of the JSON (8 hex digits, as in zlib)  blank  JSON object in ASCII  newline
 
-The CRC is that of zlib. Bytes after the last newline were being written when the process died and are ignored. One
-process writes at a time: the file is locked while it is open.
+Bytes after the last newline are ignored: the process died while it wrote them. The file is locked while it is open,
+because only one process may write at a time.
 
 The journal of sweeps and the log of sessions are such files. A written line must not be changed.
 """
@@ -37,14 +37,14 @@ class LineFile:
     Parameters
     ----------
     path
-        Path of the file, created if it does not exist.
+        Path of the file, which is created if it does not exist.
     remedy
-        Remedy in the error message if another process has the file open.
+        Advice to print in the error message if another process has the file open.
 
     Raises
     ------
     RecordingError
-        Another process is writing the file, or a disk error.
+        Another process is writing the file, or the disk reports an error.
     """
 
     def __init__(self, path: Path, *, remedy: str) -> None:
@@ -61,7 +61,7 @@ class LineFile:
             raise
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
-        """Yield byte offset and content of every line that ends with a newline, valid or damaged."""
+        """Yield the byte offset and the bytes of every line that ends with a newline, also of damaged lines."""
         with plain_errors("read", self.path), open_regular(self.path) as file:
             place = 0
             for line in file:
@@ -71,12 +71,12 @@ class LineFile:
                 place += len(line)
 
     def truncate(self, end: int) -> None:
-        """Remove all bytes after `end`: an incomplete last line."""
+        """Shorten the file to `end` bytes, to remove an incomplete last line."""
         with plain_errors("write", self.path):
             self._file.truncate(end)
 
     def append(self, line: bytes) -> None:
-        """Append a line from `line_of`; it survives the death of this process, and after `sync` also a power cut."""
+        """Append a line made by `line_of`, which survives a crash of the process, and after `sync` a power failure."""
         self._dirty = True
         data = line
         with plain_errors("write", self.path):
@@ -84,18 +84,18 @@ class LineFile:
                 data = data[self._file.write(data) :]
 
     def sync(self, *, at_once: bool = False) -> None:
-        """Sync appended lines to disk, at most every `SYNC_S` (s) unless `at_once`."""
+        """Flush appended lines to the disk (fsync), at most once per `SYNC_S` (s) unless `at_once` is True."""
         if self._dirty and (at_once or time.monotonic() - self._synced_s >= SYNC_S):
             with plain_errors("write", self.path):
                 os.fsync(self._file.fileno())
             self._dirty, self._synced_s = False, time.monotonic()
 
     def sync_name(self) -> None:
-        """Sync the directory entry of the file to disk."""
+        """Flush the directory entry of the file to the disk, so that a new file survives a power failure."""
         sync_directory(self.path.parent)
 
     def close(self, *, sync: bool = True) -> None:
-        """Sync everything to disk and release the lock."""
+        """Close the file and release its lock; before, flush all lines to the disk unless `sync` is False."""
         try:
             if sync:
                 self.sync(at_once=True)
@@ -115,23 +115,24 @@ class LineFile:
 
 
 def line_of(text: str) -> bytes:
-    """Return the line (checksum, blank, text, newline) for the JSON text of an object; the text must be ASCII."""
+    """Return the bytes of a line (checksum, blank, text, newline) for the JSON text of an object, in ASCII."""
     body = text.encode("ascii")
     return b"%08x %s\n" % (zlib.crc32(body), body)
 
 
 def check_line_end(path: Path, line: bytes) -> None:
-    """Raise `RecordingError` if a line is damaged only because it ends with CR LF instead of LF."""
+    """Raise `RecordingError` if the checksum of a line fails only because the line ends with CR LF instead of LF."""
     if line.endswith(b"\r\n") and object_of(line[:-2] + b"\n") is not None:
         raise RecordingError(
-            f"{path}: its lines end with CR LF instead of LF, so their checksums do not match; only "
-            "the line ends have changed (by an editor, git or a transfer)",
-            remedy=f"restore them, sed -i 's/\\r$//' {quote(str(path))}, and copy it as binary (git: -text)",
+            f"the lines of {path} end with CR LF instead of LF, so their checksums do not match; an editor, "
+            "git or a file transfer has changed the line ends",
+            remedy=f"restore the line ends with: sed -i 's/\\r$//' {quote(str(path))} ; transfer the file as binary "
+            "(in git: attribute -text)",
         )
 
 
 def object_of(line: bytes) -> dict[str, Any] | None:
-    """Return the JSON object in a line; None if the line is damaged or incomplete."""
+    """Return the JSON object in a line of the file; None if the line is incomplete or its checksum is wrong."""
     crc, blank, body = line[:_CRC_DIGITS], line[_CRC_DIGITS : _CRC_DIGITS + 1], line[_CRC_DIGITS + 1 : -1]
     if (crc, blank, line[-1:]) != (b"%08x" % zlib.crc32(body), b" ", b"\n"):
         return None

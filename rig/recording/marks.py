@@ -1,20 +1,23 @@
-"""Marks of a recording: its events (contact, end, sync edges, …) with their times on device and host clock.
+"""Marks of a recording: its events (contact, end, sync edges, …) with their times on the clocks of device and host.
 
 ========  =============================================================================================
 homed     the first sample after homing
+free space
+          the first sample of the movement in free space before the trial
 trial     the first sample of the trial
-contact   each first sample inside the wall after a sample outside it, during the trial
+contact   each first sample inside the wall after a sample outside the wall, during the trial
 release   the first sample of the release
 end       the last sample
 sync      a rising edge of the sync input; `tick` is the tick of the first row that reports the edge
 trial_out, inside_out
-          a rising edge of a sync output, if the host ran the law: the begin of the device tick that set the
-          output; if samples before it are missing, the edge was earlier by up to the length of this gap
+          a rising edge of a sync output, if the host ran the control law: the begin of the device tick that set
+          the output; if samples before it are missing, the edge was earlier by up to the length of this gap
 ========  =============================================================================================
 
-Device times are on the scale of the column device_time; host times come from the clock fit: None if it is missing.
+Device times are on the scale of the column device_time. Host times are computed by the clock fit (host time over device
+time); without a clock fit they are None.
 
-Sealing, the MCAP export, `rig recording show` and studies call it. It must not change the recording that it is given.
+Sealing, the MCAP export, `rig recording show` and studies use this module. The recording must not be changed.
 """
 
 from __future__ import annotations
@@ -45,18 +48,19 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Event in a recording.
+    """An event in a recording, e.g. the first contact with the wall.
 
     Attributes
     ----------
     name
-        Name of the event, from the table in the module's docstring.
+        Name of the event: "homed", "free space", "trial", "contact", "release", "end", "sync", "trial_out" or
+        "inside_out".
     device_time
         Time on the device's clock (ns).
     host_time
         Time on the host's clock, converted by the clock fit (ns); None without a clock fit.
     tick
-        Number of the step of the law.
+        Number of the control tick.
     """
 
     name: str
@@ -66,12 +70,12 @@ class Mark:
 
 
 def marks(recording: Recording) -> list[Mark]:
-    """Return the events in a recording, ordered by their time on the device's clock.
+    """Return the events in a recording (contact, end, sync edges, …), ordered by their time on the device's clock.
 
     Raises
     ------
     RigError
-        The clock in the trailer is invalid.
+        The clock fit in the recording's trailer is invalid.
     """
     if not len(recording):
         return []
@@ -80,15 +84,15 @@ def marks(recording: Recording) -> list[Mark]:
 
 
 def sync_edges(recording: Recording) -> list[Mark]:
-    """Return the rising edges of the sync input in a recording as marks."""
+    """Return the rising edges of the sync input in a recording as marks, with their times (ns)."""
     return _on_both_clocks(recording, _of_edges(recording))
 
 
 def with_sync_edges(recording: Recording) -> Recording:
-    """Return the recording with the rising edges of the sync input in its trailer.
+    """Return a copy of the recording whose trailer lists the rising edges of the sync input with their times (ns).
 
-    Return the recording unchanged if its trailer has no clock or an invalid one: an invalid clock must not prevent a
-    recording from being stored.
+    Return the recording unchanged if its trailer has no clock fit or an invalid one: an invalid clock fit must not
+    prevent a recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer:
@@ -125,7 +129,10 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
 
 
 def _of_edges(recording: Recording) -> list[_Found]:
-    """Return the rising edges of the sync input. An edge in the first row is ignored: it was before the recording."""
+    """Return name, device time (ns) and tick of each rising edge of the sync input.
+
+    An edge in the first row is ignored, because it occurred before the recording.
+    """
     rows = recording.rows
     edge: _Ints = rows["sync_time"]
     places = 1 + np.flatnonzero((edge[1:] != edge[:-1]) & (edge[1:] != 0))
@@ -133,7 +140,10 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """Yield the rising edges of the sync outputs, each one tick before the sample that shows it."""
+    """Yield name, device time (ns) and tick of each rising edge of a sync output.
+
+    The device time is one tick before the sample that shows the edge.
+    """
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     # A law on the device sets the outputs in the tick of the sample itself: trial and contact are their marks.
     if loop != "host":
@@ -146,7 +156,7 @@ def _of_outputs(recording: Recording) -> Iterator[_Found]:
 
 
 def _rising(active: _Mask) -> _Ints:
-    """Return the row numbers at which `active` becomes True; row 0 counts if it is True there."""
+    """Return the row numbers at which `active` changes from False to True; row 0 counts if it is True."""
     return np.flatnonzero(active & ~np.concatenate(([False], active[:-1])))
 
 

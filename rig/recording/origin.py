@@ -1,9 +1,7 @@
-"""Origin of a recording, from its header: a whole trial, a cut of a recording, or counts of another logger.
+"""Origin of a recording: a whole trial, a part cut out of a recording, or encoder counts of another logger.
 
-Code that judges, replays or shows recordings calls it; this file does not import the code that cuts and imports them
-(`rig.recording.cutting`, `counts`).
-
-It must not read rows: the header alone decides.
+Code that evaluates, replays or displays recordings uses this module, which reads only the header and never the rows. It
+does not import the code that cuts and imports recordings (`rig.recording.cutting`, `rig.recording.counts`).
 """
 
 from __future__ import annotations
@@ -19,21 +17,27 @@ CUT, COUNTS_FACTS = "cut", "counts"
 
 
 def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return the header's facts about source and interval if the recording was cut out of another, otherwise None."""
+    """Return source file, SHA-256 and interval (s) of a recording that was cut out of another; None if it is no cut."""
     found = recording.header["extra"].get(CUT)
     return found if isinstance(found, dict) else None
 
 
 def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return rate, resolution and lost samples of imported counts; None if the recording is not an import."""
+    """Return facts about encoder counts imported from CSV; None if the recording was not imported.
+
+    The facts are file name, rate (Hz), resolution (rad or m per count), and numbers of lost samples and gaps.
+    """
     found = (recording.header.get("extra") or {}).get(COUNTS_FACTS)
     return found if isinstance(found, dict) else None
 
 
 def refuse_counts(recording: Recording) -> None:
-    """Raise `RecordingError` for imported counts, which have no rig, law and wall."""
+    """Raise `RecordingError` if the recording was imported from a CSV file of encoder counts.
+
+    The header of such a recording describes no rig, control law or virtual wall.
+    """
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
-            f"the recording has only counts of {facts['file']}, without a rig and a wall",
+            f"the recording was imported from {facts['file']}: it has encoder counts, but no rig, control law and wall",
             remedy="use it with `rig show`, `rig recording export`, `rig estimators compare` and `rig estimators tune`",
         )

@@ -1,10 +1,12 @@
-"""Quantiles of a sample with bounds that hold for any distribution.
+"""Quantiles of a sample, with confidence bounds that hold for any distribution.
 
-The r-th smallest of n independent values lies above the q-quantile of the distribution unless at least r of them lie
-below it, and this number is binomial. No tail is fitted. With too few values there is no bound: an upper bound of p99.9
-with 95 % confidence needs 2995 values. Values that come in bursts are not independent, and their bounds are too tight.
+The r-th smallest of n independent values lies above the q-quantile of the distribution unless at least r of the values
+lie below that quantile, and the number of these values is binomial. No tail is fitted. With too few values there is no
+bound: an upper bound of p99.9 with 95 % confidence needs 2995 values. Values that come in bursts are not independent,
+and their bounds are too tight.
 
-`rig.doctor` and the summary of a recording's timing call it. It must not assume a distribution, nor judge a value.
+`rig.doctor` and the timing summary of a recording use this module. It must not assume a distribution, nor judge a
+value.
 """
 
 from __future__ import annotations
@@ -23,7 +25,10 @@ CONFIDENCE = 0.95  # of each bound by itself
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile of a sample, and one-sided bounds of the distribution's quantile (None: too few values)."""
+    """A quantile of a sample (`value`), and its lower and upper confidence bound; a bound is None with too few values.
+
+    Each bound holds alone with the confidence that was given to `quantile`.
+    """
 
     value: float
     low: float | None
@@ -43,7 +48,7 @@ class Distribution:
     maximum
         Largest value.
     bounded
-        Quantile (0 … 1) for which the maximum is an upper bound, with the confidence `CONFIDENCE`.
+        Level (0 … 1) of the quantile for which the maximum is an upper bound with 95 % confidence.
     """
 
     number: int
@@ -55,7 +60,7 @@ class Distribution:
 
     @classmethod
     def of(cls, values: ArrayLike) -> Distribution:
-        """Return the summary of at least one value."""
+        """Return the summary of an array of any shape with at least one value."""
         x = np.sort(np.asarray(values, dtype=np.float64).ravel())
         return cls(
             number=len(x),
@@ -68,21 +73,21 @@ class Distribution:
 
     @property
     def almost_all(self) -> float:
-        """Return the upper bound of p99.9; with too few values for one, the largest value."""
+        """Upper confidence bound of the 99.9 % quantile; with fewer than 2995 values, the largest value."""
         return self.maximum if self.p999.high is None else self.p999.high
 
 
 def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -> Quantile:
-    """Return a quantile of a sample, and bounds of this quantile of the distribution.
+    """Return a quantile of a sample with its confidence bounds.
 
     Parameters
     ----------
     ordered
         Sample in ascending order, with at least one value.
     share
-        Share of the values that do not exceed the quantile (0 … 1).
+        Level of the quantile: the fraction of values (0 … 1) that do not exceed the quantile.
     confidence
-        Confidence of each bound alone (0 … 1).
+        Confidence of the lower and of the upper bound, each alone (0 … 1).
     """
     sample = np.asarray(ordered)
     number = len(sample)
@@ -106,10 +111,16 @@ def _ranks_of_bounds(number: int, share: float, confidence: float) -> tuple[int,
 
 
 def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:
-    """Return the quantile (0 … 1) for which the largest of `number` values is an upper bound."""
+    """Return the level (0 … 1) of the quantile for which the largest of `number` values is an upper bound.
+
+    The values must be independent.
+    """
     return float((1.0 - confidence) ** (1.0 / number))
 
 
 def values_needed(share: float, confidence: float = CONFIDENCE) -> int:
-    """Return the least number of values for which the quantile `share` (0 … 1) has an upper bound."""
+    """Return the least number of independent values that give an upper bound of the quantile at level `share`.
+
+    `share` is the fraction of values (0 … 1) below the quantile.
+    """
     return math.ceil(math.log(1.0 - confidence) / math.log(share))

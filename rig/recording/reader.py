@@ -1,7 +1,7 @@
-"""Open a recording of any format; its first bytes decide the format, not its name.
+"""Open a recording file; its first bytes, not its name, decide whether it is Parquet or a ``.rigcap`` capture.
 
-Commands, trials, `rig.experiments.lab`, the console, studies and pictures call it. It must not write, repair or judge:
-the returned recording lists the damage (`Recording.lost`).
+Commands, trials, `rig.experiments.lab`, the console, studies and plots use this module. It must not write, repair or
+judge a file: the returned recording lists the damage (`Recording.lost`).
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ _PARQUET_MAGIC = b"PAR1"
 
 
 def open_recording(path: str | Path, columns: Collection[str] | None = None) -> Recording:
-    """Read a capture or a sealed recording into memory.
+    """Read a recording file (Parquet or a ``.rigcap`` capture) into memory.
 
     Parameters
     ----------
     path
         Path of the file.
     columns
-        Keep only these columns, to save memory: of a minute at 20 kHz, one column has 10 MB, all have 400. Names that
-        the recording lacks are ignored. The whole file is read and checked in any case.
+        Names of the columns to keep, to save memory; None: all. For one minute at 20 kHz, one column needs 10 MB and
+        all columns 400 MB. Names that the recording lacks are ignored. The whole file is read and checked in any case.
 
     Raises
     ------
     RecordingError
         The file does not exist, is not a recording, has another format version or a damaged header, lacks a required
-        column, or needs a library that is not installed. Damage of a capture after the header is not an error: see
-        `Recording.lost` and `Recording.complete`.
+        column, or needs a library that is not installed. Damaged rows of a capture are no error: they are skipped and
+        listed in `Recording.lost`.
     """
     path = Path(path)
     read = read_parquet if _is_parquet(path) else read_capture
@@ -51,10 +51,10 @@ def open_recording(path: str | Path, columns: Collection[str] | None = None) -> 
 
 
 def open_facts(path: str | Path) -> Recording:
-    """Return a recording without its rows: header and trailer, from a few kilobytes of the file.
+    """Return header and trailer of a recording file as a recording without rows, from a few kilobytes of the file.
 
-    A capture gives only its header, because its trailer follows the rows. The checksum of the rows is not checked.
-    Errors as `open_recording`.
+    A ``.rigcap`` capture gives only its header, because its trailer follows the rows. The checksum of the rows is not
+    checked. Raise `RecordingError` if the file is missing, damaged or not a recording.
     """
     path = Path(path)
     return _check(path, read_parquet_facts(path) if _is_parquet(path) else read_capture_header(path))

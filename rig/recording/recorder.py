@@ -1,10 +1,10 @@
-"""The recorder: writes rows from the ring buffer to disk, in parallel with the loop, without the GIL.
+"""Recorder: writes the rows of a control loop to disk in a thread of its own, in parallel with the loop.
 
-`record` is one compiled function in its own thread; `Recorder` opens the file, starts the thread and waits for its end.
-A row reaches the file within `flush_s` in real time.
+`record` is one compiled function that runs in this thread; `Recorder` opens the file, starts the thread and waits for
+its end. In real time, a row reaches the file within `flush_s`.
 
-Trials start it, and `rig.experiments.trials.recover` reads from it how much a crash may cost. It must not make a loop
-in real time wait, and its kernels take no GIL.
+Trials start the recorder, and `rig.experiments.trials.recover` reads from this module how much a crash may cost. The
+recorder must not delay a loop in real time, so its kernels run without the GIL (Python's global interpreter lock).
 """
 
 from __future__ import annotations
@@ -60,7 +60,11 @@ _i64, _words, _address = types.int64, types.int64[::1], types.uintp
 def take_rows(
     ring_rows: NDArray[np.int64], tail: int, head: int, block: NDArray[np.int64], filled: int
 ) -> int:
-    """Copy rows `tail` to `head` of the ring into the block after its first `filled` rows; return the number copied."""
+    """Copy rows from the ring buffer into a block of the file, as many as fit; return the number of copied rows.
+
+    `tail` and `head` are the numbers of the first row to copy and of the first row that is not yet written by the loop.
+    `filled` is the number of rows that the block already contains.
+    """
     capacity = len(ring_rows) // _ROW_WORDS
     room = (len(block) - _HEAD_WORDS - 1) // _ROW_WORDS - filled
     taken = min(head - tail, room)
@@ -74,7 +78,10 @@ def take_rows(
 
 @kernel(_i64(_words, _i64, _i64, _i64))
 def close_block(block: NDArray[np.int64], number: int, first_row: int, count: int) -> int:
-    """Fill in head and CRC of a block of `count` rows (layout: `rig.recording._capture`); return its size in bytes."""
+    """Write head and CRC into a block of `count` rows; return the size of the block in bytes.
+
+    `rig.recording._capture` documents the layout.
+    """
     size = count * _ROW_WORDS * 8
     data = block.view(np.uint8)
     block[0] = _MAGIC_WORD
@@ -90,7 +97,7 @@ def close_block(block: NDArray[np.int64], number: int, first_row: int, count: in
 
 @kernel(_i64(_i64, _address, _i64))
 def write_all(descriptor: int, address: int, size: int) -> int:
-    """Write all bytes, in several calls if needed; return 0, or the errno of the failed call."""
+    """Write `size` bytes from a memory address to a file; return 0, or the errno of the call that failed."""
     done = 0
     idle = 0
     while done < size:
@@ -117,24 +124,24 @@ def record(
     sync_ns: int,
     poll_ns: int,
 ) -> int:
-    """Write the rows of the ring to a file until the loop is done; return the number of written blocks.
+    """Write the rows of the ring buffer to a file until the control loop is done; return the number of written blocks.
 
-    At the first error, store the errno in RECORDER_ERROR and return: the loop then counts the rows that it drops.
+    On an error, store the errno in RECORDER_ERROR and return; the loop then counts the rows that it cannot store.
 
     Parameters
     ----------
     words, ring_rows
-        Address of the control words and the rows of a `rig.realtime.ring.Ring`, as int64.
+        Address of the control words, and the rows of a `rig.realtime.ring.Ring` as int64.
     descriptor
-        Open file that already holds the header.
+        Descriptor of an open file that already contains the header.
     block
         Memory for one block: head, rows and CRC.
     flush_ns
-        Age at which rows of a block that is not full are written (ns); 0 in virtual time: only at the end.
+        Age at which rows are written although their block is not full (ns); 0 (virtual time): write only full blocks.
     sync_ns
-        Least time between two calls of fdatasync (ns); 0: never.
+        Least time between two calls of fdatasync (ns); 0: never call it.
     poll_ns
-        Sleep when the ring is empty (ns).
+        Time to sleep when the ring buffer is empty (ns).
     """
     block_rows = (len(block) - _HEAD_WORDS - 1) // _ROW_WORDS
     number = 0
@@ -178,25 +185,25 @@ def record(
 
 
 class Recorder:
-    """Context manager that records the rows that a loop puts into its ring.
+    """Context manager that writes the rows of a control loop from its ring buffer to a file.
 
-    One recorder serves one ring and one loop once. Leaving the context ends the recording, also after an exception of
-    the loop. Call `finish` before, to write a trailer and to make sure that all rows are on disk.
+    A recorder serves one ring buffer and one run of the loop. Leaving the context ends the recording, also after an
+    exception of the loop. Call `finish` earlier to write a trailer and to make sure that all rows are on disk.
 
     Parameters
     ----------
     path
-        Path of the new file; the file must not exist, its directory must.
+        Path of the new file. The file must not exist, its directory must exist.
     header
-        From `rig.recording.header.make_header`, for rows of `rig.core.sample.ROW`.
+        Header from `rig.recording.header.make_header`, for rows of `rig.core.sample.ROW`.
     ring
-        Ring that the loop fills.
+        Ring buffer into which the loop writes its rows.
     virtual
-        True if the loop runs in virtual time: blocks are not written by age, so that equal runs give equal files.
+        True if the loop runs in virtual time: only full blocks are written, so that equal runs give equal files.
     block_rows
-        Rows per block.
+        Number of rows per block.
     flush_s
-        Age at which rows of a block that is not full are written (s; only in real time).
+        Age at which rows are written although their block is not full (s; only in real time).
 
     Raises
     ------
@@ -215,7 +222,10 @@ class Recorder:
         flush_s: float = FLUSH_S,
     ) -> None:
         if header["schema"]["row_bytes"] != ROW.itemsize or sys.byteorder != "little":
-            raise RecordingError("the header does not describe the rows of the loop")
+            raise RecordingError(
+                f"the header does not describe the rows of the loop, which have {ROW.itemsize} bytes, little-endian",
+                remedy="make the header with make_header() and its default columns",
+            )
         prepare(record)
         self.path = Path(path)
         self._ring = ring
@@ -228,7 +238,7 @@ class Recorder:
         self._descriptor = -1
 
     def __enter__(self) -> Recorder:
-        """Create the file and start recording."""
+        """Create the file and start the thread that records."""
         self._descriptor = _create(self.path, self._header)
         self._thread.start()
         return self
@@ -236,7 +246,10 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End recording; name the loop's exception in the trailer, and add the recorder's own error to it as a note."""
+        """End the recording; after an exception of the loop, write its text into the trailer as the reason.
+
+        If the recorder fails as well, its error is added to the loop's exception as a note.
+        """
         if error is None:
             self.finish()
             return
@@ -247,31 +260,31 @@ class Recorder:
 
     @property
     def rows(self) -> int:
-        """Return the number of rows that are in the file so far."""
+        """Number of rows that are in the file so far."""
         return self._ring.get(RECORDED)
 
     @property
     def error(self) -> int:
-        """Return the errno that stopped the recorder, 0 if none did."""
+        """The errno of the disk error that stopped the recorder; 0 without an error."""
         return self._ring.get(RECORDER_ERROR)
 
     def finish(self, trailer: Mapping[str, Any] | None = None, *, timeout_s: float = 10.0) -> dict[str, Any]:
-        """Write the remaining rows and the trailer, sync and close the file; return the trailer. May be called twice.
+        """Write the remaining rows and the trailer, flush and close the file, and return the trailer.
 
-        Call it after the loop has returned: later rows are not recorded.
+        Call `finish` after the loop has returned: later rows are not recorded. A second call only returns the trailer.
 
         Parameters
         ----------
         trailer
-            Reason of the end of the trial, and its statistics; numbers of rows, blocks, ticks and dropped rows are
-            added under ``recorder``.
+            Reason of the end of the trial, and its statistics; the numbers of rows, blocks, ticks and dropped rows are
+            added under the key ``recorder``.
         timeout_s
             Longest wait for the disk (s).
 
         Raises
         ------
         RecordingError
-            The disk reported an error or takes longer than `timeout_s`. Rows written before are in the file.
+            The disk reported an error or takes longer than `timeout_s`. Rows written earlier are in the file.
         """
         if self._trailer is not None:
             return self._trailer
@@ -297,7 +310,8 @@ class Recorder:
         return self._trailer
 
     def _run(self) -> None:
-        take_no_signals()  # one would wake it early
+        # A signal that is handled in this thread would end its sleep early.
+        take_no_signals()
         rows = self._ring.rows.view(np.int64)
         flush_ns, sync_ns, poll_ns = self._times
         words = self._ring.words.ctypes.data
@@ -305,12 +319,10 @@ class Recorder:
 
 
 def _create(path: Path, header: bytes) -> int:
-    """Create a file that begins with the header, and return its descriptor; remove the file on an error.
-
-    The file is locked while it is open: so a file that is being written differs from one that a crash cut off.
-    """
+    """Create a file that begins with `header`, and return its descriptor; on an error, remove the file."""
     with plain_errors("write", path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
+        # The lock shows other programs that the file is still being written, and was not cut off by a crash.
         with suppress(OSError):  # a file system without locks
             locks.lock(descriptor)
         try:

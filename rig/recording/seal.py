@@ -1,10 +1,10 @@
-"""Sealing: conversion of the crash-safe capture to the Parquet file that is stored.
+"""Sealing: conversion of a ``.rigcap`` capture, which survives a crash, to the Parquet file that is stored.
 
-The capture is removed only after the sealed file is on disk, has been read back and is equal bit by bit.
-Sealing can be repeated: when a crash left both files, the next call compares them and finishes.
+The capture is removed only after the Parquet file is on the disk, was read back and is equal bit by bit. If a crash
+left both files, the next call compares them and finishes.
 
-Trials, `rig recording recover`, maps, cuts and the console call it. It must not remove a capture that it has not
-compared.
+Trials, `rig recording recover`, maps, cuts and the console use this module. It must not remove a capture that it has
+not compared.
 """
 
 from __future__ import annotations
@@ -49,39 +49,41 @@ def seal(
     judge: Callable[[Recording], Mapping[str, Any]] | None = None,
     keep_capture: bool = False,
 ) -> Recording:
-    """Write a capture as Parquet in the same directory, with latency ledger and sync edges; remove the capture.
+    """Convert a ``.rigcap`` capture to Parquet, add latencies and sync edges, and remove the capture.
 
-    Without pyarrow, log a warning and keep the capture. It is then rewritten with ledger, truth and longer trailer,
-    unless it is damaged or was cut off.
+    Without pyarrow, log a warning and keep the capture; if the capture is complete and undamaged, rewrite it with the
+    added columns and the longer trailer.
 
     Parameters
     ----------
     recording
-        Recording read from a ``.rigcap`` file that is no longer being written. The ledger is filled into its rows in
-        place, because a copy of a long recording would need much memory.
+        Recording read from a ``.rigcap`` file that is no longer being written. The times sampled_at and applied_at are
+        filled into its rows in place, because a copy of a long recording would need much memory.
     truth
-        True signals of the simulation (`rig.core.sample.TRUTH`), joined by sample index; NaN for other samples.
+        True signals of the simulation (`rig.core.sample.TRUTH`), joined by sample index; NaN in rows without true
+        signals.
     judge
-        Function that gets the recording with its truth, and returns entries to add to the trailer.
+        Function that receives the recording with the true signals, and returns keys to add to the trailer.
     keep_capture
-        Do not remove the capture.
+        If True, do not remove the capture.
 
     Returns
     -------
     Recording
-        Recording as read back from the new file; `path` is the path of this file.
+        The recording read back from the new file, with the path of that file.
 
     Raises
     ------
     RecordingError
-        The file is not a capture, the disk reports an error, another recording has the name, or the sealed file
-        differs. The capture is then unchanged.
+        The file is not a capture, the disk reports an error, another recording has the name, or the new file differs
+        from the capture. The capture is then unchanged.
     """
     capture = recording.path
     assert capture is not None
-    if capture.suffix == SEALED_SUFFIX:  # it would be compared with itself, and removed
+    # A Parquet file would be compared with itself, and then removed as the capture.
+    if capture.suffix == SEALED_SUFFIX:
         raise RecordingError(
-            f"{capture} is not a capture: its name is that of a sealed recording",
+            f"{capture} is not a capture: its suffix is that of a Parquet recording",
             remedy="give a .rigcap file",
         )
     names = recording.names
@@ -111,10 +113,10 @@ def seal(
 
 
 def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
-    """Return the recording with the true signals of the simulation as further columns, joined by sample index.
+    """Return the recording with the true signals of the simulation as additional columns, joined by sample index.
 
-    Rows without a true sample get NaN. True samples without a row are ignored. If `truth` has a sample twice, the
-    later entry is used.
+    Rows without true signals get NaN; true signals without a row are ignored. If a sample index occurs twice in
+    `truth`, the later one is used.
     """
     added = make_schema(TRUTH_COLUMNS, recording.header["motion"])
     schema = recording.header["schema"]
@@ -141,7 +143,7 @@ def _bytes_of(rows: NDArray[np.void]) -> NDArray[np.uint8]:
 
 
 class _ReadBack:
-    """Checks that a written file equals the expected recording bit by bit, in the named columns or in all of them."""
+    """Check that a written file equals the expected recording bit by bit; with `names`, only in these columns."""
 
     def __init__(self, expected: Recording, names: Collection[str] | None = None) -> None:
         self._expected = expected
@@ -158,8 +160,8 @@ class _ReadBack:
         )
         if not same:
             raise RecordingError(
-                f"{path} differs from {expected.path}",
-                remedy="the capture is kept; move one of the two files to another directory",
+                f"the recording in {path} differs from {expected.path}",
+                remedy="the capture was not removed; move one of the two files to another directory",
             )
         if found.names == expected.names:
             self._found = replace(found, rows=expected.rows)  # equal: not read a second time
@@ -167,7 +169,7 @@ class _ReadBack:
             self._found = open_recording(path)
 
     def at(self, path: Path) -> Recording:
-        """Return the recording that was read back, with the path that its file has now."""
+        """Return the recording that was read back, with `path` as the path of its file."""
         return replace(self._found, path=path)
 
 

@@ -1,26 +1,28 @@
-"""The latency ledger: when each sample was taken, received, answered and applied, on one clock.
+"""The latency ledger: for each control tick, the times at which the sample was taken, received, answered and applied.
 
-The times are computed from columns of rows (`rig.core.sample`) and from a clock fit, if there is one. A tick has five
-times on the host's clock, 0 where unknown:
+The times are computed from columns of the rows (`rig.core.sample`) and from a clock fit (host time over device time). A
+tick has five times on the host's clock, 0 where unknown:
 
 ========  =====================================================================================================
-sampled   the device read its encoder: device time through the clock fit
-received  the loop received the STATE
-computed  the law finished the computation of its effort
-sent      the link accepted the COMMAND
-applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that names
-          it as the active one, and a is the age that it gives; or when it was sent, if that is later. A device
-          reports the tick in which a COMMAND came, not the time: it may have been up to a tick later
+sampled   the device read its encoder: device time, converted by the clock fit
+received  the loop received the STATE, the message with the sample
+computed  the control law finished the computation of its effort
+sent      the link accepted the COMMAND, the message with the effort
+applied   the COMMAND was active, at the earliest: device time of sample k − a, where STATE k is the first that
+          reports the COMMAND as active, and a is the age in ticks that STATE k reports; or the time of sending, if
+          that is later. A device reports only the tick in which a COMMAND arrived: the real time may be up to a tick
+          later
 ========  =====================================================================================================
 
-Sampled and applied carry the errors of the clock fit, with opposite signs in the two transports; the whole way, from
-sampled to applied, is free of its offset.
+The times sampled and applied carry the errors of the clock fit, with opposite signs in the two transports. The latency
+from sampled to applied is free of the fit's offset.
 
-Where the law ran on the device (`Ledger.loop`) no COMMAND answers a sample: the device applied its effort in the tick
-of the sample itself, and `execution_ns` bounds how long after it. Only sampled and received are known then, and how
-late a batch brought the sample; no tick is late, because nothing waited for it.
+If the control law ran on the device (`Ledger.loop`), no COMMAND answers a sample: the device applied its effort in the
+tick of the sample itself, and `execution_ns` bounds the delay. Only the times sampled and received are known then, and
+no tick is late, because nothing waited for a sample.
 
-Sealing, marks, timing summaries and the LSL clock (lab streaming layer) call it. It must not judge a run or read files.
+Sealing, marks, timing summaries and the LSL clock (lab streaming layer) use this module. It must not judge a run or
+read files.
 """
 
 from __future__ import annotations
@@ -36,7 +38,10 @@ from rig.core.sample import RowFlag
 
 
 class Span(NamedTuple):
-    """Stage of a tick: the names of its begin and end times, and a text about a further cause of delay."""
+    """A latency stage of a tick: the names of its begin and end time, e.g. "sampled" and "received".
+
+    `with_` is a text on a further cause of delay, or "".
+    """
 
     begin: str
     end: str
@@ -44,7 +49,7 @@ class Span(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return the text ``sampled to received`` of the span's two ends."""
+        """Text "BEGIN to END" with the names of the two times, e.g. ``sampled to received``."""
         return f"{self.begin} to {self.end}"
 
 
@@ -72,23 +77,23 @@ class TimingFacts:
     Attributes
     ----------
     passed_over
-        Number of samples that the law did not use.
+        Number of samples that the control law did not use.
     never_active
-        Commands that no STATE reported as active although a later command became active.
+        Number of commands that the device never reported as active although it reported a later command as active.
     unanswered
-        Commands sent after the last one reported as active: the recording ends before the device reported them.
+        Number of commands sent after the last command reported as active: the recording ends before their report.
     within_tick
-        Commands whose computed time of application is before they were sent; the time of sending is used instead.
+        Number of commands whose computed time of application is before the time of sending, which is used instead.
     period_ns
         Length of a device tick (ns).
     clock
-        Fit of host clock against device clock, or None.
+        Fit of host time over device time; None if the clocks were not compared.
     clock_sd_ns
         Largest standard uncertainty of the times sampled and applied (ns), without the error by asymmetric delays.
     loop
-        Where the law ran: "host" or "device".
+        Where the control law ran: "host" or "device".
     execution_ns
-        Worst execution time of a device tick, as the device counted it; None where the law ran on the host.
+        Worst execution time of a device tick, as measured by the device (ns); None if the law ran on the host.
     """
 
     passed_over: int
@@ -104,16 +109,17 @@ class TimingFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ledger(TimingFacts):
-    """Times of each tick (ns, host clock; 0 where unknown), its numbers and its lateness.
+    """Times of each control tick (ns, host clock; 0 where unknown), with tick number, sample number and lateness.
 
     Attributes
     ----------
     tick, sample_index
-        Number of the law's step, and number of the device's sample.
+        Number of the control tick, and number of the device's sample.
     sampled, received, computed, sent, applied
-        Times (ns) as in the module's docstring; sampled and applied are 0 without a clock fit.
+        Time at which the encoder was sampled, the sample received, the effort computed, the command sent, and the
+        command applied (ns). The times sampled and applied are 0 without a clock fit.
     lateness, late
-        Delay of the receipt after its regular time (ns), and whether the loop counted the tick as late.
+        Delay of the receipt after its regular time (ns), and True where the loop counted the tick as late.
     """
 
     tick: _Ints
@@ -127,7 +133,10 @@ class Ledger(TimingFacts):
     late: _Mask
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
-        """Return the length of a stage of `STAGES`, or of `LATENESS`, in each tick (ns), and whether it is known."""
+        """Return the length of a latency stage in each tick (ns), and a mask that is True where the length is known.
+
+        `name` is a key of `STAGES`, or `LATENESS` for the delay of the receipt after its regular time.
+        """
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
         begin, end = getattr(self, STAGES[name].begin), getattr(self, STAGES[name].end)
@@ -140,13 +149,13 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     Parameters
     ----------
     rows
-        Rows of a recording, in the order of the ticks; some may be missing.
+        Rows of a recording, in the order of the ticks; rows may be missing.
     fit
-        Fit of host clock against device clock, or None if the clocks were not compared.
+        Fit of host time over device time; None if the clocks were not compared.
     period_ns
         Length of a device tick (ns, device clock).
     loop
-        Where the law ran: "host" or "device".
+        Where the control law ran: "host" or "device".
     """
     received = _column(rows, "received_at")
     on_device = loop == "device"
@@ -189,7 +198,10 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
 
 
 def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: int) -> NDArray[np.int64]:
-    """Return the device times of rows (ns) on the scale of the clock exchanges, which has no wrap-around."""
+    """Return the device times of rows (ns) without wrap-around, on the time scale of the clock fit.
+
+    `near_host_ns` is the host time at which the first row was received (ns).
+    """
     # A STATE has 32 bits of the device's clock: the first receipt gives the multiple of 268 s to add.
     wraps = round((int(fit.device_of(np.array([near_host_ns]))[0]) - int(device_time[0])) / WRAP_NS)
     return device_time + wraps * WRAP_NS
@@ -200,9 +212,10 @@ def _column(rows: NDArray[np.void], name: str) -> _Ints:
 
 
 def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
-    """Return for each row's command the first row that reports it as active (−1: none), never active, unanswered.
+    """Return the row number at which the device first reports each row's command as active (−1: never).
 
-    An active command was sent at most `SEQUENCES` / 2 commands before the row that reports it.
+    Also return the number of commands that never became active, and of commands without a later report. An active
+    command was sent at most `SEQUENCES` / 2 commands before the row that reports it.
     """
     shown_at = np.full(len(rows), -1, np.int64)
     if not len(rows):
@@ -224,7 +237,11 @@ def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 
 
 def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
-    """Return the device time (ns) of sample k − a: from its row, or counted back from the row of sample k."""
+    """Return the device time (ns) at which a command became active, from the row that reports it first.
+
+    This is the time of the sample `age` ticks earlier, or `age` periods before the reporting row if that row is
+    missing.
+    """
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")
     wanted = index[shown_at] - age

@@ -1,6 +1,6 @@
-"""Timing of a recording: the summary of its latency ledger.
+"""Timing report of a recording: latency of each stage from the encoder sample to the applied effort.
 
-`rig recording timing` prints it and `rig.views` plots it. It must not judge a run.
+`rig recording timing` prints the report and `rig.views` plots it. This module must not evaluate a run.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ __all__ = ["LATENESS", "STAGES", "Ledger", "Timing", "TimingSummary", "timing", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timing(Drawn):
-    """Latency ledger of a recording, its summary, and the name of the file (empty for a recording in memory)."""
+    """Timing of a recording: times of each control tick (`ledger`), their summary, and the name of the file.
+
+    The name is empty for a recording in memory.
+    """
 
     ledger: Ledger
     summary: TimingSummary
@@ -28,20 +31,26 @@ class Timing(Drawn):
 
 
 def timing(recording: Recording | str | Path) -> TimingSummary:
-    """Return the summary of the latency ledger of a recording, sealed or still a capture.
+    """Return quantiles of each latency stage (ns), the worst ticks and the loop's counters of a recording.
+
+    `recording` is a recording in memory, or the path of a Parquet recording or a ``.rigcap`` capture.
 
     Raises
     ------
     RecordingError
-        The recording cannot be read, lacks a column of the ledger, or has no rows.
+        The recording cannot be read or has no rows.
     RigError
-        The clock in its trailer is invalid.
+        The clock fit in the recording's trailer is invalid.
     """
     return timing_of(recording).summary
 
 
 def timing_of(recording: Recording | str | Path) -> Timing:
-    """Return latency ledger and summary of a recording, for a plot; parameters and errors as `timing`."""
+    """Return the times of each tick of a recording (ns), their summary, and the name of the file, for a plot.
+
+    `recording` is a recording in memory or a path. Raise `RecordingError` if the recording cannot be read or has no
+    rows, and `RigError` if the clock fit in its trailer is invalid.
+    """
     name = ""
     if not isinstance(recording, Recording):
         name = Path(recording).name

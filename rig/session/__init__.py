@@ -1,1 +1,1 @@
-"""Experiments with people: protocol, engine, log, desk."""
+"""Experiments with participants: protocol, search rules, engine that conducts a session, log, and terminal."""

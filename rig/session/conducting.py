@@ -1,7 +1,7 @@
-"""Conduct a session with a rig or a simulated hand: begin, rehearse, resume, correct it, and format its log as text.
+"""Conduct a session with a rig or a simulated hand: begin, rehearse, resume or correct it, and print its log as text.
 
-`rig session run` and the page in the browser call it, each with its own desk (user interface) for the operator. It
-displays nothing itself. Callers must write to a session's directory only through these functions.
+`rig session run` and the page in the browser use this module, each with its own desk (the operator's user interface).
+This module displays nothing itself. Callers must write to a session's directory only through these functions.
 """
 
 from rig.session.engine._desk import Desk, DeskView

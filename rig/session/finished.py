@@ -1,7 +1,7 @@
 """Read the directory of a finished session: events, state, trials, protocol, and differences between sessions.
 
-`rig.extras.study` computes tables, reports and exports from it. This module opens no device, conducts no session,
-writes no file, and imports neither the control loop nor the simulation.
+`rig.extras.study` computes tables, reports and exports from these data. This module opens no device, conducts no
+session, writes no file, and imports neither the control loop nor the simulation.
 """
 
 from rig.session.engine._log import Event, log_losses, read

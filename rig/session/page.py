@@ -1,7 +1,8 @@
-"""Provide the operator's desk for a page in the browser: questions, keys, texts of each view, and the simulated hand.
+"""Functions for the page in the browser: the operator's questions and keys, the texts of each view, the simulated hand.
 
-In `rig.extras.console` the server uses it for views and the session's process for the desk. It opens no terminal and no
-device, and imports neither the control loop nor the simulation; `rig.session.conducting` conducts the session.
+In `rig.extras.console` the server uses this module for the views, and the session's process for the desk (the
+operator's user interface). The module opens no terminal and no device, and imports neither the control loop nor the
+simulation; `rig.session.conducting` conducts the session.
 """
 
 from rig.session.planning._keymap import STOP, VERDICTS, KeyMap

@@ -1,7 +1,7 @@
-"""Prepare a study before its first session: load and check a protocol, write a template, compute plan and disk space.
+"""Prepare a study before its first session: check a protocol, write a template, compute schedule and disk space.
 
-`rig session new`, `check` and `plan`, the page in the browser and the reference pages call it. It moves nothing. A
-device is opened only to check whether it can run the conditions (`rig.session.engine._device_checks`).
+`rig session new`, `check` and `plan`, the page in the browser and the reference pages use this module. It moves no
+motor. It opens a device only to check that the device can run the conditions (`rig.session.engine._device_checks`).
 """
 
 from rig.session.engine._check import check

@@ -1,11 +1,11 @@
-"""An example: from the tables of `rig session analyse` to its numbers, with pandas and statsmodels alone.
+"""Example: compute the results of a study from the tables of `rig session analyse`, with pandas and statsmodels alone.
 
     rig session analyse sessions/study --output out
     python from_tables.py out
 
-It computes, for the limits by the search rule: means over participants, paired differences with Holm's correction, the
-mixed model, and Cohen's kappa. It leaves out what the analysis decides beside these: limits beyond the levels, too few
-participants, covariates that cannot be separated from the conditions.
+For the limits of stiffness by the search rule, this program computes means over participants, paired differences with
+Holm's correction, a mixed model, and Cohen's kappa. Unlike the analysis itself, it does not handle limits beyond the
+tested levels, too few participants, and covariates that cannot be separated from the conditions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from statsmodels.stats.weightstats import DescrStatsW
 
 
 def read(directory: Path, name: str) -> pd.DataFrame:
-    """Read a table; the unit at the end of a column's name is dropped."""
+    """Return a table of the analysis as a data frame, with the unit removed from the end of each column's name."""
     dictionary = json.loads((directory / "tables.json").read_text(encoding="utf-8"))
     table = pd.read_parquet(directory / f"{name}.parquet")
     for column, column_facts in dictionary["tables"][name]["columns"].items():
@@ -33,7 +33,7 @@ def read(directory: Path, name: str) -> pd.DataFrame:
 
 
 def limits(directory: Path) -> pd.DataFrame:
-    """Return K_max of each participant in each condition at each damping: the mean over repeats."""
+    """Return the stiffness limit K_max of each participant in each condition at each damping (mean over repeats)."""
     runs = read(directory, "runs")
     runs = runs[(runs["state"] == "complete") & runs["limit_rule"].notna() & (runs["limit_rule_mark"] == "")]
     by = ["participant", "condition", "damping"]
@@ -41,7 +41,7 @@ def limits(directory: Path) -> pd.DataFrame:
 
 
 def over_participants(kmax: pd.DataFrame) -> pd.DataFrame:
-    """Return mean and Student's interval of each condition at each damping."""
+    """Return mean of K_max and its 95 % confidence interval (Student's t) for each condition at each damping."""
     rows = []
     for (condition, damping), of in kmax.groupby(["condition", "damping"]):
         values = DescrStatsW(of["limit_rule"])
@@ -51,7 +51,10 @@ def over_participants(kmax: pd.DataFrame) -> pd.DataFrame:
 
 
 def differences(kmax: pd.DataFrame, conditions: list[str]) -> pd.DataFrame:
-    """Return paired differences, each condition less those before it; over all dampings the damping is empty."""
+    """Return the paired difference of K_max for each two conditions at each damping, with 95 % interval and p value.
+
+    With several dampings, rows whose damping is empty contain the difference of the mean over all dampings.
+    """
     wide = kmax.pivot(index="participant", columns=["condition", "damping"], values="limit_rule")
     dampings = sorted(kmax["damping"].unique())
     rows = []
@@ -67,7 +70,10 @@ def differences(kmax: pd.DataFrame, conditions: list[str]) -> pd.DataFrame:
 
 
 def mixed_model(kmax: pd.DataFrame) -> object:
-    """Fit the mixed model of the limits; the random parts of a factor are there where it has several values."""
+    """Return the fitted mixed model of K_max over condition and damping.
+
+    Participants have a random effect for condition and for damping if both factors have several values.
+    """
     frame = kmax.assign(damping=kmax["damping"].map("B = {:g}".format))
     several = [name for name in ("condition", "damping") if frame[name].nunique() > 1]
     random = {f"participant × {name}": f"0 + C({name})" for name in several} if len(several) > 1 else {}
@@ -78,7 +84,7 @@ def mixed_model(kmax: pd.DataFrame) -> object:
 
 
 def kappa(directory: Path) -> float:
-    """Return Cohen's kappa of the person's and the automatic verdicts, stable or not, over all trials."""
+    """Return Cohen's kappa of the person's and the automatic verdicts (stable or not stable) over all trials."""
     table = read(directory, "agreement")
     of = table[(table["table"] == "two classes") & (table["condition"] == "")]
     counts = of.pivot(index="person", columns="automatic", values="trials")
@@ -86,7 +92,7 @@ def kappa(directory: Path) -> float:
 
 
 def main(directory: Path) -> None:
-    """Read the tables of an analysis and print the examples' results."""
+    """Read the tables of an analysis from a directory and print the results."""
     kmax = limits(directory)
     print(over_participants(kmax).to_string(index=False), end="\n\n")
     print(

@@ -1,12 +1,12 @@
-"""Search rules: they choose the stiffness that a person judges next, and estimate the limit of stable walls.
+"""Search rules: choose the stiffness that a person judges next, and estimate the highest stiffness of a stable wall.
 
     rule = search.make("staircase", levels=range(100, 900, 25), seed=7)
     probe = rule.next(answers)          # None when the search is finished
-    estimate = rule.estimate(answers)   # with an interval
+    estimate = rule.estimate(answers)   # with a 95 % interval
 
-A rule has no memory: each call receives all answers so far. Sessions use the rules; the analysis of finished sessions
-uses their psychometric function. This package presents no wall, reads no log, and uses random numbers only with a given
-seed.
+A rule stores nothing between calls: each call receives all answers so far. Sessions use the rules; the analysis of
+finished sessions uses their psychometric function. This package presents no wall, reads no log, and uses random numbers
+only with a given seed.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ RULES: dict[str, Callable[..., Rule]] = {
 
 
 def make(name: str, **settings: Any) -> Rule:
-    """Return the rule with this name and these settings.
+    """Return the search rule with this name (a key of `RULES`) and these settings, e.g. levels (stiffnesses) and seed.
 
     Raise `rig.core.errors.ConfigError` for an unknown name, an unknown setting or an invalid value.
     """

@@ -1,7 +1,7 @@
-"""Ascending search rule of Koul et al., section III: from the softest wall upwards until one is not stable; repeated.
+"""Ascending search rule of Koul et al., section III: raise the stiffness until a wall is not stable, then start again.
 
-At every stable wall below the limit a lapse (a wrong verdict by mistake) can end the series early. Estimates are
-therefore too low by more than their scatter shows, and most hits are far below the limit (numbers in ``README.md``).
+A lapse (a wrong verdict by mistake) at any stable wall below the limit ends the series early. Estimates are therefore
+too low by more than their scatter shows, and most hits are far below the limit (numbers in ``README.md``).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, slots=True)
 class AscendingSeries:
-    """Last stable level of a finished ascending series.
+    """Result of a finished ascending series: the last stable level (`limit`, stiffness).
 
-    If no wall was unstable, or already the softest one, the limit lies beyond the levels (`censored`), and `limit` is
-    the nearest level.
+    If all walls were stable, or not even the softest wall, the true limit lies beyond the levels (`censored`), and
+    `limit` is the nearest level.
     """
 
     limit: float
@@ -41,10 +41,11 @@ class AscendingSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class Ascending:
-    """Ascending series through all levels; the limit is the mean of the last stable levels of the series.
+    """Search rule: ascending series through all levels; the limit is the mean of the last stable levels of the series.
 
-    The limit is reported above the levels if any series ends above them; the mean is then a lower bound. It is reported
-    below the levels only if every series ends below them, because a single one may be a lapse.
+    If any series ends above the levels, the limit is reported as above the levels, and the mean is a lower bound. The
+    limit is reported as below the levels only if every series ends below the levels, because a single one may be a
+    lapse (a wrong verdict by mistake).
 
     Parameters
     ----------
@@ -65,15 +66,16 @@ class Ascending:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next level of the present series, or the first level of a new series; None after the last."""
+        """Return the next wall of the current series, or the first wall of a new series; None after the last series."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean over the finished series with its Student's interval (95 %).
+        """Return the mean of the limits of the finished series, with a 95 % interval (Student's t).
 
         The interval is infinite for a single series, and for series that scatter no more than rounding to levels
-        explains. In the latter case, if the limit is censored, it is bounded by the end of the levels.
+        explains. In the latter situation, a censored limit (beyond the levels) has an interval that ends at the last
+        level.
         """
         series = self.series(answers)
         if not series:
@@ -103,7 +105,7 @@ class Ascending:
         return mark_contradictions(estimate, verdicts_of(answers))
 
     def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
-        """Return the finished series, in their order."""
+        """Return the results of the finished series, in the order in which they were presented."""
         return tuple(self._series(place) for place in self._places(answers)[0])
 
     def _series(self, place: int) -> AscendingSeries:
@@ -111,7 +113,7 @@ class Ascending:
         return AscendingSeries(self.levels[max(place - 1, 0)], side)
 
     def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
-        """Return the number of stable levels of each finished series, and that of the unfinished one."""
+        """Return the number of stable levels in each finished series, and the number in the unfinished series."""
         places: list[int] = []
         step = 0
         for _, stable in verdicts_of(answers):

@@ -1,7 +1,7 @@
 """Add catch trials to any search rule: occasional trials with the softest or stiffest wall, whose verdict is known.
 
-If the limit lies between these walls, the share of wrong verdicts is the lapse rate. A catch trial is not used for the
-limit and does not change the next wall of the rule.
+If the limit lies between these two walls, the fraction of wrong verdicts is the lapse rate. The verdict of a catch
+trial is not used for the limit and does not change the next wall of the rule.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ TRACK = -1  # of a catch trial
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CatchTrials:
-    """Numbers of catch trials and lapses, separately for soft and stiff walls.
+    """Numbers of catch trials (walls whose verdict is known) and of wrong verdicts (lapses) on soft and stiff walls.
 
     A person who calls walls unstable too soon has lapses only on soft walls.
 
     Attributes
     ----------
     soft, false_unstable
-        Number of verdicts on the softest wall, and number of those that were not "stable".
+        Number of verdicts on the softest wall, and number of these verdicts that were not "stable".
     stiff, false_stable
-        Number of verdicts on the stiffest wall, and number of those that were "stable".
+        Number of verdicts on the stiffest wall, and number of these verdicts that were "stable".
     """
 
     soft: int = 0
@@ -40,27 +40,29 @@ class CatchTrials:
 
     @property
     def count(self) -> int:
-        """Return the number of catch trials of both kinds."""
+        """Number of catch trials on soft and on stiff walls."""
         return self.soft + self.stiff
 
     @property
     def lapses(self) -> int:
-        """Return the number of lapses of both kinds."""
+        """Number of wrong verdicts on soft and on stiff walls."""
         return self.false_unstable + self.false_stable
 
     @classmethod
     def of(
         cls, answers: Sequence[JudgedProbe], levels: Sequence[float], sides: Container[Censored]
     ) -> CatchTrials:
-        """Count the catch trials among answers.
+        """Count the catch trials and the wrong verdicts among answers.
 
         Parameters
         ----------
+        answers
+            All answers of a search.
         levels
-            Levels of the search, ascending.
+            Stiffnesses of the search, ascending.
         sides
-            Sides on which the limit lies beyond the levels; catch trials at that end are not counted, because the
-            correct verdict is unknown.
+            Sides ("above", "below") on which the limit lies beyond the levels. Catch trials at that end are not
+            counted, because the correct verdict is unknown.
         """
         caught = [(one.probe.level, one.stable) for one in answers if one.probe.catch]
         # A wall beyond the limit has no known verdict: then its catch trials measure no lapses.
@@ -84,18 +86,19 @@ class CatchTrials:
 
 @dataclass(frozen=True, kw_only=True)
 class Catching:
-    """Search rule with added catch trials.
+    """Search rule that adds catch trials to another rule: walls whose verdict is known.
 
     Parameters
     ----------
     rule
-        Rule that chooses all other walls.
+        Search rule that chooses all other walls.
     levels
-        Levels of the search, ascending.
+        Stiffnesses of the search, ascending.
     share
-        Share of trials that are catch trials (0 … `MOST_SHARE`), half of them soft and half stiff on average.
+        Fraction of trials that are catch trials (0 … `MOST_SHARE`), on average half with the softest wall and half with
+        the stiffest.
     seed
-        Seed of the random places of the catch trials.
+        Seed of the random positions of the catch trials.
     """
 
     rule: Rule
@@ -106,12 +109,12 @@ class Catching:
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= MOST_SHARE:
             raise ConfigError(
-                f"the share of catch trials, {self.share:g}, is outside 0 … {MOST_SHARE:g}",
+                f"the share of catch trials among all trials is {self.share:g}; it must be from 0 to {MOST_SHARE:g}",
                 remedy="choose a share within this range",
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return a catch trial or the rule's next probe; None if the search is finished.
+        """Return a catch trial or the next wall of the rule; None if the search is finished.
 
         A catch trial without a verdict is repeated.
         """
@@ -123,11 +126,15 @@ class Catching:
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the rule's estimate, without the catch trials."""
+        """Return the rule's estimate of the limit, without the catch trials."""
         return self.rule.estimate(answers)
 
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:
-        """Return the catch trial after this number of verdicts and of catch trials since the last one, or None."""
+        """Return a catch trial or None at random; the result is reproducible for equal arguments.
+
+        `verdicts` is the number of verdicts of the rule so far, `caught` the number of catch trials since the last of
+        them.
+        """
         drawn = np.random.default_rng([self.seed, verdicts, caught])
         if drawn.random() >= self.share:
             return None

@@ -1,7 +1,7 @@
 """Grid search rule: every level equally often, in random order (the method of constant stimuli).
 
-It needs the most trials and the fewest assumptions: it also shows walls that do not follow a threshold, such as stiff
-walls that are stable although softer ones are not.
+This rule needs the most trials and the fewest assumptions: it also detects walls that do not follow a threshold, such
+as stiff walls that are stable although softer walls are not.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rig.session.search._rule import Estimate, JudgedProbe, Probe, check_whole, 
 
 @dataclass(frozen=True, kw_only=True)
 class LevelGrid:
-    """Rule that presents all levels `repeats` times, each time in another random order (`seed`)."""
+    """Search rule that presents all levels (stiffnesses) `repeats` times, each time in a new random order (`seed`)."""
 
     levels: Sequence[float]
     repeats: int = 5
@@ -28,7 +28,7 @@ class LevelGrid:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next level of the order; None after the last."""
+        """Return the next wall of the random order; None after the last wall."""
         done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
             return None
@@ -37,5 +37,5 @@ class LevelGrid:
         return Probe(self.levels[int(order[place])], track=block)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the estimate of K50, the stiffness at which half of the verdicts are stable."""
+        """Return the estimate of K50 (the stiffness at which half of the verdicts are stable) with a 95 % interval."""
         return posterior_estimate(tuple(self.levels), answers)

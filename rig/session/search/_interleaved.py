@@ -1,7 +1,7 @@
-"""Interleaved search rule: two staircases, one from below and one from above, alternating at random.
+"""Interleaved search rule: two staircases (up-down methods), one from below and one from above, alternating at random.
 
-A person cannot follow a track that continues at random times, so a verdict depends more on the wall and less on the
-verdict before.
+A person cannot follow a staircase that continues at random times, so a verdict depends more on the wall and less on the
+previous verdict.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from rig.session.search._staircase import Staircase
 
 @dataclass(frozen=True, kw_only=True)
 class Interleaved:
-    """Two staircases that begin at the softest and at the stiffest level; other settings are those of `Staircase`.
+    """Search rule: two interleaved staircases, which begin at the softest and at the stiffest level.
+
+    `Staircase` explains the other settings.
 
     Parameters
     ----------
@@ -54,9 +56,9 @@ class Interleaved:
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next level of an unfinished track, chosen at random; None if both are finished.
+        """Return the next wall of one of the unfinished staircases, chosen at random; None if both are finished.
 
-        A probe without a verdict is repeated.
+        A wall without a verdict is repeated.
         """
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
@@ -68,7 +70,7 @@ class Interleaved:
         return going[int(drawn.integers(len(going)))]
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean of both tracks' estimates, with the 95 % interval from all verdicts together."""
+        """Return the mean of the estimates of the two staircases, with a 95 % interval from all verdicts together."""
         single = [
             track.estimate_of(
                 track.walk(verdicts_of(answers, number)), verdicts_of(answers, number), len(answers)

@@ -18,10 +18,11 @@ Making = Callable[..., Rule]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observer:
-    """Observer whose verdicts follow the psychometric function (`rig.session.search._psychometric`).
+    """A simulated person, whose verdicts follow the psychometric function (`rig.session.search._psychometric`).
 
-    `threshold` is K50 and `spread` is s (both in the unit of stiffness); `lapse_rate` is the share of verdicts that are
-    inverted by mistake, for example by a wrong key.
+    `threshold` is K50, the stiffness at which half of the verdicts are stable, and `spread` is s, how gradually
+    verdicts change with stiffness (unit of stiffness). `lapse_rate` is the fraction of verdicts that are inverted by
+    mistake.
     """
 
     threshold: float
@@ -29,16 +30,19 @@ class Observer:
     lapse_rate: float = 0.0
 
     def judge(self, stiffness: float, drawn: np.random.Generator) -> bool:
-        """Return a random verdict of this observer: True for stable."""
+        """Return a random verdict of the simulated person on a wall: True for stable."""
         return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
-        """Return the stiffness at which this share of verdicts is stable, without lapses."""
+        """Return the stiffness at which the fraction `share` of verdicts is stable, without lapses."""
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 
 def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
-    """Return the answers of an observer until the search is finished, at most `most`; reproducible by `seed`."""
+    """Return the answers of a simulated observer to a search rule until the search is finished; at most `most`.
+
+    The answers are reproducible by `seed`.
+    """
     drawn = np.random.default_rng(seed)
     answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:
@@ -48,21 +52,22 @@ def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Performance:
-    """Results of a rule with an observer over many simulated sessions; stiffnesses in the unit of the levels.
+    """Performance of a search rule with a simulated observer over many sessions.
 
     Attributes
     ----------
     bias, scatter
-        Mean and standard deviation of estimate minus true stiffness; NaN if no session gave an estimate. The true
-        stiffness has the share of stable verdicts that the rule aims at (for the ascending rule: K50).
+        Mean and standard deviation of the estimate minus the true stiffness (unit of stiffness); NaN if no session gave
+        an estimate. The true stiffness is that at which the observer has the rule's target share of stable verdicts
+        (ascending rule: a half).
     hits
-        Mean number of verdicts in a session.
+        Mean number of answers in a session.
     covered
-        Share of the 95 % intervals that contain the true stiffness.
+        Fraction of the 95 % intervals that contain the true stiffness.
     width
-        Median width of the intervals.
+        Median width of the intervals (unit of stiffness).
     above, below
-        Share of sessions with a limit above the levels, and below them.
+        Fraction of sessions with a limit above the levels, and below the levels.
     """
 
     rule: str
@@ -78,11 +83,11 @@ class Performance:
 
     @property
     def censored(self) -> float:
-        """Return the share of sessions with a limit above or below the levels."""
+        """Fraction of sessions with a limit above or below the levels."""
         return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the numbers and the observer as plain values, for JSON."""
+        """Return all numbers and the observer's parameters as a dictionary of JSON types."""
         return {**asdict(self), "observer": asdict(self.observer)}
 
 
@@ -94,7 +99,11 @@ def study(
     seed: int = 0,
     off_lattice: float = 0.0,
 ) -> list[Performance]:
-    """Simulate `sessions` sessions of each observer with each rule; see `performance`."""
+    """Simulate `sessions` sessions of each observer with each search rule; return the performance of each pair.
+
+    `rules` contains for each name a function that creates the rule from the argument `seed`. `off_lattice` is the
+    largest random shift of K50 (stiffness; see `performance`).
+    """
     return [
         performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)
         for observer in observers
@@ -105,19 +114,19 @@ def study(
 def performance(
     name: str, make: Making, observer: Observer, sessions: int, *, seed: int = 0, off_lattice: float = 0.0
 ) -> Performance:
-    """Simulate one rule with one observer and return its performance.
+    """Simulate sessions of one observer with one search rule; return bias, scatter and coverage of the estimates.
 
     Parameters
     ----------
     name
         Name of the rule, for the result.
     make
-        Creates the rule of one session from the argument `seed=`.
+        Function that creates the rule of one session from the argument `seed`.
     seed
         Seed of the whole simulation, from which each session's seed is derived.
     off_lattice
-        In each session K50 is shifted at random by at most ± this value. Half a step of the levels makes the result
-        independent of where K50 lies between two levels.
+        Largest random shift of K50 in a session (±, unit of stiffness). Half a step of the levels makes the result
+        independent of the position of K50 between two levels.
     """
     errors, found = [], []
     for one in np.random.SeedSequence(seed).generate_state(sessions, np.uint64).tolist():

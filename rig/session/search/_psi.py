@@ -1,8 +1,8 @@
-"""The Psi method: present the level whose verdict is expected to give the most information about the threshold.
+"""The Psi method: present the wall whose verdict is expected to give the most information about the threshold K50.
 
 Kontsevich and Tyler, Vision Research 39 (1999), with lapse rate and spread integrated out (Prins 2013). After each
-answer the posterior over (K50, spread, lapse rate) is updated. For every level the expected entropy of K50 after its
-verdict is computed; the level with the least expected entropy is next.
+answer the posterior over (K50, spread, lapse rate) is updated. The next level is the one with the least expected
+entropy of K50 after its verdict.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, kw_only=True)
 class Psi:
-    """Bayesian search for K50, the stiffness at which half of the verdicts are stable.
+    """Bayesian search rule for K50, the stiffness at which half of the verdicts are stable.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Psi:
     hits
         Number of verdicts after which the search ends.
     enough
-        The search ends earlier when the half width of the 95 % interval, relative to K50, is at most this; 0: never.
+        Half width of the 95 % interval, relative to K50, at which the search ends earlier; 0: never.
     least
         Least number of verdicts before `enough` can end the search.
     seed
@@ -58,18 +58,17 @@ class Psi:
         if not 0.0 <= self.enough < 1.0:
             raise ConfigError(
                 f"enough = {self.enough:g} must be at least 0 and below 1",
-                remedy="give a share of K50, like 0.05; 0 always uses all hits",
+                remedy="give the half width of the interval as a share of K50, like 0.05; with 0 all hits are used",
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the level whose verdict leaves the least expected entropy of K50; None if the search is finished."""
+        """Return the wall whose verdict gives the least expected entropy of K50; None if the search is finished."""
         verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
             return None
         grid = psychometric.of_levels(tuple(self.levels))
         posterior = grid.posterior(verdicts)
-        # For every level, what either answer would leave of the entropy of K50: the least expected entropy is asked
-        # next.
+
         stable = np.einsum("ltsg,tsg->lt", grid.shares, posterior)  # jointly with K50, for each level
         other = posterior.sum(axis=(1, 2)) - stable
         expected = _entropy(stable) + _entropy(other)
@@ -87,7 +86,10 @@ class Psi:
 
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]) -> Estimate:
-    """Return the estimate of K50 from answers on these levels; see `rig.session.search._psychometric.locate`."""
+    """Return the posterior median of K50 (stiffness with half of the verdicts stable) with its 95 % interval.
+
+    `levels` are the stiffnesses of the search, ascending.
+    """
     verdicts = verdicts_of(answers)
     found = psychometric.locate(levels, verdicts)
     estimate = Estimate(
@@ -105,7 +107,7 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return for each row the entropy of K50 after a verdict, times the probability of the verdict.
 
-    Each row of `joint` contains the joint probabilities of the verdict and each K50.
+    Each row of `joint` contains the joint probabilities of the verdict and each value of K50.
     """
     likely = joint.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):

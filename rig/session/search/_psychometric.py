@@ -1,9 +1,9 @@
-"""Compute the psychometric function of walls, and its posterior from verdicts, on a grid.
+"""Psychometric function (probability of a stable verdict over stiffness), and its posterior from verdicts, on a grid.
 
     P(stable | K) = λ + (1 − 2 λ) / (1 + exp((K − K50) / s))
 
 At the stiffness K50 half of the verdicts are stable. s is the spread: how gradually verdicts change with stiffness. λ
-is the lapse rate: the share of verdicts that are inverted by mistake, equally likely in both directions. Spread and
+is the lapse rate: the fraction of verdicts that are inverted by mistake, equally likely in both directions. Spread and
 lapse rate are integrated out (the marginal of Prins, Journal of Vision 13(7):3, 2013, of the Psi method of Kontsevich
 and Tyler, Vision Research 39, 1999).
 """
@@ -34,7 +34,7 @@ MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gra
 def share_stable(
     stiffness: Floats | float, threshold: float, spread: float, lapse_rate: float = 0.0
 ) -> Floats:
-    """Return the expected share of stable verdicts at a stiffness; `threshold` is K50."""
+    """Return the expected fraction of stable verdicts at a stiffness, for an observer with K50 = `threshold`."""
     odds = np.clip((np.asarray(stiffness, dtype=np.float64) - threshold) / spread, -700.0, 700.0)
     return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
 
@@ -42,13 +42,13 @@ def share_stable(
 # A grid, not a fit: nothing can fail to converge, and a few answers give a wide interval instead of none.
 @dataclass(frozen=True)
 class PsychometricGrid:
-    """Grid of K50, spread and lapse rate for a set of levels (stiffnesses in ascending order)."""
+    """Grid of K50, spread and lapse rate of the psychometric function, for a set of levels (stiffnesses, ascending)."""
 
     levels: tuple[float, ...]
 
     @cached_property
     def edges(self) -> Floats:
-        """Return the limits of the cells around the grid's values of K50, shape (thresholds + 1,)."""
+        """Edges of the cells around the grid's values of K50 (stiffness), shape (thresholds + 1,)."""
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -57,12 +57,12 @@ class PsychometricGrid:
 
     @cached_property
     def thresholds(self) -> Floats:
-        """Return the grid's values of K50, shape (thresholds,)."""
+        """The grid's values of K50 (stiffness), shape (thresholds,)."""
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     @cached_property
     def spreads(self) -> Floats:
-        """Return the grid's values of the spread s, shape (spreads,)."""
+        """The grid's values of the spread s (stiffness), shape (spreads,)."""
         # Flat over log s.
         least = LEAST_SPREAD * np.diff(self.levels).min()
         return np.geomspace(
@@ -71,7 +71,7 @@ class PsychometricGrid:
 
     @cached_property
     def shares(self) -> Floats:
-        """Return the share of stable verdicts, shape (levels, thresholds, spreads, lapse rates)."""
+        """Probability of a stable verdict at each grid point, shape (levels, thresholds, spreads, lapse rates)."""
         level = np.array(self.levels)[:, None, None, None]
         lapses = np.array(LAPSE_RATES)
         odds = (level - self.thresholds[:, None, None]) / self.spreads[:, None]
@@ -79,7 +79,7 @@ class PsychometricGrid:
 
     @cached_property
     def logs(self) -> tuple[Floats, Floats]:
-        """Return the logarithms of `shares` and of 1 − `shares`."""
+        """Natural logarithms of the probabilities `shares`, and of 1 − `shares`."""
         with np.errstate(divide="ignore"):
             return np.log(self.shares), np.log1p(-self.shares)
 
@@ -89,9 +89,9 @@ class PsychometricGrid:
         return [((), np.zeros(self.shares.shape[1:]))]
 
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
-        """Return the probability of each grid point after verdicts (level, stable).
+        """Return the posterior probability of each grid point, shape (thresholds, spreads, lapse rates).
 
-        The shape is (thresholds, spreads, lapse rates).
+        `verdicts` are pairs of a level and True for stable.
         """
         known, log = self._latest[0]
         if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
@@ -104,12 +104,14 @@ class PsychometricGrid:
         return np.asarray(weights / weights.sum())
 
     def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
-        """Return quantiles of the stiffness at which `share` of the verdicts is stable, without lapses; at least 0.
+        """Return quantiles of the stiffness at which the fraction `share` of the verdicts is stable; at least 0.
 
-        The probability of each K50 is spread over its cell, because cells are not small compared with the uncertainty
-        after some dozens of verdicts; intervals between grid points would be too narrow.
+        `posterior` is the result of the method `posterior`, and `probabilities` are the levels of the quantiles (0 …
+        1). The stiffness is that of an observer without lapses.
         """
         shifts = self.spreads * math.log((1.0 - share) / share)
+        # The probability of each K50 is spread over its cell: after some dozens of verdicts a cell is not small
+        # compared with the uncertainty, and intervals between grid points would be too narrow.
         at = np.unique(self.edges + shifts[:, None])  # the distribution function is straight between these
         below = np.zeros(len(at))
         for shift, weights in zip(shifts, posterior.sum(axis=2).T, strict=True):
@@ -119,15 +121,16 @@ class PsychometricGrid:
 
 @lru_cache(maxsize=16)
 def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
-    """Return the grid for these levels, from a cache."""
+    """Return the grid for these levels (stiffnesses, ascending), from a cache."""
     return PsychometricGrid(levels)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Located:
-    """Stiffness estimated from verdicts: value, 95 % interval, and the side on which it lies beyond the levels, if any.
+    """Stiffness estimated from verdicts (`value`), with its 95 % interval (`low`, `high`).
 
-    If it lies beyond the levels (`censored`), `value` is the last level, and the interval extends to infinity or to 0.
+    If the stiffness lies above or below all levels (`censored`), `value` is the last level, and the interval extends to
+    infinity or to 0.
     """
 
     value: float
@@ -137,10 +140,11 @@ class Located:
 
 
 def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float = 0.5) -> Located:
-    """Return the stiffness at which this share of verdicts is stable, from the verdicts of any rule.
+    """Return the stiffness at which the fraction `share` of verdicts is stable, with a 95 % interval.
 
-    The value is the posterior median. It is censored if the median lies beyond the levels, or if all verdicts are equal
-    (the value is then the last judged level).
+    `verdicts` are pairs of a level and True for stable, from any search rule. The value is the posterior median. It is
+    censored if the median lies beyond the levels, or if all verdicts are equal (the value is then the last judged
+    level).
     """
     if not verdicts:
         return Located(value=math.nan, low=0.0, high=math.inf, censored="")
@@ -162,7 +166,7 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
 
 
 def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
-    """Return an interval extended to infinity (`side` above) or to 0 (below); unchanged for an empty `side`.
+    """Return an interval extended to infinity (`side` "above") or to 0 ("below"); return it unchanged if `side` is "".
 
     The extended interval contains `end`, the last level on that side.
     """
@@ -174,14 +178,20 @@ def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[
 def interval(
     levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float
 ) -> tuple[float, float]:
-    """Return the 95 % interval of the stiffness at which this share of verdicts is stable, for any rule."""
+    """Return the 95 % interval of the stiffness at which the fraction `share` of verdicts is stable.
+
+    `verdicts` are pairs of a level and True for stable, from any search rule.
+    """
     grid = of_levels(levels)
     low, high = grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.975))
     return float(low), float(high)
 
 
 def _edges(levels: Floats, least: float) -> Floats:
-    """Return evenly spaced cell limits, from half the range below the levels (or `least`) to half the range above."""
+    """Return evenly spaced cell edges, from half a range of the levels below them to half a range above.
+
+    No edge is below `least`.
+    """
     half = (levels[-1] - levels[0]) / 2.0
     low, high = max(levels[0] - half, least), levels[-1] + half
     wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))

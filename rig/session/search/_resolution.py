@@ -1,6 +1,6 @@
-"""Decide whether values scatter more than rounding to levels explains, as every interval and p value requires.
+"""Decide if values scatter more than rounding to levels explains, as every interval and p value requires.
 
-For means over n independent searches the caller divides the rounding by √n.
+For means over n independent searches, the caller divides the rounding error by √n.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ FLOATING = 1e-9  # relative: the same numbers added in another order differ by l
 
 
 def step_at(levels: Sequence[float], value: float) -> float:
-    """Return the distance between the two levels around a value; beyond the levels, that of the two nearest ones."""
+    """Return the distance between the two levels around `value`, or of the nearest two if `value` is beyond all."""
     place = min(max(bisect_right(levels, value), 1), len(levels) - 1)
     return levels[place] - levels[place - 1]
 
@@ -31,7 +31,7 @@ def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0)
     Parameters
     ----------
     deviation
-        Standard deviation of values or of a residual; the result is False if it is not finite.
+        Standard deviation of values or of a residual; the result is False if the deviation is not finite.
     rounding
         Standard deviation of the rounding of each value to levels; 0 for continuous values.
     magnitude
@@ -41,7 +41,10 @@ def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0)
 
 
 def unresolved_words(what: str, deviation: float, rounding: float) -> str:
-    """Return the sentence that explains a missing interval."""
+    """Return a sentence that explains why the values `what` get no interval and no p value.
+
+    `deviation` is their standard deviation, and `rounding` that of their rounding to levels (0: continuous values).
+    """
     if rounding == 0.0:
         return f"{what} are equal, so their scatter is unknown: no interval and no p value"
     return (

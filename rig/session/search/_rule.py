@@ -1,4 +1,4 @@
-"""Common parts of all search rules: probes, answers, estimates, and checks of levels and settings."""
+"""Common parts of all search rules: probes (walls to judge), answers, estimates, and checks of levels and settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ Censored = Literal["", "above", "below"]
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Wall to be judged: its stiffness, the number of the track that chose it, and whether it is a catch trial."""
+    """A wall to be judged: its stiffness (`level`), and True if the wall is a catch trial.
+
+    `track` is the number of the series or staircase that chose the wall.
+    """
 
     level: float
     track: int = 0
@@ -25,7 +28,10 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class JudgedProbe:
-    """Answer to a probe; `stable` is None without a verdict (unsure), so that the rule presents the wall again."""
+    """Answer to a presented wall: True if the person judged the wall as stable, False if not.
+
+    `stable` is None without a verdict (unsure), so that the rule presents the wall again.
+    """
 
     probe: Probe
     stable: bool | None
@@ -33,7 +39,7 @@ class JudgedProbe:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """Estimate of the limit of stable walls.
+    """Estimate of the limit of stable walls (a stiffness).
 
     Attributes
     ----------
@@ -42,9 +48,10 @@ class Estimate:
     low, high
         Ends of the 95 % interval (unit of stiffness).
     share
-        Share of stable verdicts at `value` that the rule aims at; NaN for the ascending rule, which has no such aim.
+        Fraction of stable verdicts at `value` to which the rule converges; NaN for the ascending rule, which has no
+        target.
     censored
-        "above" if the stiffest wall was still stable, "below" if the softest was not; the limit lies beyond the levels.
+        "above" if the stiffest wall was still stable, "below" if the softest was not: the limit lies beyond the levels.
     hits
         Number of answers, with catch trials and answers without a verdict.
     step
@@ -68,7 +75,7 @@ class Estimate:
 
 
 class Rule(Protocol):
-    """Search rule; see the documentation of the package."""
+    """Interface of a search rule, which chooses the walls to judge, and estimates the limit of stable walls."""
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
         """Return the next wall after these answers; None if the search is finished."""
@@ -80,7 +87,7 @@ class Rule(Protocol):
 
 
 def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
-    """Return the levels as a tuple of numbers.
+    """Return levels (stiffnesses) as a tuple of floats.
 
     Raise `rig.core.errors.ConfigError` unless there are at least two levels, above zero and in ascending order.
     """
@@ -89,13 +96,13 @@ def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
     if len(values) < 2 or not rising or not values[0] > 0.0 or not math.isfinite(values[-1]):
         raise ConfigError(
             f"the {len(values)} levels of stiffness {list(values[:5])}{' …' if len(values) > 5 else ''} are not valid",
-            remedy="give two or more levels above 0, in ascending order",
+            remedy="give two or more finite levels above 0, in ascending order",
         )
     return values
 
 
 def check_whole(name: str, value: int, least: int, most: int) -> None:
-    """Raise `rig.core.errors.ConfigError` unless a setting is a whole number in its range."""
+    """Raise `rig.core.errors.ConfigError` unless the setting `name` is a whole number from `least` to `most`."""
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
         raise ConfigError(
             f"{name} = {value!r} is not a whole number from {least} to {most}",
@@ -104,7 +111,7 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
 
 
 def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
-    """Return the estimate with `distrust_reason` set if its own verdicts contradict it; see `contradiction`."""
+    """Return the estimate with `distrust_reason` set if its verdicts contradict the estimated limit."""
     if estimate.distrust_reason or estimate.censored:
         return estimate
     reason = contradiction(estimate.value, estimate.low, estimate.high, verdicts)
@@ -112,9 +119,10 @@ def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool
 
 
 def contradiction(value: float, low: float, high: float, verdicts: Sequence[tuple[float, bool]]) -> str:
-    """Return the reason for which verdicts contradict a limit, or an empty text.
+    """Return the reason for which verdicts (level, stable) contradict a limit and its interval, or "".
 
-    A limit must lie in its own interval, and between a wall that was judged stable and one that was not.
+    A limit must lie in its own interval, and between a wall that was judged stable and a wall that was judged not
+    stable.
     """
     if math.isnan(value):
         return ""
@@ -129,7 +137,10 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 
 
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
-    """Return level and verdict of each answer with a verdict, without catch trials; of one track, or of all (None)."""
+    """Return level and verdict (True: stable) of each answer that has a verdict, without catch trials.
+
+    If `track` is given, return only the verdicts of this series or staircase.
+    """
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

@@ -1,8 +1,8 @@
 """Staircase (up-down) search rule: stiffer after stable verdicts, softer after others; steps shrink at each reversal.
 
-With `stable_to_rise` = 1 it converges to the stiffness at which half of the verdicts are stable. With n, the n-th power
-of their share is a half: shares of 0.71 for 2, 0.79 for 3 (Levitt, Journal of the Acoustical Society of America 49,
-1971; "1-up-1-down", "1-up-2-down", "1-up-3-down", where up means softer).
+With `stable_to_rise` = 1 the rule converges to the stiffness at which half of the verdicts are stable. With n stable
+verdicts to rise, the n-th power of the stable fraction is a half: 0.71 for n = 2, 0.79 for n = 3 (Levitt, Journal of
+the Acoustical Society of America 49, 1971; "1-up-1-down", "1-up-2-down", "1-up-3-down", where up means softer).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EDGE_VERDICTS = 3  # in a row at an end of the levels, which it cannot leave: th
 
 @dataclass(slots=True)
 class _Walk:
-    """State of a staircase after some verdicts."""
+    """State of a staircase after some verdicts: current level, direction, and reversals so far."""
 
     place: int
     direction: int
@@ -41,7 +41,7 @@ class _Walk:
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase:
-    """Staircase with one track.
+    """Search rule: an up-down staircase, which makes the wall stiffer after stable verdicts and softer after others.
 
     Parameters
     ----------
@@ -52,11 +52,12 @@ class Staircase:
     start
         First level; by default the middle one.
     steps
-        Step sizes in numbers of levels; the next one is used after each reversal, the last one for all that follow.
+        Step sizes in numbers of levels. The next step size is used after each reversal, the last one for all that
+        follow.
     turns
         Number of reversals at the smallest step after which the search ends.
     most
-        Largest number of verdicts; a search that ends by it sets `Estimate.distrust_reason`.
+        Largest number of verdicts; a search that ends at this number sets `Estimate.distrust_reason`.
     seed
         Not used, because this rule is not random.
     """
@@ -77,7 +78,9 @@ class Staircase:
         check_whole("turns", self.turns, 2, 1000)
         check_whole("most", self.most, 1, 100_000)
         if not self.steps:
-            raise ConfigError("the staircase needs at least one step", remedy="give steps, like [4, 2, 1]")
+            raise ConfigError(
+                "the staircase has no step sizes", remedy="give `steps` in numbers of levels, like [4, 2, 1]"
+            )
         for step in self.steps:
             check_whole("steps", step, 1, len(levels) - 1)
         if self.start is not None and self.start not in levels:
@@ -88,21 +91,24 @@ class Staircase:
 
     @property
     def share(self) -> float:
-        """Return the share of stable verdicts to which the staircase converges."""
+        """Fraction of stable verdicts (0 … 1) to which the staircase converges."""
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
     def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
-        """Return the present level of the track; None if the search is finished."""
+        """Return the current wall of the staircase; None if the search is finished.
+
+        `track` is the number of the staircase, if several are interleaved.
+        """
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean of the reversals at the smallest step, with the 95 % interval from all verdicts together."""
+        """Return the mean level of the reversals at the smallest step, with a 95 % interval from all verdicts."""
         verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 
     def walk(self, verdicts: Sequence[tuple[float, bool]]) -> _Walk:
-        """Return the state of the staircase after these verdicts: place, direction and reversals."""
+        """Return the state of the staircase (current level, direction, reversals) after verdicts (level, stable)."""
         top, last = len(self.levels) - 1, len(self.steps) - 1
         place = len(self.levels) // 2 if self.start is None else list(self.levels).index(self.start)
         step = direction = run = pressed = 0
@@ -125,7 +131,10 @@ class Staircase:
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """Return the estimate of the limit from the state of the staircase and its verdicts."""
+        """Return the estimate of the limit from the state of the staircase and its verdicts (level, stable).
+
+        `hits` is the number of all answers, for the result.
+        """
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]

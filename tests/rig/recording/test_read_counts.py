@@ -137,13 +137,13 @@ BROKEN: dict[str, tuple[str, str]] = {
         r"does not increase in 1 rows, first in data row 3: 0 s after 2",
     ),
     "no such column": ("time,c\n0,1\n1,2\n2,3\n", "no column 't'; its columns are time, c"),
-    "two of a name": ("t,c,c\n0,1,1\n1,2,2\n", "several columns 'c'"),
-    "no names": ("0,1\n1,2\n2,3\n", "no header line with names"),
+    "two of a name": ("t,c,c\n0,1,1\n1,2,2\n", "several columns with the name 'c'"),
+    "no names": ("0,1\n1,2\n2,3\n", "no header line with column names"),
     "text": ("t,c\n0,one\n1,two\n2,three\n", "'c' does not hold numbers.*'one'"),
     "fractions": ("t,c\n0,0.5\n1,1.5\n2,2.5\n", r"counts\[0\] = 0.5 is not a whole number"),
     "a wrap without a width": ("t,c\n0,0\n1,250\n2,4\n3,14\n", "more than half of the range"),
-    "a torn row": ("t,c\n0,1\n1,2\n2\n", "not a CSV file of equal rows"),
-    "too few": ("t,c\n0,1\n1,2\n", "has 2 samples"),
+    "a torn row": ("t,c\n0,1\n1,2\n2\n", "whose rows have equal numbers of columns"),
+    "too few": ("t,c\n0,1\n1,2\n", "has 2 rows with a count and a time"),
     "nothing": ("\n# only this\n", "has no rows"),
 }
 
@@ -216,4 +216,4 @@ def test_commands_take_imported_counts(tmp_path: Path, monkeypatch: pytest.Monke
     ):
         code, _, err = run(*command)
         assert code != 0
-        assert "only counts of log.csv" in err
+        assert "imported from log.csv: it has encoder counts" in err

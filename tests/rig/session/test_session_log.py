@@ -115,7 +115,7 @@ def test_line_ends_that_an_editor_or_git_changed_are_named_and_changed_back(tmp_
     for opened in (read, SessionLog, set_damaged_line_aside):
         with pytest.raises(RecordingError, match="CR LF instead of LF") as caught:
             opened(path)
-    remedy = re.search(r"sed .*(?=, and)", caught.value.remedy)
+    remedy = re.search(r"sed .*(?= ; transfer)", caught.value.remedy)
     assert remedy is not None
     subprocess.run(remedy[0], shell=True, check=True)
     assert path.read_bytes() == whole
