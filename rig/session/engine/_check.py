@@ -113,7 +113,7 @@ def check(
         *cap_checks(protocol, under),
         heat_check(protocol, heat, trials.most),
         *order_checks(protocol, rows),
-        *stop_checks(protocol, trials, searches.failures, sum(duration.values(), NOTHING)),
+        *stop_checks(protocol, trials, sum(duration.values(), NOTHING)),
         *rest_checks(protocol, trials, times),
     ]
     if study is not None:

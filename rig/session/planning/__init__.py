@@ -1,1 +1,1 @@
-"""Plan a study from its protocol: sections and their rules, conditions, order, times, expected searches."""
+"""Plan a study from its protocol: searches, conditions, order, durations, and expected numbers of trials."""

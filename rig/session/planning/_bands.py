@@ -1,7 +1,7 @@
-"""Judge whether impact speed and press of a hit lie in the bands of a protocol, and set those of a simulated hand.
+"""Check that impact speed and press of a hit lie within the protocol's required ranges, and adjust a simulated hand.
 
-The impact speed is that of the handle at the first contact (`rig.control.verdict`). The press is the mean effort that
-pushed the hand out of the wall over the judged tail (`verdict.tail_s`), whatever the law of the wall.
+The impact speed is the speed of the handle at the first contact (`rig.control.verdict`). The press is the mean effort
+with which the wall pushed the hand outwards in the last part of the hit (`verdict.tail_s`), for any control law.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rig.session.planning._protocol import Band, Trial
 from rig.session.planning._reasons import explain_outside
 from rig.session.planning._trial import HitOutcome
 
-# Key of the protocol: the quantity that it is of, its number in a hit's, and what it is called.
+# For each key of the protocol: the physical quantity, the key of the value in `HitOutcome.numbers`, the printed name.
 BANDS: Mapping[str, tuple[str, str, str]] = {
     "impact_speed": ("velocity", "impact_velocity", "impact speed"),
     "press": ("effort", "press", "press"),
@@ -26,7 +26,10 @@ BANDS: Mapping[str, tuple[str, str, str]] = {
 
 
 def describe_task(trial: Trial, motion: Motion) -> str:
-    """Return the required ranges of impact speed and press as text; empty if the protocol requires none."""
+    """Return the required ranges of impact speed and press as text with units; "" if the protocol requires none.
+
+    `trial` is the section ``[trial]`` of the protocol.
+    """
     return ", ".join(
         f"{words} {_words(band)} {unit_of(quantity, motion)}"
         for name, (quantity, _, words) in BANDS.items()
@@ -35,7 +38,10 @@ def describe_task(trial: Trial, motion: Motion) -> str:
 
 
 def press_of(recording: Recording, experiment: Experiment) -> float | None:
-    """Return the press of a hit (N·m or N); None if the recording has no trial phase."""
+    """Return the press of a hit (N·m or N); None if the recording has no trial phase.
+
+    The press is the mean effort with which the wall pushed the hand outwards in the last part of the hit.
+    """
     rows = recording.rows
     effort = rows["effort_sent"][rows["phase"] == Phase.TRIAL]
     tail = effort[-round(experiment.verdict.tail_s * experiment.controller.position_rate) :]
@@ -43,7 +49,10 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """Return the hit with its deviations from the bands; also mark it invalid if the protocol requires that."""
+    """Return the hit with a text for each required range (impact speed, press) that it missed.
+
+    If the protocol requires it (`trial.outside`), the returned hit is also marked invalid.
+    """
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)
@@ -75,10 +84,13 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """Return the settings of an experiment that make the simulated hand press with the middle of the band."""
+    """Return settings of the simulated hand for which its press is the middle of the required range; {} without one.
+
+    `trial` is the section ``[trial]`` of the protocol.
+    """
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 
 def middle(band: Band) -> float:
-    """Return the middle of a band, at which a simulated hand aims."""
+    """Return the middle of a range (lowest and highest value), at which a simulated hand aims."""
     return 0.5 * (band[0] + band[-1])

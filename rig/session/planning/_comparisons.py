@@ -1,4 +1,4 @@
-"""Check the plan of a study against limits, theory, heat, balance of the order, and stop rules."""
+"""Check the plan of a study: expected limits, theory, motor heat, energy, order of conditions, rests, stop rules."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ from rig.session.planning._schedule import schedule
 from rig.session.planning._simulated_hand import simulate_hits
 from rig.session.planning._times import Heat, TrialTimes
 
-TIRES_S = 1200.0  # chosen: so long without a rest, and a hand tires
+TIRES_S = 1200.0  # chosen: a hand tires after this time without a rest
 COARSE = 0.25  # of the expected limit: a step that resolves little
-SLOW = 4  # chosen: pauses more often than every so many trials, and people grow impatient
-FAR = 10.0  # times the stiffest wall: a cap beyond has no effect
+SLOW = 4  # chosen: fewer trials than this between two cooling pauses make people impatient
+FAR = 10.0  # times the stiffest wall: a larger cap is probably a typing error
 SEVERITY = (Outcome.OK, Outcome.WARNING, Outcome.REFUSED)
 
 Walls = Sequence[tuple[str, Experiment]]  # each with its condition
 
 
 def wall_checks(walls: Walls) -> list[Check]:
-    """Check every wall like a single hit; for each check, return the worst wall and the number of similar walls."""
+    """Check every wall like a single hit; return for each check the worst result and the number of walls that share it.
+
+    `walls` are pairs of the condition's name and the experiment with the wall.
+    """
     worst: dict[str, tuple[Check, str]] = {}
     number: dict[tuple[str, Outcome], int] = {}
     for condition, x in walls:
@@ -62,7 +65,11 @@ def _severity(check: Check) -> int:
 
 
 def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
-    """Check whether the limit is likely to lie among the levels; otherwise it is censored, and there is no mean."""
+    """Check that each expected limit lies within the tested levels of stiffness; yield the results.
+
+    A limit beyond the levels would be censored (only a bound is known), and no mean over participants could be
+    computed.
+    """
     unit = unit_of("stiffness", motion)
     beyond = []
     for cell in cells:
@@ -80,13 +87,13 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
         else "all lie within the searched levels",
         "change search.lowest or search.highest",
     )
-    silent = [cell for cell in cells if not cell.expected.by_hand]
-    if silent:
-        note = silent[0].expected.note
+    without_theory = [cell for cell in cells if not cell.expected.by_hand]
+    if without_theory:
+        note = without_theory[0].expected.note
         yield Check(
             "linear theory",
             Outcome.WARNING,
-            f"gives no limit for {'; '.join(map(_cell, silent))}: {note}",
+            f"gives no limit for {'; '.join(map(_cell, without_theory))}: {note}",
             "numbers of trials and times are then estimated from the levels; set search.lowest to a wall that is "
             "certainly stable",
         )
@@ -101,7 +108,10 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
 
 
 def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
-    """Check whether `most` verdicts suffice for the reversals of a search; if not, the analysis excludes its limit."""
+    """Check that the largest number of verdicts (setting `most`) suffices for the reversals of each search.
+
+    Yield the result. The analysis excludes the limit of a search that ends with too few reversals.
+    """
     short = [cell for cell in cells if cell.trials.ended_by_most]
     if short:
         each = "; ".join(
@@ -117,7 +127,7 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
 
 
 def _step_at(levels: Sequence[float], stiffness: float) -> float:
-    """Return the step of the levels around a stiffness, relative to it; 0 if it lies outside of them."""
+    """Return the distance of the two levels around a stiffness, relative to this stiffness; 0 beyond the levels."""
     return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(
         stiffness, levels[0]
     )
@@ -128,7 +138,10 @@ def _cell(cell: CellPlan) -> str:
 
 
 def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
-    """Check whether the motor stays below its heat limit, and how often a session must pause for that."""
+    """Check that the motor stays below its heat limit, and how often a session must pause to let the motor cool.
+
+    `trials` is the expected number of trials in a session.
+    """
     share = protocol.rest.heat
     text = (
         f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
@@ -149,7 +162,10 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check whether a trial ends if an unstable wall transfers energy to the hand."""
+    """Check that a hit ends when the motor has given a limited energy to the hand; yield the result.
+
+    `under` contains the experiments of each condition.
+    """
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in under for one in of]
@@ -166,12 +182,18 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
 
 
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
-    """Check whether the simulated hand of a rehearsal stays within the bands on these soft walls."""
+    """Check that the simulated hand of a rehearsal keeps the required ranges of impact speed and press on these walls.
+
+    `trial` is the section ``[trial]`` of the protocol.
+    """
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
-    does = [simulate_hits(x) for x in walls] if bands else []
+    simulated = [simulate_hits(x) for x in walls] if bands else []
     for name, band in bands.items():
         quantity, _, words = BANDS[name]
-        values, unit = [one for of in does for one in of[name]], unit_of(quantity, walls[0].rig.motion)
+        values, unit = (
+            [one for hits in simulated for one in hits[name]],
+            unit_of(quantity, walls[0].rig.motion),
+        )
         key = "operator.press" if name == "press" else "operator.reach_s"
         yield Check(
             f"trial.{name}",
@@ -183,7 +205,11 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check whether the caps can act: a cap far above every possible value is probably a typing error."""
+    """Check that the limits in ``[caps]`` can have an effect; yield a warning for each limit that cannot.
+
+    A limit far above all possible values is probably a typing error. `under` contains the experiments of each
+    condition.
+    """
     caps, experiments = protocol.caps, [one for of in under for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
@@ -198,7 +224,10 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
 
 
 def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
-    """Check whether the order is balanced over the participants: a Latin square needs a multiple of `rows`."""
+    """Check that the order of conditions is balanced over the participants; yield the result.
+
+    A Latin square is balanced if the number of participants is a multiple of `rows`.
+    """
     number = protocol.study.participants
     if protocol.order.kind == "latin-square":
         runs = sum(len(one.damping) for one in protocol.condition)
@@ -219,10 +248,11 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
         )
 
 
-def stop_checks(
-    protocol: Protocol, trials: ExpectedRange, failures: ExpectedRange, session_s: ExpectedRange
-) -> Iterator[Check]:
-    """Check whether a stop rule is likely to end a session before all its trials."""
+def stop_checks(protocol: Protocol, trials: ExpectedRange, session_s: ExpectedRange) -> Iterator[Check]:
+    """Check if a stop rule is likely to end a session before all its trials; yield the results.
+
+    `trials` and `session_s` are the expected number of trials and duration (s) of a session.
+    """
     stop = protocol.stop
     for name, limit, expected, unit in (
         ("trials", stop.trials, trials, "trials"),
@@ -238,7 +268,10 @@ def stop_checks(
 
 
 def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
-    """Check whether a session gives the hand enough rest."""
+    """Check that a session gives the hand enough rest; yield the result.
+
+    `trials` is the expected number of trials in a session.
+    """
     rest = protocol.rest
     if protocol.trial.kind != "human":
         return

@@ -1,9 +1,9 @@
-"""Build the experiments of a protocol: rig and trial, changed by each condition.
+"""Build the experiments of a protocol: rig and trial, with the changes of each condition.
 
 Settings are applied in this order, later ones replace earlier ones: the preset or the experiment file; the settings for
 safety with a person (`SAFE`); ``[study.changes]``; ``[trial]`` and ``[caps]``; scheme and changes of the condition;
-damping and stiffness of the run. A simulated hand follows the bands of ``[trial]``, unless other settings determine how
-it hits (`rig.session.planning._bands`).
+damping and stiffness of the wall. A simulated hand keeps the ranges of impact speed and press in ``[trial]``, unless
+other settings determine how it hits (`rig.session.planning._bands`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rig.session.planning._schedule import levels_of
 
 ReachFor = Callable[[Experiment, float], float]
 
-OWNED = {  # keys of the experiment that a protocol says in its own words
+OWNED = {  # keys of the experiment, and the key or section of the protocol that sets each
     "wall.stiffness": "[search]",
     "wall.damping": "damping of each condition",
     "trial.kind": "trial.kind of the protocol",
@@ -39,12 +39,12 @@ OWNED = {  # keys of the experiment that a protocol says in its own words
 
 
 def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
-    """Return the preset or experiment that the table ``[study]`` names, without changes, or the problems found.
+    """Return the preset or experiment that the protocol's section ``[study]`` names, or a list of problems.
 
     Parameters
     ----------
     study
-        Table ``[study]`` of a protocol file, not checked yet.
+        Section ``[study]`` of a protocol file, not checked yet.
     folder
         Directory of the protocol file.
     """
@@ -75,7 +75,7 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
 
 
 class Walls:
-    """Walls of a study as experiments; each is checked once and then cached.
+    """The walls of a study as experiments (rig, wall and trial); each experiment is checked once and then cached.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ class Walls:
     base
         Experiment that the protocol names, from `base_of`.
     reach_for
-        Returns the reach of a simulated hand for an impact speed (`rig.session.planning._simulated_hand`). Without a
-        simulated hand it is None, and a band of impact speeds changes nothing.
+        Function that returns the duration of a simulated hand's movement (s) for an experiment and an impact speed
+        (`rig.session.planning._simulated_hand`). If None, required impact speeds do not change the simulated hand.
     """
 
     def __init__(self, protocol: Protocol, base: Experiment, reach_for: ReachFor | None = None) -> None:
@@ -98,16 +98,16 @@ class Walls:
     def at(
         self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
     ) -> Experiment:
-        """Return the experiment of one wall of a condition.
+        """Return the experiment with one wall of a condition.
 
         Parameters
         ----------
         condition
             Condition of the protocol.
         damping, stiffness
-            B and K of the wall (units: `rig.core.sample.unit_of`).
+            B (N·m·s/rad or N·s/m) and K (N·m/rad or N/m) of the wall.
         seed
-            Seed of the trial; by default that of the study.
+            Seed of the trial; by default the study's seed.
 
         Raises
         ------
@@ -121,7 +121,10 @@ class Walls:
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
     def softest(self, condition: Condition) -> Experiment:
-        """Return the experiment with the softest wall of a condition, at its first damping; errors as in `at`."""
+        """Return the experiment with the softest wall of a condition, at the condition's first damping.
+
+        Raise `ConfigError` if the rig, the trial or the estimator does not allow this wall.
+        """
         return self.at(condition, *self._softest(condition))
 
     def _softest(self, condition: Condition) -> tuple[float, float]:
@@ -145,7 +148,7 @@ class Walls:
 
         x, speeds, reach = at(damping, stiffness), protocol.trial.impact_speed, {}
         if self._reach_for is not None and speeds and "operator.reach_s" not in own:
-            if name not in self._reaches:  # by one wall, whichever is asked for first
+            if name not in self._reaches:  # found once for each condition, on its softest wall
                 self._reaches[name] = self._reach_for(at(*self._softest(condition)), middle(speeds))
             reach["operator.reach_s"] = self._reaches[name]
         x = config.override(x, reach, source)
@@ -154,7 +157,7 @@ class Walls:
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
-    """Return the settings that a device must not change: the rates, if the scheme of the condition sets them."""
+    """Return the rates (Hz) that a device must not change, by key; {} if the condition has no sampling scheme."""
     if condition.scheme is None:
         return {}
     rates = experiment.controller
@@ -165,7 +168,7 @@ def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
 
 
 def base_of(protocol: Protocol, folder: Path) -> Experiment:
-    """Return the experiment that a protocol names; raise `ConfigError` if it is not valid.
+    """Return the experiment that a protocol names; raise `ConfigError` if this experiment is not valid.
 
     `folder` is the directory of the protocol file.
     """
@@ -177,19 +180,19 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
 
 
 def broken_conditions(walls: Walls) -> list[Problem]:
-    """Return the first problems of each condition that the rig, the trial or an estimator does not allow."""
+    """Return the problems of conditions whose walls the rig, the trial or an estimator does not allow."""
     protocol, base = walls.protocol, walls.base
     problems = [*_find_misplaced(protocol), *_wide_caps(protocol, base), *_wide_bands(protocol, base)]
     return problems or list(_find_refused(walls))
 
 
 def _study_changes(protocol: Protocol) -> dict[str, Any]:
-    """Return the changes to the experiment that all conditions share."""
+    """Return the changes to the experiment that all conditions share, by dotted key."""
     return {**protocol.study.changes, **_trial_and_caps(protocol)}
 
 
 def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
-    """Return the given settings of ``[trial]`` and ``[caps]`` as keys of the experiment."""
+    """Return the settings of ``[trial]`` and ``[caps]`` in the protocol, by the dotted keys of the experiment."""
     trial, caps = protocol.trial, protocol.caps
     values = {
         "trial.duration_s": trial.duration_s,
@@ -222,7 +225,7 @@ def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each cap that is above the limit of the rig."""
+    """Yield a problem for each limit in ``[caps]`` that is above the limit of the rig."""
     limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
     for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
         cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
@@ -237,7 +240,7 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each band beyond the limits that end a hit, or beyond the effort of the motor."""
+    """Yield a problem for each required range (impact speed, press) beyond the rig's limit of speed or effort."""
     studied, kind = _study_changes(protocol), {"trial.kind": protocol.trial.kind}
     limits = config.override(base, kind, "the study", check_rules=False).rig.limits
     for name, (quantity, _, _) in BANDS.items():
@@ -250,7 +253,7 @@ def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _find_refused(walls: Walls) -> Iterator[Problem]:
-    """Yield, for each condition, the problem of the first wall (softest, stiffest or practice) that is refused."""
+    """Yield for each condition the problem of the first wall (softest, stiffest or practice) that is not allowed."""
     protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):
         levels = levels_of(protocol.search_of(condition))

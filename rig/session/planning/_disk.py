@@ -1,4 +1,4 @@
-"""Compute the disk space for the recordings of a session, and check whether it is available."""
+"""Compute the disk space for the recordings of a session, and check that it is available."""
 
 from __future__ import annotations
 
@@ -15,17 +15,20 @@ from rig.session.planning._schedule import schedule
 from rig.session.planning._times import trial_times
 
 TICK_BYTES = 35.0  # of a sealed recording: 30 to 40 were measured
-TRIAL_BYTES = 100e3  # what one takes besides
+TRIAL_BYTES = 100e3  # of header, trailer and metadata of one recording
 
 
 def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
-    """Return the disk space of the recording of one trial (bytes)."""
+    """Return the disk space of the recording of one trial of an experiment (bytes)."""
     seconds = trial_times(x).recorded
     return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
 
 
 def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
-    """Raise `ConfigError` if the disk of directory `place` (which need not exist yet) has too little free space."""
+    """Raise `ConfigError` if the disk of directory `place` has too little free space for the recordings of a session.
+
+    The directory need not exist yet. `row` is the participant's row in the order of conditions.
+    """
     protocol = walls.protocol
     trials = likely_trials(protocol, schedule(protocol, row))
     needed = 0.0
@@ -33,16 +36,16 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
         x = walls.softest(condition)
         needed += trials[condition.name] * bytes_of_trial(x, protocol)
     here = next(one for one in (place, *place.absolute().parents) if one.exists())
-    with plain_errors("look at", here):
+    with plain_errors("read the free space of", here):
         free = shutil.disk_usage(here).free
     if free < needed:
         raise ConfigError(
-            f"{here} has {format_size(free)} left, and a session of about {sum(trials.values()):.0f} trials takes "
-            f"{format_size(needed)}",
+            f"the disk of {here} has {format_size(free)} of free space; the recordings of a session of about "
+            f"{sum(trials.values()):.0f} trials need {format_size(needed)}",
             remedy="free some space, or give a directory on another disk with `study`",
         )
 
 
 def format_size(size: float) -> str:
-    """Return a size in bytes as text with a suitable unit."""
+    """Return a size in bytes as text in MB or GB."""
     return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{size / 1e6:.{0 if size >= 1e7 else 1}f} MB"

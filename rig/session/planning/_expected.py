@@ -1,7 +1,7 @@
-"""Estimate the limit of a search and its number of trials before a person has touched the handle.
+"""Estimate the stiffness limit and the number of trials of a search before any person has touched the handle.
 
-Linear theory gives a range for the limit. Simulated observers (`rig.session.search._observer`) with K50 at both ends of
-this range and in between give the number of trials.
+Linear theory gives a range for the limit. Simulated observers (`rig.session.search._observer`), with limits at both
+ends and in the middle of this range, give the number of trials.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from rig.session.planning._protocol import Protocol, Search
 from rig.session.planning._schedule import Block, asking, levels_of
 from rig.session.search._observer import Observer, run
 
-# K_max of the papers' rigs over that of the linear loop, at most (`rig.analysis.theory._loop`)
+# Largest ratio of the measured K_max of the papers' rigs to K_max of the linear loop (`rig.analysis.theory._loop`).
 FRICTION_RAISES = 2.5
-USUALLY_RAISES = 1.2  # in the simulated hand on koul-compliant at B = 0: 620 over 519 N·m/rad
-# of a damped wall's: there uniform 20 kHz at B = 0.25, 458 of 1300 N·m/rad; others far more
+# Typical ratio: with the simulated hand on koul-compliant at B = 0, 620 N·m/rad instead of 519.
+USUALLY_RAISES = 1.2
+# Fraction of linear theory's K_max that encoder noise leaves of a damped wall: 458 of 1300 N·m/rad with uniform
+# sampling at 20 kHz and B = 0.25 on koul-compliant; other schemes keep far more.
 ENCODER_LEAVES = 0.35
-SPREAD = 0.05  # of an observer, over K50: verdicts turn within some 20 % of stiffness
+SPREAD = 0.05  # s / K50 of an observer: verdicts turn from stable to unstable within some 20 % of stiffness
 LAPSE_RATE = 0.02
 OBSERVERS = 5  # simulated for each expected limit
 MOST_TRIALS = 500  # of one simulated search: more than a participant can endure
@@ -32,7 +34,7 @@ MOST_TRIALS = 500  # of one simulated search: more than a participant can endure
 
 @dataclass(frozen=True, slots=True)
 class ExpectedRange:
-    """Expected range of a value: least, likely and most."""
+    """Expected range of a quantity: smallest (`least`), most likely (`likely`) and largest value (`most`)."""
 
     least: float
     likely: float
@@ -46,7 +48,7 @@ class ExpectedRange:
 
     @property
     def values(self) -> tuple[float, float, float]:
-        """Return least, likely and most, in ascending order."""
+        """Smallest, most likely and largest value, in ascending order."""
         return self.least, self.likely, self.most
 
 
@@ -55,16 +57,18 @@ NOTHING = ExpectedRange(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
-    """Expected limit of one condition and damping.
+    """Expected stiffness limit of one condition at one damping.
 
     Attributes
     ----------
     by_hand
-        Largest stable stiffness by linear theory for each kind of grip: ``none``, and those of `rig.core.operators`.
+        Largest stable stiffness by linear theory for each kind of grip: ``none``, and the grips of
+        `rig.core.operators`.
     limit
         Expected limit of a search, with friction and encoder; without theory the whole range of levels.
     note
-        Reason for which theory gives no limit, or its assumption in place of the estimator; otherwise empty.
+        Reason for which theory gives no limit, or a simplification that theory makes for the estimator; otherwise
+        empty.
     """
 
     by_hand: Mapping[str, float]
@@ -73,12 +77,12 @@ class Expected:
 
     @property
     def free(self) -> float | None:
-        """Return the largest stable stiffness without a hand on the handle."""
+        """Largest stable stiffness by linear theory without a hand on the handle; None without theory."""
         return self.by_hand.get(NO_OPERATOR)
 
     @property
     def in_hand(self) -> tuple[float, float] | None:
-        """Return the smallest and the largest stable stiffness over the grips of a hand; None without theory."""
+        """Smallest and largest of the stable stiffness limits over all grips of a hand; None without theory."""
         held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
         return (min(held), max(held)) if held else None
 
@@ -86,16 +90,16 @@ class Expected:
 def expected_limits(
     experiment: Experiment, dampings: tuple[float, ...], wanted: Search
 ) -> dict[float, Expected]:
-    """Return the expected limits of one condition for each damping.
+    """Return the expected stiffness limit of one condition for each damping.
 
     Parameters
     ----------
     experiment
         Experiment of the condition, with any wall.
     dampings
-        Dampings B of its searches.
+        Dampings B of the condition's searches.
     wanted
-        Search whose levels are used if theory gives no limit.
+        Search whose range of levels is returned if theory gives no limit.
     """
     levels = levels_of(wanted)
     unknown = ExpectedRange(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
@@ -131,7 +135,7 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedTrials:
-    """Expected numbers of trials, and of trials with unstable walls, in one search.
+    """Expected numbers of trials (`count`), and of trials with unstable walls (`failures`), in one search.
 
     Of `simulated` searches, `ended_by_most` reached their largest number of verdicts before their reversals.
     """
@@ -152,9 +156,9 @@ NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
 
 
 def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
-    """Return the numbers of trials of a search, simulated with observers whose K50 lie around the expected limit.
+    """Return the expected numbers of trials of a search, from observers that are simulated around the expected limit.
 
-    Invalid and repeated trials are not included.
+    Invalid trials and their repetitions are not counted.
     """
     levels, settings = levels_of(wanted), wanted.settings
     if wanted.rule == "psi" and not settings.get("enough"):  # same for all observers, half of it above K50
@@ -181,7 +185,10 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
 
 
 def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, float]:
-    """Return the approximate number of trials of each condition in a session, with practice."""
+    """Return the approximate number of trials of each condition in a session, practice included, by condition.
+
+    `blocks` is the session's schedule.
+    """
     found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
     searches = {one.name: protocol.search_of(one) for one in protocol.condition}
     likely: dict[str, float] = {}  # by search: most conditions have the same one
@@ -200,7 +207,10 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
-    """Return mean number of trials, mean number of those not stable, and number of searches that ended by `most`."""
+    """Return mean number of trials, mean number of trials judged not stable, and number of searches that `most` ended.
+
+    `k50` is the stiffness at which half of the observer's verdicts are stable.
+    """
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
     answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]

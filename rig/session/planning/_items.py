@@ -1,4 +1,4 @@
-"""Convert items of the questionnaire for a desk, and parse the answers."""
+"""Questions of the questionnaire: convert them for the operator's user interface, and parse the answers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def describe_item(item: Item) -> dict[str, Any]:
-    """Return an item of the questionnaire as a mapping for a desk."""
+    """Return a question of the questionnaire as a dictionary for the operator's user interface."""
     return {
         "name": item.name,
         "text": item.text,
@@ -25,10 +25,10 @@ def describe_item(item: Item) -> dict[str, Any]:
 
 
 def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
-    """Return an answer in the form that the log stores; None if it is not valid.
+    """Return a typed answer in the form that the log stores; None if the answer is not valid.
 
-    A choice may be given by its words or by its number, from 1; words have priority. Parsing the result again gives the
-    same result.
+    A choice may be given by its words or by its number, from 1; words have priority. Parsing a result once more gives
+    the same result.
     """
     text, kind = text.strip(), item["kind"]
     if kind == "text":
@@ -44,7 +44,7 @@ def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
 
 
 def describe_answer(item: Mapping[str, Any]) -> str:
-    """Return a short description of a valid answer."""
+    """Return a short description of the valid answers to a question, e.g. "a number from 1 to 7"."""
     if item["kind"] == "choice":
         return f"a number from 1 to {len(item['choices'])}, or one of: {', '.join(item['choices'])}"
     return f"a number from {item['lowest']} to {item['highest']}" if item["kind"] == "scale" else "any text"

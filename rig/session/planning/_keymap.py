@@ -1,4 +1,4 @@
-"""Check the section ``[keys]`` of a protocol, and find the meaning of a key."""
+"""Check the section ``[keys]`` of a protocol, and find the meaning of a pressed key."""
 
 from __future__ import annotations
 
@@ -44,14 +44,17 @@ NAMED = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class KeyMap:
-    """Key for each meaning; the method `meaning` returns the meaning of a key."""
+    """Assignment of keys to meanings (verdicts and actions): `keys` contains the key for each meaning.
+
+    `bell` is True if the terminal rings when the participant may begin.
+    """
 
     keys: Mapping[str, str]  # what it means → key
     bell: bool = True
 
     @classmethod
     def of(cls, keys: Keys) -> KeyMap:
-        """Return the key map of a protocol.
+        """Return the key map for the section ``[keys]`` of a protocol.
 
         Raises
         ------
@@ -63,23 +66,26 @@ class KeyMap:
 
     @classmethod
     def from_mapping(cls, value: Mapping[str, Any]) -> KeyMap:
-        """Return the key map from its plain values (`rig.core.present.plain`)."""
+        """Return the key map from a dictionary with ``keys`` and ``bell``, as `rig.core.present.plain` writes it."""
         return cls(dict(value["keys"]), bool(value["bell"]))
 
     def meaning(self, key: str) -> str:
-        """Return the meaning of a key: a verdict, an action, ``stop``, ``help`` or "". Case does not matter."""
+        """Return the meaning of a key: a verdict, an action, ``stop``, ``help``, or "" for no meaning.
+
+        Case is ignored.
+        """
         special = {STOP: "stop", HELP: "help", "enter": "go"}.get(key)
         if special:
             return special
         return next((meaning for meaning, known in self.keys.items() if known == key.lower()), "")
 
     def key_of(self, meaning: str) -> str:
-        """Return the name of the key with this meaning, for display."""
+        """Return the name of the key with this meaning, for display; "" if there is none."""
         return self.keys.get(meaning, "")
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Return key and verdict for each verdict, in the order of `VERDICTS`."""
+        """Pairs of key and verdict, in the order of `VERDICTS`."""
         return [(self.keys[verdict], verdict) for verdict in VERDICTS]
 
 
@@ -97,5 +103,5 @@ def _check_key(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
         )
     twin = next((other for other, its in all_keys.items() if its.lower() == key and other != meaning), None)
     if twin is not None:
-        raise ConfigError(f"{where}: this key already means {twin}", remedy="give each meaning its own key")
+        raise ConfigError(f"{where}: this key already means {twin}", remedy="give each meaning another key")
     return key

@@ -20,8 +20,8 @@ PROTOCOL = FileKind(
     Protocol, "the protocol", otherwise="start from a template: rig session new --template compare-schemes"
 )
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-LONGEST_CODE = 32  # it names a directory
-_NAMES = {  # what is compared as a name, by section
+LONGEST_CODE = 32  # characters of a code, which becomes the name of a directory
+_NAMES = {  # keys whose values are compared as names, by section
     "study": ("title",),
     "condition": ("name", "fit"),
     "practice": ("condition",),
@@ -30,14 +30,17 @@ _NAMES = {  # what is compared as a name, by section
 
 
 def load_protocol(path: str | Path) -> Protocol:
-    """Read and check a protocol file, with the experiment that it names and every condition on it; see `load_walls`."""
+    """Return the protocol from a file after checking it, the experiment that it names, and every condition.
+
+    Raise `ConfigError` if anything is not valid.
+    """
     return load_walls(path).protocol
 
 
 def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
-    """Read and check a protocol file; return its walls, which contain the protocol and the experiment that it names.
+    """Return the walls of a protocol file as experiments, after checking the file; they contain the protocol.
 
-    `reach_for` is passed on to `Walls`; it is needed only for a simulated hand.
+    `reach_for` is passed to `Walls` and needed only for a simulated hand.
 
     Raises
     ------
@@ -62,16 +65,16 @@ def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
 
 
 def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
-    """Return the checked protocol of nested tables; error messages name them `source`.
+    """Return the checked protocol from nested dictionaries; error messages call them `source`.
 
-    The experiment that they name is not read, so that a log can be read without that file. Raise `ConfigError` if the
-    tables are not valid.
+    The experiment that the protocol names is not read, so that a log can be read without the experiment's file. Raise
+    `ConfigError` if the dictionaries are not a valid protocol.
     """
     table = tidy(mapping)
     if not isinstance(table, dict):
         raise ConfigError(
-            f"{source} is not a protocol: its top level must be a table of sections",
-            remedy="write it like the file from rig session new",
+            f"{source} is not a protocol: the top level must be a table with sections like [study] and [search]",
+            remedy="start from a file that `rig session new` writes",
         )
     protocol, problems = _check_table(table, None)
     if problems or protocol is None:
@@ -80,12 +83,12 @@ def protocol_from_mapping(mapping: Mapping[str, Any], source: str) -> Protocol:
 
 
 def as_mapping(protocol: Protocol) -> dict[str, Any]:
-    """Return the protocol as nested dicts for JSON; `protocol_from_mapping` converts them back."""
+    """Return the protocol as nested dictionaries for JSON; `protocol_from_mapping` converts them back."""
     return plain(protocol)  # type: ignore[no-any-return]
 
 
 def check_code(protocol: Protocol, code: str) -> None:
-    """Raise `ConfigError` if a participant's code does not match the protocol's pattern or looks like a name."""
+    """Raise `ConfigError` if a participant's code does not match the protocol's pattern, or looks like a name."""
     pattern = protocol.study.code
     remedy = f"give the code assigned to this person in the study's list; it must match {pattern}"
     if "@" in code:
@@ -122,7 +125,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """Return a schema without the type null, which TOML does not have; optional keys are omitted instead."""
+    """Return a schema without the type null, which TOML lacks: optional keys are omitted instead."""
     if isinstance(schema, list):
         return [_without_null(one) for one in schema]
     if not isinstance(schema, dict):
@@ -136,7 +139,7 @@ def _without_null(schema: Any) -> Any:
 
 
 def _type_settings(search: dict[str, Any]) -> None:
-    """Add to the schema of a search the settings that belong to each rule, or to the default rule."""
+    """Add to the schema of a search the settings that belong to each search rule."""
     names, default = search["properties"]["rule"]["enum"], search["properties"]["rule"]["default"]
     search["allOf"] = [
         {
@@ -151,7 +154,7 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 
 def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
-    """Return the protocol of a table (None if types are wrong), and its problems.
+    """Return the protocol of a TOML table (None if types are wrong), and its problems.
 
     Rules between keys are checked only if types and ranges of all keys are valid.
     """
@@ -174,7 +177,7 @@ def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol
 
 
 def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
-    """Return changes by dotted key; in the file they may be quoted dotted keys or nested tables."""
+    """Return the table with all changes by dotted key; in the file they may be quoted dotted keys or nested tables."""
 
     def flat(section: Any) -> Any:
         if isinstance(section, dict) and isinstance(section.get("changes"), dict):
@@ -193,7 +196,7 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_names(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with all names normalised; values of a wrong type are unchanged and fail the later type check."""
+    """Return the table with all names normalised; values of a wrong type are unchanged and fail a later check."""
 
     def spelt(value: Any) -> Any:
         if isinstance(value, list):

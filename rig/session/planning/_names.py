@@ -1,4 +1,4 @@
-"""Normalise names when they are read, so that other code can compare plain strings; and derive directory names.
+"""Normalise names when they are read, so that other code can compare strings; and derive directory names.
 
 Names are read from protocols (`rig.session.planning._load`), from command lines, and from logs of earlier versions.
 """
@@ -24,8 +24,8 @@ def normalise(name: str) -> str:
 def directory_name(title: str) -> str:
     """Return the directory name for a study's title: letters, digits and marks of any script, hyphens for the rest.
 
-    If a character outside of ASCII or the end of a long title is omitted, a hash of the title is added, so that other
-    titles get other directories. Titles in ASCII get no hash and may share a directory.
+    If a non-ASCII character or the end of a long title is omitted, a hash of the title is added, so that different
+    titles get different directories. Titles in ASCII get no hash and may share a directory.
     """
     title = normalise(title)
     lower = unicodedata.normalize("NFC", title.lower())
@@ -39,14 +39,17 @@ def directory_name(title: str) -> str:
 
 
 def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed: str) -> dict[str, str]:
-    """Return the file or directory name for each code; raise `ConfigError` if two names are equal, ignoring case."""
+    """Return the file or directory name of each code; raise `ConfigError` if two names are equal, ignoring case.
+
+    `allowed` is a text about valid codes for the error message.
+    """
     names = {code: name_of(code) for code in codes}
     sharing: dict[str, list[str]] = {}
     for code in sorted(names):
         sharing.setdefault(names[code].casefold(), []).append(code)
     if shared := [", ".join(alike) for alike in sharing.values() if len(alike) > 1]:
         raise ConfigError(
-            f"these codes get the same name in the export, where case does not matter: {'; '.join(shared)}",
+            f"these codes of participants get the same name in the export, which ignores case: {'; '.join(shared)}",
             remedy=f"{allowed}; export these participants one by one",
         )
     return names

@@ -1,4 +1,4 @@
-"""Values that describe the plan of a study: searches, trials, times, order and checks."""
+"""Data classes for the plan of a study: searches, trials, durations, order and results of checks."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class CellPlan:
     Attributes
     ----------
     scheme
-        Short name of rates and estimator, for legends.
+        Short name of sampling rates and estimator, for legends.
     rule, levels
-        Search rule, and the levels of stiffness.
+        Name of the search rule, and the levels of stiffness.
     expected
         Expected limit by linear theory.
     trials
@@ -53,17 +53,17 @@ class StudyPlan:
     title, rig, motion, kind
         Title of the study, name and motion of the rig, and kind of trial.
     participants, rows
-        Planned number of participants, and number of rows after which the order is balanced.
+        Planned number of participants, and number of participants after which the order of conditions is balanced.
     blocks, runs, practice
-        Numbers of blocks, runs and practice trials in a session.
+        Numbers of blocks, searches and practice trials in a session.
     cells
         Plan of each search: every condition at each of its dampings.
     trials
-        Expected number of trials in a session, with practice.
+        Expected number of trials in a session, practice included.
     trial
         Durations of the parts of one trial (s).
     taken
-        Measured times of people in finished sessions, which `trial` and `duration_s` then contain; None if none exist.
+        Times of people measured in finished sessions, which `trial` and `duration_s` then use; None without sessions.
     duration_s
         Expected duration of each part of a session (s); `session_s` is their sum.
     trial_bytes, disk_bytes
@@ -71,9 +71,9 @@ class StudyPlan:
     rehearsal_s
         Approximate computing time of a rehearsal (s).
     heat
-        Heat of the motor at the stiffest wall.
+        Heating of the motor at the stiffest wall.
     orders
-        Names of the runs in each block, for each participant.
+        Names of the searches in each block, for each participant.
     hidden, blinded
         Sentences about what is hidden from whom, and True if the operator is blinded, who must then not see `orders`.
     checks
@@ -105,10 +105,10 @@ class StudyPlan:
 
     @reported
     def session_s(self) -> ExpectedRange:
-        """Return the expected duration of a session (s)."""
+        """Expected duration of a session (s)."""
         return sum(self.duration_s.values(), NOTHING)
 
     @reported
     def ok(self) -> bool:
-        """Return True if no check refuses the study."""
+        """True if no check refuses the study."""
         return all(check.outcome is not Outcome.REFUSED for check in self.checks)

@@ -1,6 +1,6 @@
-"""Define the sections of a protocol file for an experiment with people: types, ranges and meanings of all keys.
+"""Sections of a protocol file for an experiment with participants: types, ranges and meanings of all keys.
 
-The physics (rig, trial, thresholds) is that of an experiment file, which the protocol names and changes by dotted keys.
+The protocol names an experiment file with the physics (rig, trial, thresholds), and changes it by dotted keys.
 Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`).
 """
 
@@ -74,7 +74,7 @@ class Study:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """Order of conditions and repeats."""
+    """Order in which a session presents the conditions and their repeats."""
 
     kind: Annotated[
         Literal["fixed", "randomised", "latin-square"],
@@ -175,7 +175,7 @@ class Condition:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """Course of a trial: who hits, instructions, times, and required bands of the hand."""
+    """Course of a trial: who hits, instructions, durations, and required ranges of impact speed and press."""
 
     kind: Annotated[
         Literal["human", "constant-effort"], Quantity("", "who hits: the participant, or the motor")
@@ -316,7 +316,7 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caps:
-    """Limits that no trial may exceed, whatever wall a search rule chooses."""
+    """Limits that no trial may exceed, for any wall that a search rule chooses."""
 
     stiffness: Annotated[
         float | None,
@@ -371,7 +371,7 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Item:
-    """Question of the questionnaire."""
+    """A question of the questionnaire."""
 
     name: Annotated[str, MinLen(1), Quantity("", "name of the table's column; letters, digits, underscores")]
     text: Annotated[str, MinLen(1), Quantity("", "text of the question")]
@@ -389,7 +389,7 @@ class Item:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Keys:
-    """Keys of the console; a foot pedal acts as one of them."""
+    """Keys of the keyboard with which the operator controls a session; a foot pedal acts as one of these keys."""
 
     stable: Annotated[str, MinLen(1), Quantity("", "verdict: stable")] = "1"
     buzz: Annotated[str, MinLen(1), Quantity("", "verdict: buzz")] = "2"
@@ -408,7 +408,7 @@ class Keys:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Protocol:
-    """Complete, validated protocol."""
+    """Complete and checked protocol of a study."""
 
     study: Study
     condition: tuple[Condition, ...]
@@ -425,12 +425,12 @@ class Protocol:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def condition_named(self, name: str) -> Condition:
-        """Return the condition with this name; raise `KeyError` if it is missing."""
+        """Return the condition with this name; raise `KeyError` if there is none."""
         for condition in self.condition:
             if condition.name == name:
                 return condition
         raise KeyError(name)
 
     def search_of(self, condition: Condition) -> Search:
-        """Return the search of a condition: its own, or the study's."""
+        """Return the search settings of a condition: its own, or those of the study."""
         return condition.search or self.search

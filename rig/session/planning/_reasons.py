@@ -1,6 +1,6 @@
 """Explain to a blinded operator why a trial is invalid and what to change, without information about the wall.
 
-Log lines, pauses and questions of a session use it. It must not show a reason that it does not list.
+Log lines, pauses and questions of a session use these texts. A reason that is not listed here is never shown.
 """
 
 from __future__ import annotations
@@ -43,12 +43,15 @@ _OUTSIDE = {
 
 
 def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
-    """Return a text that a trial lies outside a band of the protocol (`rig.session.planning._bands`)."""
+    """Return a text that impact speed or press of a trial missed its required range, e.g. "hit too fast: 0.5 rad/s …".
+
+    `name` is "impact_speed" or "press", `band` the range as text, and `above` True if the value was too high.
+    """
     return f"{_OUTSIDE[name][above]}{value:.3g} {unit} (required: {band} {unit})"
 
 
 def summarise_reasons(reasons: Iterable[str], *, blind: bool) -> str:
-    """Return the reasons of an invalid trial in one line: in full, or as a blinded operator may read them."""
+    """Return the reasons of an invalid trial in one line, without information about the wall if `blind` is True."""
     return "; ".join(dict.fromkeys(_hide(one) if blind else one for one in reasons))
 
 

@@ -1,6 +1,6 @@
-"""Check the rules between keys of a protocol: each function yields the problems that it finds.
+"""Check rules that relate several keys of a protocol; each function yields the problems that it finds.
 
-They require a protocol in which every value already has the right type and range, and need no experiment.
+The protocol must already have valid types and ranges. No experiment is needed.
 """
 
 from __future__ import annotations
@@ -28,30 +28,33 @@ MOST_LEVELS = 400
 MOST_RUNS = 10_000
 MOST_STEPS_OF_A_SCALE = 100
 MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")  # keys that no command changes on a rig
-# A pattern of codes that takes one of these takes names, or anything else that a code must not be.
+# A pattern of codes that matches one of these texts allows names of people, or texts that are not valid codes.
 NAMES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
 LETTERS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
 # Prefixes and suffixes that such a pattern may require around a name.
 BEFORE = ("", "P", "P-", "P01", "P01-", "P01_", "1", "01", "01-", "01_")
 AFTER = ("", "1", "-1", "01", "-01", "_01", "85", "001", "1985")
 _FREE = re.compile(r"[^\W\d_]{3,}")
-# Of a pattern, what is no text of its own: escapes, classes, heads of groups.
+# The parts of a pattern that are not literal text: escapes, character classes, heads of groups.
 _NO_TEXT = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]|\(\?(?:P?<\w+>|P=\w+|[a-zA-Z-]*:?)")
 
 
 def broken_rules(protocol: Protocol) -> list[Problem]:
-    """Return the problems that the rules between keys find in a protocol."""
+    """Return the problems of a protocol in rules that relate several keys, e.g. a lowest level above the highest."""
     return [problem for rule_between in RULES for problem in rule_between(protocol)]
 
 
 def looks_like_a_name(code: str) -> bool:
-    """Return True if a code consists of more than two letters only; initials and numbers reveal less."""
+    """Return True if a participant's code consists of letters only, and of more than two; initials reveal less."""
     letters = [character for character in code if character not in "-_.'"]
     return len(letters) > 2 and all(character.isalpha() for character in letters)
 
 
 def spells_a_name(code: str, pattern: str) -> bool:
-    """Return True if a code has three letters in a row that its pattern does not fix; SUB of SUB[0-9]{2} is fixed."""
+    """Return True if a code has three letters in a row that its pattern does not prescribe.
+
+    The pattern SUB[0-9]{2} prescribes the letters SUB.
+    """
     own = sorted(_FREE.findall(_NO_TEXT.sub(" ", pattern)), key=len, reverse=True)
     left = re.sub("|".join(map(re.escape, own)), " ", code, flags=re.IGNORECASE) if own else code
     return _FREE.search(left) is not None
@@ -60,7 +63,7 @@ def spells_a_name(code: str, pattern: str) -> bool:
 # Every log of a study has its protocol with it, which is checked whenever the log is read.
 @lru_cache(maxsize=64)
 def _find_names(pattern: str) -> tuple[str, ...]:
-    """Return the common first names that match a pattern; raise `re.error` for an invalid pattern."""
+    """Return up to three first names that match a pattern; raise `re.error` for an invalid pattern."""
     return tuple(islice(_iterate_names(re.compile(pattern)), 3))
 
 
@@ -88,7 +91,7 @@ def rig_of(protocol: Protocol) -> Iterator[Problem]:
 
 
 def codes(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem if the pattern of codes is not a valid pattern or allows first names."""
+    """Yield a problem if the pattern of participants' codes is not a valid pattern, or matches first names."""
     pattern = protocol.study.code
     try:
         taken = _find_names(pattern)
@@ -110,7 +113,7 @@ def codes(protocol: Protocol) -> Iterator[Problem]:
 
 
 def conditions(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of missing conditions, equal names, and invalid dampings or schemes."""
+    """Yield problems of the conditions: none defined, equal names, and invalid dampings or sampling schemes."""
     if not protocol.condition:
         yield Problem(
             "[[condition]]",
@@ -132,7 +135,10 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def fits(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of conditions that need another part on the rig, which a person fits between blocks (`fit`)."""
+    """Yield problems of conditions that need another mechanical part on the rig.
+
+    A person fits this part (key `fit`) between blocks.
+    """
     blocks = protocol.order.blocks
     if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
         must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'
@@ -153,7 +159,7 @@ def _scheme(key: str, text: str) -> Iterator[Problem]:
 
 
 def searches(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of searches with invalid levels, or with settings that their rule does not have."""
+    """Yield problems of searches with invalid levels, or with settings that their search rule does not have."""
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
         if wanted is not None:
@@ -190,7 +196,7 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
 
 
 def _wrong_setting(key: str, wanted: Search, name: str) -> Problem | None:
-    """Return the problem of a setting that the rule does not have or that has the wrong type; None without one."""
+    """Return the problem of one setting (unknown to the search rule, or of a wrong type); None if it is valid."""
     settings = settings_of(wanted.rule)
     known = list(settings)
     key, value = f"{key}.settings.{name}", wanted.settings[name]
@@ -212,7 +218,7 @@ def _number(value: Any) -> bool:
     return _whole(value) or (isinstance(value, float) and math.isfinite(value))
 
 
-# What the settings of `rig.session.search` are, by their annotation: in words, whether a value is one, and for editors.
+# For each type annotation of a setting in `rig.session.search`: its name in messages, a check, and its JSON schema.
 _TYPES: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
     "int": ("a whole number", _whole, {"type": "integer"}),
     "float": ("a number", _number, {"type": "number"}),
@@ -226,14 +232,15 @@ _TYPES: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
 
 
 def settings_of(name: str) -> dict[str, inspect.Parameter]:
-    """Return the settings of a search rule that a protocol may give, by name."""
+    """Return the settings that a protocol may give to a search rule, by name."""
     parameters = inspect.signature(search.RULES[name]).parameters
     return {key: one for key, one in parameters.items() if key not in ("levels", "seed")}
 
 
 def settings_schema(name: str) -> dict[str, Any]:
-    """Return the JSON schema of a rule's settings, with the description of each from the rule's docstring."""
-    meanings: dict[str, str] = {}  # its own, and of those that it shares with a rule that says more
+    """Return the JSON schema of a search rule's settings, described by the texts of the rule's docstring."""
+    # A rule may leave a shared setting to the docstring of another rule; its own text replaces the others'.
+    meanings: dict[str, str] = {}
     for one in (*search.RULES.values(), search.RULES[name]):
         meanings |= _meanings(inspect.getdoc(one) or "")
     properties = {}
@@ -273,7 +280,7 @@ def _refused_settings(key: str, wanted: Search) -> list[Problem]:
 
 
 def runs(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem if the protocol has too many runs."""
+    """Yield a problem if the protocol has too many searches (conditions × dampings × repeats)."""
     cells = sum(len(one.damping) for one in protocol.condition)
     if cells * protocol.order.repeats > MOST_RUNS:
         yield Problem(
@@ -286,7 +293,7 @@ def runs(protocol: Protocol) -> Iterator[Problem]:
 
 
 def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem if a search or the practice may present a wall above the stiffness cap."""
+    """Yield problems of searches and practice walls above the largest allowed stiffness (``caps.stiffness``)."""
     cap = protocol.caps.stiffness
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
@@ -309,7 +316,7 @@ def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
 
 
 def practice(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem if the condition of the practice does not exist."""
+    """Yield a problem if the condition of the practice trials does not exist."""
     names = [one.name for one in protocol.condition]
     wanted = protocol.practice.condition
     if wanted is not None and wanted not in names:
@@ -318,7 +325,7 @@ def practice(protocol: Protocol) -> Iterator[Problem]:
 
 
 def bands(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of bands without two ends in ascending order, or in trials without a hand."""
+    """Yield problems of required ranges (impact speed, press) that are not ascending, or in trials without a hand."""
     for name in BANDS:
         key, band = f"trial.{name}", getattr(protocol.trial, name)
         if band and protocol.trial.kind != "human":
@@ -357,7 +364,7 @@ def items(protocol: Protocol) -> Iterator[Problem]:
 
 
 def console_keys(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of console keys that are not valid or have two meanings."""
+    """Yield problems of keyboard keys that are not valid or have two meanings."""
     try:
         KeyMap.of(protocol.keys)
     except ConfigError as error:
@@ -380,7 +387,7 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
 
 
 def _names_twice(key: str, names: list[str]) -> Iterator[Problem]:
-    """Yield a problem for names that are equal except for upper and lower case."""
+    """Yield a problem for names that are equal, ignoring case."""
     for name in _twice(name.casefold() for name in names):
         written = dict.fromkeys(shown(one) for one in names if one.casefold() == name)
         yield Problem(key, " and ".join(written), "is used more than once", "give each its own name")

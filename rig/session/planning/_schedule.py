@@ -1,8 +1,8 @@
-"""Compute the order of a session from seed and row: its blocks, the runs in each block, and the rule of each run.
+"""Compute the order of a session: its blocks, the searches in each block, and the search rule of each search.
 
 Each participant has a row of the order, from 0. A Latin square uses Williams' designs: over a cycle of rows each
-condition is equally often in each place, and equally often after each other condition (Williams, Australian Journal of
-Scientific Research A 2, 1949).
+condition is equally often at each position, and equally often after each other condition (Williams, Australian Journal
+of Scientific Research A 2, 1949).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ T = TypeVar("T")
 class SearchRun:
     """One search of a session: number (from 1; 0 is practice), condition, damping, and number of the repeat.
 
-    `seed` is the seed of its rule, different for each run and participant.
+    `seed` is the seed of the search rule, different for each search and participant.
     """
 
     number: int
@@ -41,7 +41,10 @@ class SearchRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Group of runs between two breaks of a session; number 0 is practice."""
+    """Group of searches between two breaks of a session; block 0 is practice.
+
+    With `interleave`, the trials of the block's searches alternate.
+    """
 
     number: int
     runs: tuple[SearchRun, ...]
@@ -50,7 +53,7 @@ class Block:
 
 
 def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
-    """Return the blocks of a participant's session, practice first.
+    """Return the blocks of a participant's session in their order, practice first.
 
     Parameters
     ----------
@@ -60,7 +63,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
         The participant's row of the order, from 0: the first participant has 0, the next one 1.
     """
     if row < 0:
-        raise ValueError(f"row = {row} must not be below 0")
+        raise ValueError(f"row = {row} of the order of conditions must not be below 0")
     groups = _orders(protocol, row)
     blocks = list(_practice(protocol, row))
     number = 0
@@ -82,7 +85,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
 
 
 def rows_of(protocol: Protocol) -> int:
-    """Return the number of rows of the order: 1 unless it is a Latin square."""
+    """Return the number of participants after which the order of conditions repeats; 1 unless it is a Latin square."""
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
@@ -94,12 +97,12 @@ def rows_of(protocol: Protocol) -> int:
 
 
 def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
-    """Return the condition and damping of each search, in the order of the file."""
+    """Return condition and damping of each search of a protocol, in the order of the file."""
     return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
 
 
 def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the search rule of a run, without catch trials; for practice, a rule that presents each wall once.
+    """Return the rule of a search, without catch trials; for practice, a rule that presents each wall once.
 
     Raise `rig.core.errors.ConfigError` for invalid settings; `rig.session.planning._load` rejects them earlier.
     """
@@ -109,14 +112,17 @@ def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
 
 
 def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the search rule of a run, with catch trials; see `rule_of`."""
+    """Return the rule of a search, with catch trials if the protocol has any; practice has none."""
     if run.practice:
         return rule_of(protocol, run)
     return asking(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
 def asking(wanted: Search, seed: int) -> search.Rule:
-    """Return the rule of a search, with catch trials if the protocol has any; see `rule`."""
+    """Return the search rule for search settings, with catch trials if the settings have any.
+
+    Raise `rig.core.errors.ConfigError` for invalid settings.
+    """
     own = rule(wanted, seed)
     if not wanted.catch_share:
         return own
@@ -124,7 +130,10 @@ def asking(wanted: Search, seed: int) -> search.Rule:
 
 
 def rule(wanted: Search, seed: int) -> search.Rule:
-    """Return the rule of a search without catch trials; raise `rig.core.errors.ConfigError` for invalid settings."""
+    """Return the search rule for search settings, without catch trials.
+
+    Raise `rig.core.errors.ConfigError` for invalid settings.
+    """
     levels = levels_of(wanted)
     settings: Mapping[str, Any] = wanted.settings
     start = settings.get("start")
@@ -134,7 +143,7 @@ def rule(wanted: Search, seed: int) -> search.Rule:
 
 
 def levels_of(wanted: Search) -> tuple[float, ...]:
-    """Return the levels of stiffness of a search, ascending; the last one does not exceed the highest."""
+    """Return the levels of stiffness of a search, ascending; the last one does not exceed ``highest``."""
     steps = level_steps(wanted)
     if wanted.step is not None:
         values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
@@ -144,7 +153,7 @@ def levels_of(wanted: Search) -> tuple[float, ...]:
 
 
 def level_steps(wanted: Search) -> int:
-    """Return the number of steps from the lowest to the last level."""
+    """Return the number of steps from the lowest to the last level of a search."""
     if wanted.step is not None:
         steps = (wanted.highest - wanted.lowest) / wanted.step
     else:
@@ -154,7 +163,7 @@ def level_steps(wanted: Search) -> int:
 
 @dataclass(frozen=True)
 class InOrder:
-    """Rule of practice: it presents each wall once, independent of the verdicts, and gives no limit."""
+    """Search rule for practice: present each wall once, independent of the verdicts, and give no limit."""
 
     levels: Sequence[float]
 
@@ -163,14 +172,17 @@ class InOrder:
         return Probe(self.levels[len(answers)]) if len(answers) < len(self.levels) else None
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return an estimate without a value, as practice finds no limit."""
+        """Return an estimate without a value (NaN), because practice finds no limit."""
         return Estimate(
             value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
         )
 
 
 def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
-    """Return a row of the Williams design of n items; rows repeat after n rows, or after 2 n if n is odd."""
+    """Return items in the order of one row of a Williams design (a balanced Latin square).
+
+    The rows of n items repeat after n rows, or after 2 n rows if n is odd.
+    """
     n = len(items)
     row %= _rows(n)
     mirrored = n % 2 == 1 and row % 2 == 1  # in turns, so that half a cycle is balanced as well as can be
@@ -189,7 +201,7 @@ _Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
 
 
 def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
-    """Return condition, damping and repeat of the searches in each block, in their order."""
+    """Return condition, damping and repeat of the searches in each block, in the order of the session."""
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
@@ -231,7 +243,10 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
 
 
 def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
-    """Return items in the order of the protocol, for a row. `what` names the draw, so that draws are independent."""
+    """Return items in the order that the protocol prescribes for a row: unchanged, random, or by a Latin square.
+
+    `what` names the draw, so that random orders are independent of each other.
+    """
     seed = protocol.study.seed
     match protocol.order.kind:
         case "fixed":
@@ -243,7 +258,7 @@ def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Seque
 
 
 def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
-    """Return the searches with the number of each repeat, counted in their order."""
+    """Return each search with the number of its repeat, counted from 1 in the given order."""
     seen: dict[tuple[str, float], int] = {}
     counted = []
     for cell in cells:

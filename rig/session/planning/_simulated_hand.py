@@ -1,4 +1,4 @@
-"""Find the reach with which the simulated hand of a rehearsal hits at a wanted impact speed, by simulated hits."""
+"""Find the duration of reach with which the simulated hand of a rehearsal hits at a required impact speed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HALVINGS = 8  # of the durations of a reach: to 2 % from `QUICKEST_S` to some se
 def reach_for(x: Experiment, speed: float) -> float:
     """Return the duration of the reach (s) whose impact speed is nearest to `speed` (rad/s or m/s).
 
-    It is found by simulated hits, and limited by the duration of the trial.
+    The duration is found by simulated hits, and limited by the duration of the trial.
     """
     room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
     quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
@@ -34,7 +34,7 @@ def reach_for(x: Experiment, speed: float) -> float:
 
 
 def simulate_hits(x: Experiment) -> dict[str, list[float]]:
-    """Return impact speeds and presses of a simulated hand in some hits on a soft wall (units of the rig).
+    """Return impact speeds (rad/s or m/s) and presses (N·m or N) of a simulated hand in some hits on a soft wall.
 
     The press is the effort of the wall's spring at the resting penetration, on a soft wall equal to the mean effort.
     """

@@ -1,4 +1,4 @@
-"""Access the protocol templates of this package: commented protocol files that pass the check."""
+"""Access to the protocol templates of this package: commented protocol files that pass the check."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def template_names() -> tuple[str, ...]:
 
 
 def template_text(name: str) -> str:
-    """Return the text of a template; raise `ConfigError` for an unknown name."""
+    """Return the text of a protocol template; raise `ConfigError` for an unknown name."""
     if name not in template_names():
         choice = did_you_mean(name, template_names(), f"choose one of: {', '.join(template_names())}")
         raise ConfigError(f"unknown template {name!r}", remedy=choice)
@@ -32,19 +32,19 @@ def template_text(name: str) -> str:
 
 
 def template_path(name: str) -> Path:
-    """Return the path of a template; raise `ConfigError` for an unknown name."""
+    """Return the path of a protocol template's file, which is not checked for existence."""
     return Path(str(files("rig.session") / "templates" / f"{name}.toml"))
 
 
 def template_subject(name: str) -> str:
-    """Return the subject of a template: its first line."""
+    """Return the subject of a protocol template: its first line. Raise `ConfigError` for an unknown name."""
     return template_text(name).partition("\n")[0].removeprefix("# ")
 
 
 def write_template(name: str, path: Path) -> Path | None:
-    """Write a template to a new file, and next to it the JSON schema with which editors complete and check it.
+    """Write a protocol template to a new file, and next to it the JSON schema with which editors complete and check it.
 
-    Return the path of the schema, or None if a file of that name existed and was kept. Raise `ConfigError` for an
+    Return the path of the schema, or None if a schema existed, which is never overwritten. Raise `ConfigError` for an
     unknown name, and `RecordingError` if the file `path` exists or writing fails.
     """
     if path.exists():

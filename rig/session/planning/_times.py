@@ -1,8 +1,9 @@
 """Compute the duration of a session and the heat of the motor, from the experiment's times and the times of people.
 
-The heat of the winding is a share of its budget, the heat after hours at the nominal effort. A push with `load` times
-the nominal effort drives it towards load², with the thermal time constant of the winding; it cools with the same time
-constant. Above the share ``rest.heat``, the session pauses until the heat is `COOL_TO` times that share.
+The heat of the winding is a fraction of its budget, which is the heat after hours at the nominal effort. A push with
+`load` times the nominal effort drives the heat towards load², with the thermal time constant of the winding; cooling
+has the same time constant. Above the fraction ``rest.heat``, the session pauses until the heat is `COOL_TO` times that
+fraction.
 """
 
 from __future__ import annotations
@@ -20,13 +21,16 @@ LONG = 10_000  # trials after which the heat has settled, or never will
 
 
 def cooling_s(heat: float, share: float, time_constant_s: float) -> float:
-    """Return the time (s) in which a motor cools from `heat` to `COOL_TO` times `share` of its budget."""
+    """Return the time (s) in which a motor cools from `heat` to `COOL_TO` times `share`.
+
+    `heat` and `share` are fractions of the heat budget of the motor's winding.
+    """
     return time_constant_s * math.log(heat / (COOL_TO * share))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialTimes:
-    """Durations of the parts of one trial (s), in their order."""
+    """Durations of the parts of one trial (s), in the order in which they occur."""
 
     ready: float
     homing: float
@@ -37,29 +41,29 @@ class TrialTimes:
 
     @property
     def recorded(self) -> float:
-        """Return the duration (s) of the recorded part of a trial, without the times of people."""
+        """Duration (s) of the recorded part of a trial, without the times of people."""
         return self.homing + self.baseline + self.hit + self.release
 
     @property
     def total(self) -> float:
-        """Return the duration of a whole trial (s)."""
+        """Duration of a whole trial (s), with the times of people."""
         return self.ready + self.homing + self.baseline + self.hit + self.release + self.verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Taken:
-    """Median times in finished sessions (s), without practice.
+    """Median durations measured in finished sessions (s), without practice.
 
     Attributes
     ----------
     sessions, trials
-        Number of sessions and of trials.
+        Number of sessions and of trials that were evaluated.
     trial
-        Time between a trial's event in the log and the event before it.
+        Time between the log entry of a trial and the log entry before it.
     verdict
-        Time between a verdict and its trial; 0 if no person judges.
+        Time between the log entries of a trial and of its verdict; 0 if no person judges.
     question
-        Time between an answer to the questionnaire and the event before it.
+        Time between the log entry of an answer to the questionnaire and the log entry before it.
     """
 
     sessions: int
@@ -69,13 +73,13 @@ class Taken:
     question: float
 
     def of_people(self, planned: TrialTimes) -> TrialTimes:
-        """Return planned times of a trial in which these measured times replace the times of people."""
+        """Return planned durations of a trial in which the measured times of people replace the planned ones."""
         return replace(planned, ready=max(0.0, self.trial - planned.recorded), verdict=self.verdict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heat:
-    """Heat of the motor's winding in a session, as shares of its budget, and cooling pauses.
+    """Heat of the motor's winding in a session, as fractions of its heat budget, and cooling pauses.
 
     Attributes
     ----------
@@ -102,7 +106,7 @@ class Heat:
 
     @property
     def cooling_s(self) -> float:
-        """Return the total duration of the cooling pauses (s)."""
+        """Total duration of the cooling pauses (s)."""
         return self.pauses * self.pause_s
 
 
@@ -129,7 +133,10 @@ def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: floa
 
 
 def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float) -> Heat:
-    """Return the heat over a number of equal trials; above `share` of the budget the session pauses for cooling."""
+    """Return the heat of the motor's winding over a number of equal trials.
+
+    Above the fraction `share` of the heat budget the session pauses for cooling.
+    """
     limits = experiment.rig.limits
     load = min(push_at_rest(experiment), limits.effort) / limits.nominal_effort
     tau = limits.thermal_time_constant_s
@@ -159,12 +166,12 @@ def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float
 
 
 def _push_s(experiment: Experiment) -> float:
-    """Return the time (s) for which a hit pushes with its full effort, without the time that a hand needs to reach."""
+    """Return the time (s) for which a hit pushes with full effort, without the time of the reach to the wall."""
     trial = experiment.trial
     return trial.hold_s or max(0.0, trial.duration_s - _reaching_s(experiment))
 
 
 def _reaching_s(experiment: Experiment) -> float:
-    """Return the time (s) from the cue to the contact for a person who does not hurry."""
+    """Return the time (s) from the cue to the contact for a person who does not hurry; 0 if the motor hits."""
     operator = experiment.operator
     return operator.begin_s + 0.5 * operator.reach_s if experiment.trial.kind == "human" else 0.0

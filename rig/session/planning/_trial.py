@@ -1,4 +1,4 @@
-"""Define the record of a trial: the presented wall, the result of the hit, and the verdict.
+"""Record of one trial: the presented wall, the result of the hit, and the verdict.
 
 All other representations of a trial are derived from this record: the event in the log, the state, the marker of a
 stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and the sentences of
@@ -24,7 +24,7 @@ MARKED = ("trial", "condition", "stiffness", "damping")  # of a wall, in a marke
 
 @dataclass(kw_only=True)
 class Presented:
-    """Presented wall of a trial, and the search to which it belongs."""
+    """Presented wall of a trial, and the search to which the wall belongs."""
 
     block: Annotated[int, Quantity("", "number from 1; 0 is practice")]
     run: Annotated[
@@ -53,12 +53,12 @@ class Presented:
 
     @property
     def probe(self) -> Probe:
-        """Return the presented wall as a probe of the search."""
+        """The presented wall in the form that search rules use."""
         return Probe(self.stiffness, track=self.track, catch=self.catch)
 
     @property
     def marked(self) -> dict[str, Any]:
-        """Return the content of a marker about the presented wall."""
+        """Number of the trial, condition, stiffness and damping, as content of a marker in a data stream."""
         return {name: getattr(self, name) for name in MARKED}
 
 
@@ -123,28 +123,28 @@ class RecordedTrial(Presented, HitOutcome):
 
     @property
     def invalid(self) -> bool:
-        """Return True if the hit cannot be judged, so that it is repeated without asking for a verdict."""
+        """True if the hit cannot be judged, so that the trial is repeated without asking for a verdict."""
         return self.automatic == Kind.INVALID
 
     @property
     def judged(self) -> bool:
-        """Return True if the trial has a verdict on its wall."""
+        """True if the trial has a verdict on its wall."""
         return self.verdict != "" and not self.invalid
 
     def leave_out(self, why: str) -> None:
-        """Exclude the trial for the reason `why`; a reason that was given at the desk before is kept."""
+        """Exclude the trial for the reason `why`, unless the operator has excluded it earlier for another reason."""
         if self.void in ("", LEFT_OUT):
             self.void = why
 
 
 def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
-    """Return the content of a trial's event in the log."""
+    """Return the content of the log entry for a trial, from the presented wall and the result of the hit."""
     content: dict[str, Any] = plain({**vars(presented), **vars(hit)})
     return content
 
 
 def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
-    """Return the trial of an event; `void` is True if the trial was excluded later."""
+    """Return the trial that a log entry describes; its `void` is "left out" if the entry was excluded later."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
     given["condition"] = normalise(given["condition"])  # of a log before protocols were
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])

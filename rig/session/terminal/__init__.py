@@ -1,7 +1,7 @@
-"""The operator's terminal: it displays a session, asks its questions, and stops the rig without another process.
+"""The operator's terminal: display a session, ask questions, and stop the rig even if the session's process hangs.
 
-The session's program controls the device and the log (`desk`). The console is a child process (``python -m
-rig.session.terminal``) that controls the terminal; if it hangs or dies, at worst the present hit ends. They exchange
-JSON lines over two pipes (`_messages`). The console also reads the rows of the running loop in shared memory, and sets
-its stop word.
+The session's process controls the device and writes the log (`desk`). The console, which controls the terminal, is a
+child process (``python -m rig.session.terminal``); if the console hangs or dies, only the current hit ends. The two
+processes exchange JSON lines over two pipes (`_messages`). The console also reads the rows of the running control loop
+in shared memory, and can set the loop's stop word.
 """

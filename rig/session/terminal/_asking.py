@@ -1,6 +1,7 @@
 """Send views and questions to a user interface in another process, and receive the replies.
 
-The desks of the terminal (`desk`) and of the page (`rig.extras.console.session_desk`) inherit from it.
+The desks (the session's side of the operator's user interface) of the terminal (`desk`) and of the page in the browser
+(`rig.extras.console.session_desk`) inherit from `AskingDesk`.
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ from rig.core.present import plain
 from rig.session.engine._desk import Action, Desk, DeskView, Question, Reply
 from rig.session.planning._keymap import VERDICTS
 
-SILENCE_S = 2.0  # of who shows it while a hit runs; then the hit ends
+SILENCE_S = 2.0  # longest silence of the user interface while a hit runs; after it the hit ends
 POLL_S = 0.1
-SHORTEST_S = 1e-3  # of a rest that is as good as over
+SHORTEST_S = 1e-3  # of a rest: 0 would mean a rest without an end
 
 Message = Mapping[str, Any]
 
 
 class AskingDesk(Desk):
-    """Desk whose user interface is another process; subclasses send, receive, and check that this process is alive."""
+    """Desk (the session's side of the operator's user interface) for a user interface in another process.
+
+    Subclasses send and receive the messages, and check that the other process is alive.
+    """
 
     def __init__(self) -> None:
         self._view: DeskView | None = None
@@ -35,11 +39,11 @@ class AskingDesk(Desk):
 
     @abstractmethod
     def _send(self, kind: str, **content: Any) -> None:
-        """Send a message of a kind, ``view`` or ``ask``."""
+        """Send a message of the kind ``view`` or ``ask`` to the user interface."""
 
     @abstractmethod
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message, with its ``kind``; None if none arrives within `patience_s` (s)."""
+        """Return the next message from the user interface, with its ``kind``; None after `patience_s` (s)."""
 
     @abstractmethod
     def _check_there(self) -> None:
@@ -50,17 +54,17 @@ class AskingDesk(Desk):
         return False
 
     def show(self, view: DeskView) -> None:
-        """Display the present state of the session; return at once, also if the user interface hangs."""
+        """Display the current state of the session; return at once, even if the user interface hangs."""
         self._view = view
         self._send("view", view=plain(view))
 
     def ask(self, question: Question) -> Reply:
-        """Ask a question and wait for the reply.
+        """Ask the operator a question and wait for the reply.
 
         Raises
         ------
         StoppedError
-            The user interface is gone, so no reply is possible.
+            The user interface has ended, so no reply is possible.
         """
         if question.kind != "rest" or question != self._question:  # a rest continues while a note is written
             self._began_s = time.monotonic()
@@ -81,18 +85,21 @@ class AskingDesk(Desk):
                 self._put(question)
 
     def watch(self) -> Callable[[int, int], None] | None:
-        """Return a function to call during a hit; it ends the hit on STOP or if the user interface is silent."""
+        """Return a function to call regularly during a hit, with the number of ticks and the phase.
+
+        The function raises `StoppedError`, which ends the hit, on STOP or if the user interface does not respond.
+        """
         return self._watch
 
     def _watch(self, ticks: int, phase: int) -> None:
         while self._next(0.0) is not None:
             pass
         if self._stop_asked:
-            raise StoppedError("stopped at the console; the effort is zero")
+            raise StoppedError("stopped at the console by the operator; the effort is zero")
         self._check_there()
 
     def _put(self, question: Question) -> None:
-        """Send a question; for a rest, with the remaining time (s)."""
+        """Send a question to the user interface; a question about a rest contains the remaining time (s)."""
         seconds = question.seconds
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))
@@ -105,7 +112,10 @@ class AskingDesk(Desk):
         return message
 
     def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
-        """Return the reply in a message; None if the message is not a reply to this question."""
+        """Return the reply in a message; None if the message does not answer this question.
+
+        `took_s` is the time since the question was asked (s).
+        """
         # An answer names its question: one to an earlier question, or with an action that was not offered, is ignored.
         if message["kind"] != "reply" or message.get("number") != self._number:
             return None
@@ -114,6 +124,6 @@ class AskingDesk(Desk):
         if (action not in question.actions and not over) or (action == "judge" and value not in VERDICTS):
             return None
         shown_s = message.get("shown_s")  # since the question was on the screen, if the console reports it
-        if shown_s is not None and question.kind != "rest":  # of which a note takes nothing
+        if shown_s is not None and question.kind != "rest":
             took_s = min(took_s, max(0.0, float(shown_s)))
         return Reply(action=cast("Action", action), value=value, took_s=took_s)

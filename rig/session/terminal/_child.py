@@ -20,31 +20,31 @@ from rig.session.terminal._messages import MessageReader, line_of
 
 assert sys.platform != "win32"
 
-MOST_PENDING = 1 << 20  # bytes for a console that does not read: it hangs
-END_S = 2.0  # how long it may take to give the terminal back
+MOST_PENDING = 1 << 20  # bytes that wait for a console; with more, the console does not read: it hangs
+END_S = 2.0  # longest time for a console to restore the terminal and exit
 READ_BYTES = 65536
 
 Message = dict[str, Any]
 
 
 class Child:
-    """Console process.
+    """Console process, seen from the session's process.
 
     Parameters
     ----------
     place
         Descriptor of the terminal.
     before
-        Settings of the terminal before the console.
+        Settings of the terminal before the console started, to restore.
     setup
         Content of the first message to the console.
     inbox
-        Queue for messages from the console, each with this object.
+        Queue into which messages from the console are put, as pairs of this object and the message.
 
     Attributes
     ----------
     heard_s
-        Time of the last message from the console (s, monotonic); before the first, time of the start.
+        Time of the last message from the console (s, monotonic clock); before the first message, time of the start.
     greeted
         True if the console has sent a message.
     """
@@ -73,7 +73,7 @@ class Child:
         self.say("setup", **setup)
 
     def _start(self, ours: ExitStack) -> None:
-        """Start process and thread; `ours` closes what was opened if one of them cannot be started."""
+        """Start process and reader thread; `ours` closes all opened descriptors if one of them cannot be started."""
 
         def owned(stack: ExitStack, *descriptors: int) -> None:
             for descriptor in descriptors:
@@ -105,27 +105,27 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Return the id of the process."""
+        """Process ID of the console."""
         return self._process.pid
 
     @property
     def dead(self) -> bool:
-        """Return True if the process has ended."""
+        """True if the console process has ended."""
         return self._process.poll() is not None
 
     @property
     def silent_s(self) -> float:
-        """Return the time since the last message from the console (s)."""
+        """Time since the last message from the console (s)."""
         return time.monotonic() - self.heard_s
 
     def say(self, kind: str, **content: Any) -> None:
-        """Send a message to the console; never wait for a console that does not read."""
+        """Send a message to the console without waiting, even if the console does not read."""
         if not self._closed:
             self._pending += line_of(kind, **content)
             self.flush()
 
     def flush(self) -> None:
-        """Send the bytes that did not fit into the pipe before."""
+        """Send waiting bytes that did not fit into the pipe; kill the console if too many are waiting."""
         with suppress(BlockingIOError, BrokenPipeError):
             while self._pending and not self._closed:
                 del self._pending[: os.write(self._to, self._pending)]
@@ -133,21 +133,21 @@ class Child:
             self.kill()
 
     def complaint(self) -> str:
-        """Return the last line that the console wrote to standard error; empty without one."""
+        """Return the last line that the console wrote to standard error; "" if it wrote nothing."""
         length = os.fstat(self._complaints).st_size
         text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         return lines[-1] if lines else ""
 
     def kill(self) -> None:
-        """Kill the process at once, also if it is stopped."""
+        """Kill the console process at once, even if the process is stopped."""
         with suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGKILL)
 
     def close(self, *, last: bool = True) -> None:
-        """End the console, by force if necessary, and never raise.
+        """End the console process, by force if necessary; never raise an exception.
 
-        Restore the terminal if this console is the `last` one; otherwise the next console takes it over.
+        If `last` is True, restore the terminal's settings; if not, the next console uses the terminal.
         """
         if self._closed:
             return
@@ -179,6 +179,6 @@ class Child:
 
 
 def _nameless() -> int:
-    """Return the descriptor of a temporary file without a name, which is deleted when it is closed."""
+    """Return the descriptor of a temporary file without a name, which is deleted when the descriptor is closed."""
     with tempfile.TemporaryFile(buffering=0) as file:
         return os.dup(file.fileno())

@@ -1,7 +1,7 @@
-"""Keep the state of the operator's user interface: view, open question, and the effect of each key.
+"""State of the operator's user interface: displayed view, open question, and the effect of each key.
 
-Terminal and page share it. It uses no terminal, pipe or clock. The operator may request pause, note and abort at any
-time; the request takes effect at the next question.
+The terminal and the page in the browser share this state. It uses no terminal, pipe or clock. The operator may request
+a pause, a note or the end of the session at any time; the request takes effect at the next question.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from rig.session.terminal._held import RELEASED_S, HeldKeys
 from rig.session.terminal._pointer import HandKind
 
 LATER: tuple[Action, ...] = ("pause", "note", "abort")  # may be requested while no question is open
-TWICE: dict[Action, str] = {  # what a wrong key must not do
+TWICE: dict[Action, str] = {  # actions to confirm with a second key, since a wrong key must not cause them
     "abort": "leave the session (it can be resumed)",
-    "skip": "leave this run without a limit",
+    "skip": "end this run (search) without a limit",
 }
-BACK = (HELP, "enter", "escape")  # what leaves the page of the keys, and does nothing else
+BACK = (HELP, "enter", "escape")  # keys that only close the list of keys
 MOST_TEXT = 500
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Reply to the session: an action with its value (a verdict, an answer or a text)."""
+    """Reply of the operator to the session: an action with its value (a verdict, an answer or a text)."""
 
     action: Action
     value: str = ""
@@ -35,7 +35,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class StopPressed:
-    """Request for zero effort at once."""
+    """Request of the operator for zero effort at once."""
 
 
 Decision = Answer | StopPressed
@@ -43,7 +43,7 @@ Decision = Answer | StopPressed
 
 @dataclass(slots=True)
 class TextEntry:
-    """Line that is being typed: a note, or the answer to an item of the questionnaire."""
+    """Text that the operator is typing: a note, or the answer to a question of the questionnaire."""
 
     purpose: Literal["note", "item"]
     text: str = ""
@@ -55,7 +55,7 @@ class Conversation:
     Attributes
     ----------
     view
-        View that is displayed.
+        View of the session that is displayed.
     question
         Open question; None while the session is busy.
     asked
@@ -63,21 +63,21 @@ class Conversation:
     due_s
         Time at which a rest is over (s, on the caller's clock).
     entry
-        Line that is being typed, or None.
+        Text that the operator is typing, or None.
     twice
-        Action that the next key must confirm, or None.
+        Action that the operator must confirm with the next key, or None.
     later
-        Action that waits for the next question, or None.
+        Action that the operator requested for the next question, or None.
     live
         True while a control loop runs; the caller sets it.
     notice
-        Message about the last key if it did not have its usual effect.
+        Message about the last key if the key did not have its usual effect.
     help
         True while the list of keys is displayed.
     hand
-        Kind of input that moves the simulated hand here, or None.
+        Input device that moves the simulated hand ("mouse", "keyboard"), or None.
     held
-        Keys that were already down before the question.
+        Keys that were already held down before the question.
     """
 
     def __init__(self, keymap: KeyMap, hand: HandKind | None = None) -> None:
@@ -95,11 +95,14 @@ class Conversation:
         self.help = False
 
     def see(self, view: Mapping[str, Any]) -> None:
-        """Replace the displayed view."""
+        """Replace the displayed view by the content of a message from the session."""
         self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
-        """Open a new question; return the waiting request, if there is one, as its reply."""
+        """Open a new question; if the operator requested an action earlier, return this action as the reply.
+
+        `now_s` is the time on the caller's clock (s).
+        """
         asked = Question(**{**question, "actions": tuple(question["actions"])})
         self.question, self.due_s = asked, now_s + asked.seconds
         self.held.ask(now_s)
@@ -114,13 +117,16 @@ class Conversation:
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
-        """Return the reply that ends a rest if its time is over, unless the operator is typing."""
+        """Return the reply that ends a rest, if the rest is over at `now_s` (s); otherwise [].
+
+        A rest does not end while the operator is typing or confirming an action.
+        """
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
         return self._answer(Answer("go"))
 
     def left_s(self, now_s: float) -> float:
-        """Return the remaining time of a rest (s)."""
+        """Return the remaining time of the current rest (s); 0 outside a rest."""
         return max(0.0, self.due_s - now_s) if self._resting else 0.0
 
     @property
@@ -129,18 +135,19 @@ class Conversation:
 
     @property
     def moving(self) -> bool:
-        """Return True if the handle may move: a loop runs, or no question is open."""
+        """True if the handle may move: a control loop runs, or no question is open."""
         return self.live or self.question is None
 
     @property
     def allowed(self) -> tuple[Action, ...]:
-        """Return the actions that are permitted now."""
+        """Actions with which the operator may answer the open question; empty without a question."""
         return () if self.question is None else self.question.actions
 
     def press(self, key: str, now_s: float | None = None) -> list[Decision]:
-        """Process a key and return the resulting decisions.
+        """Process a pressed key and return the resulting decisions (replies, or STOP).
 
-        `now_s` is its time of arrival (s, on the caller's clock); None for input that cannot be a key held down.
+        `now_s` is the time at which the key arrived (s, on the caller's clock); None for input that cannot be a held
+        key.
         """
         self.notice = ""
         # A key answers only the question that is open when it is pressed: what is typed during a hit is no verdict
@@ -168,7 +175,10 @@ class Conversation:
         return self._mean(self.keymap.meaning(key), key)
 
     def line(self, text: str) -> list[Decision]:
-        """Process a complete typed line, if a note or an answer is expected; return the resulting decisions."""
+        """Process a complete typed line as the text of a note or an answer; return the resulting decisions.
+
+        Return [] if no text is expected.
+        """
         if self.entry is None:
             return []
         self.entry.text = "".join(one for one in text if one.isprintable())[:MOST_TEXT]
@@ -249,7 +259,10 @@ class Conversation:
         return self._answer(Answer("answer", value))
 
     def _answer_of(self, text: str) -> str | None:
-        """Return the answer to the open item in its stored form; None, and set a notice, if it is not valid."""
+        """Return the answer to the open question of the questionnaire in its stored form.
+
+        If the text is not a valid answer, set `notice` and return None.
+        """
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:

@@ -10,22 +10,22 @@ RELEASED_S = 1.0
 
 
 class HeldKeys:
-    """Key presses of the last second; all times are on one monotonic clock (s)."""
+    """Key presses of the last second, to detect keys that are held down; all times are on one monotonic clock (s)."""
 
     def __init__(self) -> None:
         self._presses: dict[str, tuple[float, float]] = {}  # by key: begin, and last arrival
         self._asked_s = -math.inf
 
     def ask(self, now_s: float) -> None:
-        """Note that a question was opened at `now_s`: keys that are down now do not answer it."""
+        """Store the time `now_s` at which a question was opened: keys that are down at this time do not answer it."""
         self._asked_s = now_s
 
     def ask_again(self) -> None:
-        """Note a follow-up question that the newest key press has opened; this press does not answer it."""
+        """Open a follow-up question caused by the newest key press, which must not answer the follow-up question."""
         self._asked_s = max((last_s for _, last_s in self._presses.values()), default=self._asked_s)
 
     def arrive(self, key: str, now_s: float) -> bool:
-        """Note that a key arrived; return True if its press began after the question."""
+        """Store that a key arrived at `now_s`; return True if this key press began after the question was opened."""
         # A terminal reports no release: a key that is down arrives again and again, at first after the delay of its
         # repetition. Arrivals closer than `RELEASED_S` are one press, also those of a pedal that taps by itself.
         known = self._presses = {

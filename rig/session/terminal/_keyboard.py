@@ -1,8 +1,8 @@
-"""Convert bytes from a terminal to names of keys, for any bytes.
+"""Convert any bytes from a terminal to names of keys.
 
 A key is named by its character or by one of these names: ``enter space tab escape backspace up down left right home end
-pageup pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; else ``unknown``, which matches nothing. Sources:
-ECMA-48 (CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
+pageup pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; all other keys are ``unknown``. Sources: ECMA-48
+(CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
 """
 
 from __future__ import annotations
@@ -34,18 +34,21 @@ _SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")  # with a modifier, from termin
 
 
 class Keyboard:
-    """Converter of terminal bytes to keys: `feed` it the bytes; call `flush` if no more arrive for a while."""
+    """Converter of terminal bytes to names of keys.
+
+    `feed` accepts bytes; `flush` ends an escape sequence that stays incomplete.
+    """
 
     def __init__(self) -> None:
         self._rest = b""
 
     @property
     def waiting(self) -> bool:
-        """Return True if the last bytes may be incomplete: an escape may be a key or the start of a sequence."""
+        """True if the last bytes may be incomplete: an escape may be a key or the start of a sequence."""
         return bool(self._rest)
 
     def feed(self, data: bytes) -> list[str]:
-        """Accept bytes and return the keys that they complete."""
+        """Accept bytes from the terminal and return the names of the keys that are complete."""
         self._rest += data
         keys: list[str] = []
         while self._rest:
@@ -58,7 +61,7 @@ class Keyboard:
         return keys
 
     def flush(self) -> list[str]:
-        """Return the keys in the waiting bytes, without waiting for more bytes."""
+        """Return the keys in an incomplete escape sequence ("escape" or "unknown"), without waiting for more bytes."""
         rest, self._rest = self._rest, b""
         if not rest:
             return []
@@ -66,7 +69,10 @@ class Keyboard:
 
 
 def _first(data: bytes) -> tuple[int, str]:
-    """Return length and name of the first key: length 0 if it is incomplete, no name if it is no character."""
+    """Return length in bytes and name of the first key; length 0 if the key is incomplete.
+
+    The name is "" if the bytes are not a character.
+    """
     if data[0] == 0x1B:
         return _escape(data)
     if data[0] in _CONTROL:

@@ -1,7 +1,7 @@
 """Read the newest rows of a control loop in another process, to display them.
 
-It must not read the loop's info (`rig.realtime.ring`), which contains stiffness and damping, because the operator may
-be blinded.
+This module must not read the loop's info (`rig.realtime.ring`), which contains stiffness and damping, because the
+operator may be blinded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROWS = 512  # newest rows that are looked at: a small part of what the ring hold
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Present values of a running trial.
+    """Current values of a running trial.
 
     Attributes
     ----------
@@ -31,14 +31,14 @@ class Snapshot:
         Measured position, estimated velocity, measured penetration and applied effort of the newest row (units of the
         rig's motion).
     peak_effort
-        Largest applied effort of the newest rows.
+        Largest applied effort of the newest rows (N·m or N).
     saturated
-        True if the guard clipped the effort in one of these rows.
+        True if the safety guard clipped the effort in one of these rows.
     round_trip_ns
-        Median time from sending a command to the reception of the first sample in which it is active (ns). None for a
-        law on the device, and before the first such sample.
+        Median time from sending a command to the reception of the first sample in which the command is active (ns).
+        None if the control law runs on the device, and before the first such sample.
     late, lost, skipped
-        Numbers of late, lost and skipped samples of the run so far.
+        Numbers of late ticks, lost samples and skipped samples of the run so far.
     """
 
     phase: str
@@ -55,14 +55,17 @@ class Snapshot:
 
 
 class LiveLoop:
-    """Reader of a process's control loop: it opens the shared memory while a loop runs, and closes it afterwards."""
+    """Reader of the control loop of another process, through shared memory.
+
+    The shared memory of a running loop is opened when needed, and closed when the loop has ended.
+    """
 
     def __init__(self, pid: int) -> None:
         self._pid = pid
         self._ring: Ring | None = None
 
     def look(self) -> Snapshot | None:
-        """Return the present values; None if no loop runs or it has no sample yet."""
+        """Return the current values of the running trial; None if no loop runs or the loop has no sample yet."""
         if self._ring is None:
             self._ring = running.memory_of(self._pid)
         if self._ring is None:
@@ -73,14 +76,14 @@ class LiveLoop:
         return snapshot_of(self._ring)
 
     def close(self) -> None:
-        """Close the shared memory, which exists while a process has it open."""
+        """Close the shared memory of the control loop, which exists while a process has it open."""
         if self._ring is not None:
             self._ring.close()
             self._ring = None
 
 
 def snapshot_of(ring: Ring) -> Snapshot | None:
-    """Return the present values of a run from its newest rows; None before the first row."""
+    """Return the current values of a trial from the newest rows of its ring buffer; None before the first row."""
     head = ring.peek(HEAD)
     count = min(head, ROWS, ring.capacity // 4)
     if count == 0:
@@ -104,7 +107,10 @@ def snapshot_of(ring: Ring) -> Snapshot | None:
 
 
 def _round_trip_ns(rows: NDArray[np.void]) -> int | None:
-    """Return the median time from sending a command to the first sample in which it is active (ns), or None."""
+    """Return the median time (ns) from sending a command to receiving the first sample in which it is active.
+
+    Return None if no command was reported as active.
+    """
     named, first = np.unique(rows["command_active"], return_index=True)
     order = np.argsort(rows["command_sequence"], kind="stable")
     place = np.searchsorted(rows["command_sequence"], named, sorter=order)

@@ -1,16 +1,16 @@
-"""Messages between the session's program and its console: one JSON object in each line, with its kind.
+"""Messages between the session's process and its console: one JSON object per line, with the message's kind.
 
 ==========  =========  ============================================================================================
 from        kind       content
 ==========  =========  ============================================================================================
-session     setup      pid of the program, keys, how the terminal was set, hand (null, or where it is moved)
+session     setup      pid of the session's process, keys, settings of the terminal, simulated hand (or null)
 session     view       `rig.session.engine._desk.DeskView`
-session     ask        number (counts up), `rig.session.engine._desk.Question`
-session     end        give the terminal back and go
-console     alive      a few times a second, as long as it is
+session     ask        number of the question (counts up), `rig.session.engine._desk.Question`
+session     end        restore the terminal and exit
+console     alive      sent a few times a second while the console runs
 console     reply      number of the question, action, value
-console     stop       the operator requests zero effort; the loop's stop word is set already, where there is one
-console     gone       no answer can come any more: why
+console     stop       the operator requests zero effort; the stop word of a running loop is set already
+console     gone       no reply is possible any more: reason
 ==========  =========  ============================================================================================
 """
 
@@ -24,7 +24,7 @@ MOST_BYTES = 1 << 20  # of an unfinished line: more is not ours
 
 
 def line_of(kind: str, **content: Any) -> bytes:
-    """Return the line of a message."""
+    """Return a message as bytes: a JSON object with ``kind`` and the content, and a newline."""
     return json.dumps({"kind": kind, **content}).encode() + b"\n"
 
 
@@ -35,7 +35,7 @@ class MessageReader:
         self._rest = b""
 
     def feed(self, data: bytes) -> Iterator[dict[str, Any]]:
-        """Accept bytes and yield the messages that they complete."""
+        """Accept bytes and yield the messages that are complete, as dictionaries with ``kind``."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > MOST_BYTES:
             self._rest = b""

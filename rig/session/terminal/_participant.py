@@ -1,6 +1,7 @@
 """Texts for a participant's screen: in each state of a session, an instruction for a person without knowledge of rigs.
 
-The engine's names of states are for the operator. These texts replace them; they reveal neither wall nor fault.
+The engine's names of states are for the operator. The texts in this module replace them, and reveal neither the wall
+nor a fault.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from rig.session.engine._desk import DeskView
 class Instruction(NamedTuple):
     """Instruction on a participant's screen: `cue` in large letters, `text` below.
 
-    `text` replaces or follows the text that the operator reads to the participant (`DeskView.say`).
+    If `replaces` is False, the text follows the words that the operator reads to the participant (`DeskView.say`).
     """
 
     cue: str
@@ -50,7 +51,10 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
 
 
 def instruct(view: DeskView) -> tuple[str, str]:
-    """Return cue and text for a view; for an unknown state, the request to wait."""
+    """Return cue and text for the participant's screen, in the current state of a session.
+
+    For an unknown state the cue is "Please wait".
+    """
     instruction = INSTRUCTIONS.get(view.state, Instruction("Please wait"))
     read_out = "" if instruction.replaces else view.say
     return instruction.cue, " ".join(filter(None, (read_out, instruction.text)))

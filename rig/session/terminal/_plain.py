@@ -1,4 +1,4 @@
-"""Print the console as plain lines, one for each change."""
+"""Print the state of the operator's user interface as plain lines, one line for each change."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from rig.session.terminal._live import Snapshot
 
 
 class PlainLines:
-    """Memory of the printed texts, so that each is printed only once."""
+    """Storage of the printed texts, so that each text is printed only when it changes."""
 
     def __init__(self) -> None:
         self._printed: dict[str, str] = {}
         self._log: tuple[str, ...] = ()
 
     def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
-        """Return the texts that have changed since the last call, one line each."""
+        """Return the texts that have changed since the last call, one line each.
+
+        `live` contains the current values of a running trial, and `now_s` is the time on the caller's clock (s).
+        """
         view = talk.view
         found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]
         found.append(self._new("state", f"state: {words.state(talk)}"))
@@ -33,7 +36,7 @@ class PlainLines:
         return [line for line in found if line]
 
     def _new(self, name: str, text: str) -> str:
-        """Return the text if it differs from the last one of this name, else an empty one."""
+        """Return the text if it differs from the last text with this name; otherwise ""."""
         before, self._printed[name] = self._printed.get(name, ""), text
         return text if text != before else ""
 

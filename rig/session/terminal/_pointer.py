@@ -1,6 +1,7 @@
-"""Convert input from mouse or arrow keys to an intention of the simulated hand: position and press.
+"""Convert input from mouse or arrow keys to the target position and press of the simulated hand.
 
-The left edge of the screen is a little behind the start, the right edge inside the wall, for walls on either side.
+The left edge of the screen is a little behind the start position, the right edge inside the wall, for walls on either
+side.
 """
 
 from __future__ import annotations
@@ -8,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, Protocol
 
-BEHIND, INSIDE = 0.25, 0.75  # of the way from start to wall: what the screen's ends mean
-STEPS = 40  # of an arrow key over the whole way
-CLOSE = 5  # such steps for a large one
+BEHIND, INSIDE = (
+    0.25,
+    0.75,
+)  # screen edges, behind the start and inside the wall, over the way from start to wall
+STEPS = 40  # presses of an arrow key over the whole width of the screen
+CLOSE = 5  # such steps in a large step
 KEYS = {"right": 1, "left": -1, "up": CLOSE, "down": -CLOSE, "home": -STEPS, "end": STEPS}  # steps of each
 START_SHARE = BEHIND / (BEHIND + 1.0 + INSIDE)
 WALL_SHARE = (BEHIND + 1.0) / (BEHIND + 1.0 + INSIDE)
@@ -19,7 +23,7 @@ HandKind = Literal["mouse", "keyboard"]
 
 
 class PointerTarget(Protocol):
-    """Receiver of the intentions of a hand (`rig.realtime.hand.SharedHand`)."""
+    """Receiver of the simulated hand's target position and press (`rig.realtime.hand.SharedHand`)."""
 
     def move(self, position: float, press: float) -> None:
         """Move the hand towards a position of the link (rad or m), and press with a force (N)."""
@@ -29,7 +33,7 @@ class PointerTarget(Protocol):
 
 
 class Pointer:
-    """Position of the hand as a share of the screen's width, from 0 to 1.
+    """Position of the simulated hand as a fraction of the screen's width, from 0 to 1.
 
     Parameters
     ----------
@@ -44,16 +48,16 @@ class Pointer:
         self._scale: Mapping[str, Any] = {}
 
     def scale(self, scale: Mapping[str, Any]) -> None:
-        """Set the positions of start and wall from the `scale` of a view."""
+        """Set the positions of start and wall (rad or m) from `DeskView.scale`; an empty scale changes nothing."""
         if scale:
             self._scale = dict(scale)
 
     def point(self, share: float, *, held: bool) -> None:
-        """Move the hand to a share of the screen's width; if `held`, press with full force."""
+        """Move the hand to a fraction of the screen's width (0 … 1); if `held` is True, press with full force."""
         self._share, self._held = min(1.0, max(0.0, share)), held
 
     def key(self, name: str) -> bool:
-        """Move the hand by an arrow key; return False for any other key."""
+        """Move the hand by an arrow key and return True; return False for any other key."""
         steps = KEYS.get(name)
         if steps is None:
             return False
@@ -62,12 +66,12 @@ class Pointer:
 
     @property
     def share(self) -> float:
-        """Return the position between start and wall as a share."""
+        """Position of the hand as a fraction of the screen's width (0 … 1)."""
         return self._share
 
     @property
     def intention(self) -> tuple[float, float] | None:
-        """Return position (rad or m) and press (N); None before the first view with start and wall."""
+        """Target position (rad or m) and press (N) of the hand; None before start and wall position are known."""
         if "start" not in self._scale or "wall" not in self._scale:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])

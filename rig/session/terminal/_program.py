@@ -1,6 +1,6 @@
 """Run the console on a terminal (standard input and output): keys, messages and output in one thread.
 
-One thread, so that a hang of any part stops the messages to the session, which then detects it.
+With one thread, a hang of any part stops the messages to the session, which then detects the hang.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from rig.session.terminal._seat import Seat, SeatHand
 
 assert sys.platform != "win32"
 
-ROUND_S = 0.08  # between two rounds while the rig moves: 12.5 a second
-QUIET_S = 0.2  # between two rounds while it does not
-ESCAPE_S = 0.05  # how long a lone escape waits for the rest of a sequence
+ROUND_S = 0.08  # between two rounds of the console while the rig moves: 12.5 rounds a second
+QUIET_S = 0.2  # between two rounds while the rig does not move
+ESCAPE_S = 0.05  # longest wait after a lone escape byte for the rest of its sequence
 IN, OUT = 0, 1
 GONE = 3  # exit code: the terminal is gone
 READ_BYTES = 4096
@@ -35,7 +35,10 @@ LEFT = "the session's program has ended; continue with `rig session resume`\n"
 
 
 def main(arguments: list[str]) -> int:
-    """Run the console until the session or its program ends; return the exit code."""
+    """Run the console until the session or its process ends; return the exit code.
+
+    `arguments` are the descriptors of two pipes: from the session, and to the session.
+    """
     from_session, to_session = (int(text) for text in arguments)
     for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
         signal.signal(number, signal.SIG_IGN)  # ^C is for the session's program, which ends this one
@@ -52,7 +55,7 @@ def _end(number: int, frame: object) -> None:
 
 
 class _Console:
-    """Console with its parts: terminal, keyboard, messages, conversation and output."""
+    """The running console with its parts: terminal, keyboard, messages, conversation and output."""
 
     def __init__(self, from_session: int, to_session: int) -> None:
         self._from, self._to = from_session, to_session
@@ -74,7 +77,7 @@ class _Console:
         self._printer = PlainLines()
 
     def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        """Return the first message, and the messages that arrived with it."""
+        """Return the first message from the session, and the messages that arrived together with it."""
         while True:
             data = os.read(self._from, READ_BYTES)
             if not data:
@@ -84,7 +87,7 @@ class _Console:
                 return messages[0], messages[1:]
 
     def run(self) -> int:
-        """Display the session and process keys until it ends; return the exit code."""
+        """Display the session and process keys until the session ends; return the exit code."""
         before = terminal.from_plain(self._attributes)
         # What was typed while no console was here answers nothing, but STOP is STOP, and a key may still be down.
         typed = Keyboard().feed(terminal.take(IN, before))
@@ -139,7 +142,7 @@ class _Console:
         self._over = self._over or message["kind"] == "end"
 
     def _read(self) -> bool:
-        """Read typed keys; return False if the terminal hung up or this process is no longer in its foreground."""
+        """Read typed keys; return False if the terminal was closed or this process is no longer in its foreground."""
         try:
             data = os.read(IN, READ_BYTES)
         except OSError:
@@ -158,7 +161,7 @@ class _Console:
             self._seat.key(key, time.monotonic())
 
     def _echo(self, key: str) -> None:
-        """Print a typed key of a line, because the terminal's own echo is off."""
+        """Print a typed character of a text, because the terminal's own echo is off."""
         entry = self._talk.entry
         if entry is None:
             return

@@ -1,7 +1,7 @@
-"""Connect an operator to a session: it processes messages and keys, and moves the simulated hand.
+"""Connect an operator to a session: process messages and keys, and move the simulated hand.
 
-A terminal (`rig.session.terminal._program`) and a page (`rig.extras.console.sessions`) pass messages and keys to it and
-display its state.
+A terminal (`rig.session.terminal._program`) and a page in the browser (`rig.extras.console.sessions`) pass messages and
+keys to a `Seat`, and display its state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # a console, started anew within a hit, loads no loop
     from rig.session.engine._runner import TrialRunner
     from rig.session.planning._protocol import Keys
 
-PRESS_N = 4.0  # of a hand whose experiment does not say: that of a normal grip (`rig.core.operators`)
+PRESS_N = 4.0  # full press if the experiment gives none: the force of a normal grip (`rig.core.operators`)
 
 
 class SeatHand:
@@ -29,11 +29,11 @@ class SeatHand:
     Parameters
     ----------
     kind
-        Kind of input that moves it.
+        Input device that moves the hand: "mouse" or "keyboard".
     press
         Force of a full press (N).
     hand
-        Receiver of its intentions.
+        Receiver of the hand's target position and press.
     """
 
     def __init__(self, kind: HandKind, press: float, hand: PointerTarget) -> None:
@@ -42,17 +42,17 @@ class SeatHand:
         self._hand = hand
 
     def key(self, name: str) -> bool:
-        """Move the hand if `name` is one of its keys; return True if it did."""
+        """Move the hand and return True if `name` is a key that moves it; return False for any other key."""
         return self.kind == "keyboard" and self.pointer.key(name)
 
     def begin(self) -> None:
-        """Move the hand back to the start."""
+        """Move the hand back to the start position before a trial, if arrow keys move it."""
         if self.kind == "keyboard":
             # Keys that led into the last wall would touch the next one in free space.
             self.pointer.point(START_SHARE, held=False)
 
     def hold(self) -> None:
-        """Send the intention again, because a hand without new intentions rests."""
+        """Send target position and press again, because a simulated hand without new messages rests."""
         intention = self.pointer.intention
         if intention is not None:
             self._hand.move(*intention)
@@ -63,14 +63,14 @@ class SeatHand:
 
 
 class Seat:
-    """Operator's side of a session's desk.
+    """The operator's side of a session: it receives the session's messages, processes keys, and sends replies.
 
     Parameters
     ----------
     setup
         Content of the session's first message: process ID and keys.
     say
-        Sends a message to the session.
+        Function that sends a message to the session.
     hand
         Simulated hand that the operator moves, or None.
 
@@ -79,9 +79,9 @@ class Seat:
     talk
         State of the user interface.
     snapshot
-        Present values of the running loop; None if no loop runs.
+        Current values of the running trial; None if no control loop runs.
     number
-        Number of the open question, or of the last one.
+        Number of the open question, or of the last question.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Seat:
         self.number = 0
 
     def receive(self, kind: str, message: Mapping[str, Any], now_s: float) -> bool:
-        """Process a message from the session; return True if the bell should ring for it."""
+        """Process a message from the session at the time `now_s` (s); return True if the bell should ring."""
         if kind == "view":
             before = self.talk.view.state
             self.talk.see(message["view"])
@@ -114,12 +114,15 @@ class Seat:
         return ready
 
     def key(self, name: str, now_s: float, shown_s: float | None = None) -> None:
-        """Process a key that arrived at `now_s` (s), `shown_s` after its question was displayed (s), if known."""
+        """Process a key that arrived at `now_s` (s).
+
+        `shown_s` is the time between the display of the question and the key (s), if known.
+        """
         if self.hand is None or self.talk.entry is not None or not self.hand.key(name):
             self.do(self.talk.press(name, now_s), shown_s)
 
     def look(self, now_s: float) -> None:
-        """Read the running loop, and execute what is due at `now_s` (s), such as the end of a rest."""
+        """Read the values of the running control loop, and send the reply that ends a rest if due at `now_s` (s)."""
         self.do(self.talk.pass_time(now_s))
         self.snapshot = self.live.look()
         self.talk.live = self.snapshot is not None
@@ -127,7 +130,10 @@ class Seat:
             self.hand.hold()
 
     def do(self, outcomes: list[Decision], shown_s: float | None = None) -> None:
-        """Execute decisions: stop the rig, or send a reply to the session."""
+        """Execute decisions of the operator: stop the rig, or send a reply to the session.
+
+        `shown_s` is the time since the question was displayed (s), if known.
+        """
         for outcome in outcomes:
             if isinstance(outcome, StopPressed):
                 running.ask_to_stop(self._pid)  # before anything that may take time
@@ -139,26 +145,29 @@ class Seat:
 
 
 def full_press(experiment: Mapping[str, Any]) -> float:
-    """Return the force of a full press of an experiment's hand (N)."""
+    """Return the force of a full press of an experiment's simulated hand (N)."""
     return float(experiment.get("operator", {}).get("press", PRESS_N))
 
 
 def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
-    """Return the key map of a protocol; raise `ConfigError` for an invalid key or one that moves the simulated hand."""
+    """Return the key map for the section ``[keys]`` of a protocol.
+
+    Raise `ConfigError` for an invalid key, or a key that moves the simulated hand.
+    """
     keymap = KeyMap.of(keys)
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:
             raise ConfigError(
                 f"[keys] {meaning} = {key!r}: this key already moves the simulated hand",
-                remedy="choose another key, or omit `hand` keyboard",
+                remedy="choose another key in the protocol, or do not move the hand with the keyboard (`hand`)",
             )
     return keymap
 
 
 def refuse_a_hand(hand: HandKind | None, runner: TrialRunner) -> None:
-    """Raise `ConfigError` if a simulated hand is requested on a real rig."""
+    """Raise `ConfigError` if a simulated hand (`hand` not None) is requested on a real rig."""
     if hand is not None and not runner.simulated:
         raise ConfigError(
-            f"`hand` {hand} needs a simulated rig, but `url` names a real one",
+            f"`hand` {hand} moves a simulated hand and needs a simulated rig, but `url` names a real rig",
             remedy="omit `hand`, or omit `url`",
         )

@@ -1,6 +1,6 @@
 """Set a terminal to single keys without echo, and restore its settings, also from another process.
 
-The console changes the settings; the session's program restores them if the console died.
+The console changes the settings; the session's process restores them if the console died.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _INPUT, _LOCAL, _CHARACTERS = 0, 3, 6  # places in what tcgetattr gives
 
 
 def as_plain(before: list[Any]) -> list[Any]:
-    """Convert the result of `termios.tcgetattr` to plain values for JSON."""
+    """Convert terminal settings from `termios.tcgetattr` to numbers and lists for JSON."""
     return [
         *before[:_CHARACTERS],
         [value if isinstance(value, int) else value[0] for value in before[_CHARACTERS]],
@@ -27,14 +27,17 @@ def as_plain(before: list[Any]) -> list[Any]:
 
 
 def from_plain(value: list[Any]) -> list[Any]:
-    """Convert values of `as_plain` back for `termios.tcsetattr`."""
+    """Convert terminal settings from `as_plain` back, for `termios.tcsetattr`."""
     timed = (termios.VMIN, termios.VTIME)  # numbers where lines are not wanted: the module takes both
     characters = [n if i in timed else bytes([n]) for i, n in enumerate(value[_CHARACTERS])]
     return [*value[:_CHARACTERS], characters]
 
 
 def take(descriptor: int, before: list[Any]) -> bytes:
-    """Switch the terminal to single keys without echo; return the bytes that were typed earlier."""
+    """Switch the terminal to single keys without echo; return the bytes that were typed earlier.
+
+    `before` are the current settings from `termios.tcgetattr`.
+    """
     changed = [*before]
     # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)
@@ -54,7 +57,7 @@ def take(descriptor: int, before: list[Any]) -> bytes:
 
 
 def give_back(descriptor: int, before: list[Any]) -> None:
-    """Restore the settings of a terminal and discard unread input; never raise, never wait for blocked output."""
+    """Restore the terminal's settings and discard unread input; never raise an exception or wait for blocked output."""
     with suppress(OSError, termios.error):
         termios.tcflush(descriptor, termios.TCIFLUSH)
         termios.tcsetattr(descriptor, termios.TCSANOW, before)

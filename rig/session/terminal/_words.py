@@ -1,4 +1,4 @@
-"""Compose the texts of the operator's console, for the terminal and the page.
+"""Texts of the operator's user interface, for the terminal and the page in the browser.
 
 Texts for a participant are in `_participant`.
 """
@@ -12,13 +12,13 @@ from rig.session.terminal._conversation import TWICE, Conversation
 from rig.session.terminal._live import Snapshot
 from rig.session.terminal._pointer import CLOSE, HandKind
 
-HALF, NEAR = 0.4, 0.8  # of the limit: from where an effort is called half, and near the limit
+HALF, NEAR = 0.4, 0.8  # fractions of the limit from which an effort is called "half", and "near the limit"
 MEANINGS: dict[str, str] = {
     "go": "continue (also enter)",
     "redo": "discard the last trial and repeat it",
     "pause": "pause before the next trial",
     "note": "write a note into the log",
-    "skip": "end this run without a limit (asks for confirmation)",
+    "skip": "end this run (search) without a limit (asks for confirmation)",
     "abort": "leave the session; it can be resumed (asks for confirmation)",
 }
 HANDS: dict[HandKind, list[tuple[str, str]]] = {
@@ -40,7 +40,7 @@ ORDER: tuple[Action, ...] = ("go", "redo", "pause", "note", "skip", "abort")
 
 @dataclass(frozen=True, slots=True)
 class Gauge:
-    """Line of the live panel: name, length of its bar as a share (None for no bar), and text."""
+    """Line of the panel with live values: name, text, and length of its bar (`share`, 0 … 1; None for no bar)."""
 
     name: str
     share: float | None
@@ -48,7 +48,7 @@ class Gauge:
 
 
 def place(view: DeskView) -> str:
-    """Return code, block, run and trial as text, without unknown parts."""
+    """Return participant's code, block, search and trial as one line, without unknown parts."""
     parts = [view.code] if view.code else []
     if view.practice:
         parts.append("practice")
@@ -62,13 +62,13 @@ def place(view: DeskView) -> str:
 
 
 def state(talk: Conversation) -> str:
-    """Return the state of the session in a few words."""
+    """Return the state of the session as text, with the action that the operator requested for later."""
     waits = "" if talk.later is None else f" ({talk.later} next)"
     return talk.view.state + waits
 
 
 def facts(view: DeskView) -> list[tuple[str, str]]:
-    """Return names and values of the facts to display next to the live values."""
+    """Return names and values of facts about the current trial, to display next to the live values."""
     wall = "hidden"
     if view.stiffness is not None:
         wall = f"K = {view.stiffness:g}" + ("" if view.damping is None else f", B = {view.damping:g}")
@@ -84,7 +84,7 @@ def facts(view: DeskView) -> list[tuple[str, str]]:
 
 
 def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
-    """Return the lines of the live panel, with dashes while no loop runs."""
+    """Return the lines of the panel with live values; without a running control loop they contain dashes."""
     names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
     if live is None:
         return [Gauge(name, None, "-") for name in names]
@@ -108,7 +108,7 @@ def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
 
 
 def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
-    """Return the line of the effort: in words if the operator is blinded, otherwise as a number."""
+    """Return the panel's line about the effort (N·m or N): as a number, or in words if the operator is blinded."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
     # Where the operator must be blind to the wall, an effort is a word: as a number, next to the penetration, it would
@@ -126,7 +126,10 @@ def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
 
 
 def question(talk: Conversation, now_s: float) -> str:
-    """Return the text of the open question, or of what the operator must wait for."""
+    """Return the text of the open question; without a question, a text that the operator must wait.
+
+    `now_s` is the time on the caller's clock (s), for the remaining time of a rest.
+    """
     if talk.twice is not None:
         return f"{TWICE[talk.twice]}?"
     asked = talk.question
@@ -146,7 +149,7 @@ def question(talk: Conversation, now_s: float) -> str:
 
 
 def list_offered(talk: Conversation) -> list[tuple[str, str]]:
-    """Return the keys that are permitted now, each with its meaning."""
+    """Return the keys that answer the open question, each with its meaning."""
     keymap, allowed = talk.keymap, talk.allowed
     if talk.twice is not None:
         return [("y", "yes"), ("escape", "no")]
@@ -157,19 +160,19 @@ def list_offered(talk: Conversation) -> list[tuple[str, str]]:
 
 
 def choices(talk: Conversation) -> str:
-    """Return a line with the keys that answer the open question."""
+    """Return one line with the keys that answer the open question."""
     if talk.twice is not None:
         return f"[y] yes, or {talk.keymap.key_of(talk.twice)} again; any other key: no"
     return "  ".join(f"[{key}] {text}" for key, text in list_offered(talk))
 
 
 def always(talk: Conversation) -> str:
-    """Return the line with the keys that work at any time."""
+    """Return the text about the keys that work at any time."""
     return "\n".join(filter(None, [hand(talk), "[SPACE] STOP  [?] keys  [^C] stop and leave"]))
 
 
 def hand(talk: Conversation) -> str:
-    """Return a text about how to move the simulated hand; empty if it cannot be moved here."""
+    """Return a text about how to move the simulated hand; "" if the operator does not move it."""
     if talk.hand is None:
         return ""
     if talk.hand == "mouse":
@@ -178,7 +181,7 @@ def hand(talk: Conversation) -> str:
 
 
 def help_pairs(talk: Conversation, *, interrupts: bool = True) -> list[tuple[str, str]]:
-    """Return all keys with their effects; with `interrupts`, also those by which a terminal sends signals."""
+    """Return all keys with their effects; with `interrupts`, also keys by which a terminal sends signals (^C)."""
     keymap = talk.keymap
     return [
         ("SPACE", "STOP: zero effort now"),

@@ -1,7 +1,7 @@
-"""Desk of an operator at a terminal: the session's side of the console.
+"""Desk for an operator at a terminal: the session's side of the console, which is a child process.
 
-`rig session run` uses it. It must not decide about trials or write to the session's directory; `rig.session.engine`
-does that.
+`rig session run` uses this module. It must not decide about trials or write to the session's directory;
+`rig.session.engine` does that.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ if sys.platform != "win32":
 
 assert sys.platform != "win32"
 
-HUNG_S = 10.0  # of a console while nothing moves; then it is started anew
-START_S = 30.0  # that a console may take to come up on a loaded machine
+HUNG_S = 10.0  # longest silence of a console while nothing moves; after it the console is restarted
+START_S = 30.0  # longest start of a console, on a loaded machine
 RESTARTS = 3  # of the console in one session
 TERMINAL = Path("/dev/tty")
 REMEDY = "continue with `rig session resume`"
@@ -45,7 +45,7 @@ REMEDY = "continue with `rig session resume`"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedHand:
-    """Simulated hand that arrow keys move at the console: file for its intentions, and force of a full press (N).
+    """Simulated hand that arrow keys move at the console: file for its target position, and force of a full press (N).
 
     The file is in a temporary directory, which `close` removes.
     """
@@ -56,25 +56,25 @@ class MovedHand:
 
 
 class ConsoleDesk(AskingDesk):
-    """Desk with a console in the terminal, which it restarts if it hangs or dies.
+    """Operator's user interface in a terminal, with a console process that is restarted if it hangs or dies.
 
     Parameters
     ----------
     keys
-        Keys of the protocol.
+        Section ``[keys]`` of the protocol.
     hand
         Simulated hand that the console moves; None if a participant or a script moves the handle.
     place
         Path of the terminal.
     silence_s
-        Longest time without a message from the console during a hit (s); then the hit ends.
+        Longest time without a message from the console during a hit (s); after this time the hit ends.
     hung_s
-        Longest time without a message while nothing moves (s); then the console is restarted.
+        Longest time without a message while nothing moves (s); after this time the console is restarted.
 
     Raises
     ------
     ConfigError
-        Keys are not valid, or the terminal is missing or belongs to another job.
+        Keys are not valid, or the terminal is missing or belongs to another job of the shell.
     RigError
         The console does not start.
     """
@@ -112,11 +112,11 @@ class ConsoleDesk(AskingDesk):
 
     @property
     def pid(self) -> int:
-        """Return the id of the console's process."""
+        """Process ID of the console."""
         return self._child.pid
 
     def close(self) -> None:
-        """End the console and restore the terminal."""
+        """End the console process and restore the terminal's settings."""
         if not self._closed:
             self._closed = True
             self._child.close()
@@ -128,7 +128,10 @@ class ConsoleDesk(AskingDesk):
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message of the present console; None without one, or for a message of an earlier console."""
+        """Return the next message of the current console process; None after `patience_s` (s) without one.
+
+        A message of an earlier console process is ignored.
+        """
         try:
             child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
         except Empty:
@@ -145,7 +148,8 @@ class ConsoleDesk(AskingDesk):
         if self._child.dead:
             heard_s = self._child.heard_s
             self._restart()
-            self._child.heard_s = heard_s  # the hit does not wait for a new one
+            # The new console has not shown the hit yet: its start must not extend the allowed silence.
+            self._child.heard_s = heard_s
         limit_s = self._silence_s if self._child.greeted or self._restarts else START_S
         if time.monotonic() - self._child.heard_s > limit_s:
             raise StoppedError(
@@ -167,7 +171,7 @@ class ConsoleDesk(AskingDesk):
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
-        """Replace a dead or hanging console by a new one and send it the present view.
+        """Replace a dead or hanging console process by a new one, which receives the current view.
 
         Raise `StoppedError` after `RESTARTS` restarts.
         """
@@ -189,19 +193,21 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """Return the `desk` argument of `rig.session.engine._run.run_session` for a console in the terminal.
+    """Return a function that makes the operator's user interface in a terminal.
+
+    The function is the argument `desk` of `rig.session.engine._run.run_session`.
 
     Parameters
     ----------
     hand
-        Kind of input that moves the hand of a simulated rig; None if the hand plays its script.
+        Input device that moves the hand of a simulated rig; None if the hand follows its script.
     place
         Path of the terminal.
 
     Raises
     ------
     ConfigError
-        `hand` is given for a real rig.
+        `hand` is given for a real rig (raised by the returned function).
     """
 
     def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
@@ -222,9 +228,9 @@ def at_console(
 
 
 def _open_terminal(place: Path) -> tuple[int, list[Any]]:
-    """Open the terminal; return its descriptor and settings.
+    """Open the terminal; return its descriptor and its settings.
 
-    Raise `ConfigError` if it is missing or belongs to another job now: the kernel would stop a process that reads it.
+    Raise `ConfigError` if the terminal is missing, or belongs to another job of the shell.
     """
     with ExitStack() as opened:
         try:
@@ -234,7 +240,7 @@ def _open_terminal(place: Path) -> tuple[int, list[Any]]:
         except (OSError, termios.error) as error:
             raise ConfigError(
                 f"a session with a person needs a terminal for the operator ({place}: {error.args[-1]})",
-                remedy="run it in a terminal or in a browser (`rig console`), or rehearse it: --rehearse",
+                remedy="run the session in a terminal or in a browser (`rig console`), or rehearse it: --rehearse",
             ) from error
         try:
             ours = os.tcgetpgrp(descriptor) == os.getpgrp()
@@ -242,7 +248,8 @@ def _open_terminal(place: Path) -> tuple[int, list[Any]]:
             ours = True  # a terminal that controls no session has no foreground process group
         if not ours:
             raise ConfigError(
-                "the session is in the background, where it cannot read keys", remedy="bring it back with: fg"
+                "the session is a background job of the shell, which cannot read keys",
+                remedy="bring it to the foreground with: fg",
             )
         opened.pop_all()
     return descriptor, before

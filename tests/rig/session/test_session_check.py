@@ -163,7 +163,7 @@ def test_the_space_for_recordings_is_estimated_and_checked(
     base, place = base_of(schemes, Path()), tmp_path / "sessions" / "not yet"
     refuse_full_disk(Walls(schemes, base), 0, place)
     monkeypatch.setattr(disk.shutil, "disk_usage", lambda _: SimpleNamespace(free=int(10e6)))
-    with pytest.raises(ConfigError, match=r"has 10 MB left, and a session of about .* trials takes"):
+    with pytest.raises(ConfigError, match=r"has 10 MB of free space; .* of about .* trials need"):
         refuse_full_disk(Walls(schemes, base), 0, place)
 
 
