@@ -1,7 +1,7 @@
-"""List the walls of a study that the arming gate (`rig.doctor.gate`) refuses with the measured delay of a rig's link.
+"""List the walls of a study that a real rig refuses because of the measured delay of its link.
 
-A session begins only if the operator has consented to all of these walls. They are therefore listed before a person
-touches the handle.
+The arming gate (`rig.doctor.gate`) refuses walls that would be unstable with this delay. A session begins only if the
+operator has consented to all of these walls, which are therefore listed before a person touches the handle.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CONSENT = (
 
 
 def walls_of(walls: Walls) -> Iterator[SessionWall]:
-    """Yield every wall that a session may present, with practice; grouped by condition and damping."""
+    """Yield every wall that a session may present, practice included, grouped by condition and damping."""
     protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
     for condition in protocol.condition:
@@ -46,14 +46,16 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
 def refusals(
     device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
 ) -> tuple[RefusedWalls, ...]:
-    """Measure the device's link and return the walls that the gate refuses, by condition and damping. Nothing moves.
+    """Measure the delay of the device's link, and return the walls that the arming gate refuses; nothing moves.
+
+    The gate refuses walls that are unstable by linear theory with this delay. Return () in virtual time.
 
     Parameters
     ----------
     device
         Open device without a running trial.
     under
-        Experiments in ascending order of stiffness, for each condition and damping.
+        Experiments in ascending order of stiffness, for each pair of condition and damping.
     """
     if device.link.clock.virtual:
         return ()
@@ -74,9 +76,9 @@ def refusals(
 
 
 def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` if the gate refuses a wall of the session and `arm_anyway` is not set.
+    """Raise `rig.core.errors.PlanError` if the rig refuses a wall of the session without the operator's consent.
 
-    For a blinded operator the error contains only the number of such walls.
+    The operator consents with `arm_anyway`. For a blinded operator the error contains only the number of such walls.
     """
     blinded = walls.protocol.study.blind in BLINDED
     if runner.simulated:  # never refused
@@ -95,13 +97,13 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
             _number(found) if blinded else f"{_number(found)}: {_list_walls(found, walls.base.rig.motion)}"
         )
         raise PlanError(
-            f"with the measured link the arming gate refuses {refused_walls}",
+            f"with the measured delay of the link the arming gate refuses {refused_walls}",
             remedy=f"{CONSENT}; list them with rig session check, for the same device",
         )
 
 
 def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
-    """Measure the link and yield a check that lists the walls which a real rig arms only with consent."""
+    """Measure the delay of the link; yield a check that lists the walls which a real rig runs only with consent."""
     if runner.simulated:
         return
     try:
@@ -109,10 +111,10 @@ def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     except ConfigError as error:
         yield Check("arming", Outcome.REFUSED, error.message, error.remedy)
         return
-    text = "with the measured link every wall may be armed"
+    text = "with the measured delay of the link every wall may be armed"
     if found:
         listed = _list_walls(found, walls.base.rig.motion)
-        text = f"with the measured link the arming gate refuses {_number(found)}: {listed}"
+        text = f"with the measured delay of the link the arming gate refuses {_number(found)}: {listed}"
     yield Check("arming", Outcome.WARNING if found else Outcome.OK, text, CONSENT if found else "")
 
 

@@ -13,7 +13,7 @@ from rig.recording.data import Recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baseline:
-    """Measured values of the free-space phase before a hit.
+    """Values measured in the free-space phase before a hit, as a baseline of the rig's noise.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Baseline:
 
 
 def baseline(recording: Recording, experiment: Experiment) -> Baseline | None:
-    """Return the baseline of a recording of this experiment; None if the recording has no free-space phase."""
+    """Return the baseline noise in the recording of a trial; None if the recording has no free-space phase."""
     rows = recording.rows[recording.rows["phase"] == Phase.FREE]
     if len(rows) == 0:
         return None

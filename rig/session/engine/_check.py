@@ -62,26 +62,27 @@ def check(
     of_device: Callable[[Walls], Iterable[Check]] | None = None,
     study: Path | None = None,
 ) -> StudyPlan:
-    """Plan and check a study.
+    """Return the plan of a study with the results of all checks.
 
     Parameters
     ----------
     protocol
         Checked protocol.
     folder
-        Directory of the protocol file, to which its paths are relative.
+        Directory of the protocol file, to which paths in the protocol are relative.
     participants
         Number of participants; by default the number in the protocol.
     of_device
-        Returns checks of the walls on a device (`rig.session.engine._device_checks`); by default no device is checked.
+        Function that returns checks of the walls on a device (`rig.session.engine._device_checks`); by default no
+        device is checked.
     study
         Directory of the participants. Times measured in finished sessions replace the planned times of people, and the
-        protocol is compared with that of the earlier sessions.
+        protocol is compared with the protocol of the earlier sessions.
 
     Raises
     ------
     ConfigError
-        This rig does not allow one of the conditions.
+        The rig does not allow one of the conditions.
     RigError
         The device cannot be opened.
     """
@@ -154,7 +155,7 @@ def refuse_walls(study: Walls) -> None:
 
 
 def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
-    """Return the experiments of a condition: for each damping, one for each level of stiffness, ascending."""
+    """Return the experiments of a condition: for each damping, one experiment per level of stiffness, ascending."""
     levels = levels_of(study.protocol.search_of(condition))
     found = []
     for damping in condition.damping:
@@ -262,7 +263,7 @@ def _same(value: float) -> ExpectedRange:
 
 
 def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
-    """Return the names of the runs in each block, without practice."""
+    """Return condition and damping of each search in each block, as texts, without practice."""
     several = {one.name for one in protocol.condition if len(one.damping) > 1}
     return tuple(
         tuple(

@@ -7,30 +7,30 @@ from typing import Protocol
 
 
 class SessionClock(Protocol):
-    """Clock of a session: real, or virtual and advanced by its methods (`rig.session.engine._rehearsal.Day`)."""
+    """Clock of a session: real time, or virtual time that its methods advance (`rig.session.engine._rehearsal.Day`)."""
 
     def __call__(self) -> float:
         """Return the current time (s since 1970, or since the start of a virtual clock)."""
         ...
 
     def took(self, seconds: float) -> None:
-        """Advance a virtual clock by the duration of an action; a real clock ignores it."""
+        """Advance a virtual clock by the duration of an action (s); a real clock ignores the call."""
         ...
 
     def resume_at(self, at: float) -> None:
-        """Set a virtual clock to the time of the newest event in the log; a real clock ignores it."""
+        """Set a virtual clock to `at` (s), the time of the newest event in the log; a real clock ignores the call."""
         ...
 
 
 class WallClock:
-    """Real time of day."""
+    """Clock of a session that returns the real time of day."""
 
     def __call__(self) -> float:
         """Return the current time (s since 1970)."""
         return time.time()
 
     def took(self, seconds: float) -> None:
-        """Do nothing: the duration has already passed on this clock."""
+        """Do nothing: the duration has already passed on this real clock."""
 
     def resume_at(self, at: float) -> None:
-        """Do nothing: this clock advances by itself."""
+        """Do nothing: this real clock advances by itself."""

@@ -1,7 +1,7 @@
-"""Conduct a session: read the next step from the state, execute it, and write the result to the log before the next.
+"""Conduct a session: compute the next step from the log, execute it, and write the result to the log before the next.
 
-The log is the only memory: whatever ended the process, the same function resumes from it. The engine uses the rig only
-through a `TrialRunner`, and people only through a `Desk`.
+No state is stored outside the log, so the same function resumes a session after any end of the process. The engine uses
+the rig only through a `TrialRunner`, and people only through a `Desk` (the operator's user interface).
 """
 
 from __future__ import annotations
@@ -71,13 +71,13 @@ _PHASES: Mapping[int, str] = {
 }
 ASKED_FOR = "requested by the operator"  # why a session pauses, where the machine is not the cause
 ASKED_FOR_BEFORE = "the operator asked for it"  # the same in logs written until 2026-11
-MEND = "close other programs; `rig doctor` shows what delays this computer and the link"
+REMEDY_OF_COMPUTER = "close other programs; `rig doctor` shows what delays this computer and the link"
 AS_DESCRIBED, NOT_AS_DESCRIBED = (
     "the rig moves as it is described",
     "the rig does not move as it is described",
 )
 WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
-SEE_TO_IT = "release the handle; `rig device check` shows the details"
+REMEDY_OF_RIG = "release the handle; `rig device check` shows the details"
 _ALWAYS: tuple[Action, ...] = ("note", "abort")
 # After these the operator decides how to continue.
 _ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)
@@ -86,7 +86,10 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment with the softest wall of the first run, and its fixed settings, for opening a device."""
+    """Return the experiment with the softest wall of the first search, and its fixed settings, to open a device.
+
+    Fixed settings are settings that the device must not change.
+    """
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -96,30 +99,33 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
 def _wall(
     walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment of a hit, and the settings of it that a device must not change."""
+    """Return the experiment of a hit, and its settings that the device must not change."""
     condition = walls.protocol.condition_named(name)
     experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
 
 
 class Marks(Protocol):
-    """Reporter of events to other programs, which never delays the session."""
+    """Interface of an object that sends the session's events to other programs, without delaying the session."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
-        """Report an event, at a host time (ns) or now."""
+        """Send an event to other programs, with its host time (ns); None: now."""
         ...
 
 
 class Streams(Marks, Protocol):
-    """Reporter of events that the session opens and closes itself; an extra provides it (table "marks")."""
+    """Interface of data streams that send the session's events to other programs; the session opens and closes them.
+
+    An extra package provides the streams (table "marks" of `rig.core.extras`).
+    """
 
     @property
     def lost(self) -> int:
-        """Return the number of events that could not be sent."""
+        """Number of events that could not be sent."""
         ...
 
     def wait(self) -> None:
-        """Wait until other programs can receive; raise `RigError` if that fails."""
+        """Wait until other programs can receive events; raise `RigError` if that fails."""
         ...
 
     def close(self) -> Mapping[str, Any] | None:
@@ -136,7 +142,7 @@ def conduct(
     on_event: Callable[[Event], None] | None = None,
     marks: Marks | None = None,
 ) -> SessionState:
-    """Run a session to its end, or until the operator leaves it.
+    """Run a session to its end, or until the operator leaves it; return the state of the session.
 
     Parameters
     ----------
@@ -147,23 +153,23 @@ def conduct(
     desk
         User interface of the operator, or a simulated person.
     walls
-        Walls of the study; by default those of the protocol and the experiment in the session's log.
+        Walls of the study; by default computed from the protocol and the experiment in the session's log.
     on_event
-        Called with each event after it was written to the log.
+        Function that is called with each event after the event was written to the log.
     marks
-        Receives each trial with its wall just before it begins, and each event.
+        Receiver of each trial with its wall just before the trial begins, and of each event.
 
     Returns
     -------
-    State
-        State of the session: `ended`, or `stopped` if the operator left it.
+    SessionState
+        State of the session: `ended` is set, or `stopped` if the operator left the session.
 
     Raises
     ------
     RigError
-        The session cannot continue: for example, the disk is full, a wall is not allowed, or the device is gone. The
-        effort is zero, and the session can be resumed. For a blinded operator the message hides any text that may
-        describe a wall; the full text is in the log.
+        The session cannot continue: for example, the disk is full, a wall is not allowed, or the device is
+        disconnected. The effort is zero, and the session can be resumed. For a blinded operator the message hides any
+        text that may describe a wall; the full text is in the log.
     """
     # There is no other memory than the log: whatever ended an earlier process, the same function resumes from it.
     engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
@@ -190,7 +196,7 @@ def conduct(
 
 
 def _hide_error(state: SessionState, error: Exception) -> RigError | None:
-    """Return a substitute error for a blinded operator if `error` may describe a wall; None if it may be shown."""
+    """Return a substitute error for a blinded operator if `error` may describe a wall; None if `error` may be shown."""
     if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
         return None
     recording = getattr(error, "recording", None)
@@ -208,8 +214,8 @@ def _hide_error(state: SessionState, error: Exception) -> RigError | None:
     return shown
 
 
-def _mend(reason: str) -> str:
-    return SEE_TO_IT if reason.startswith(NOT_AS_DESCRIBED) else MEND
+def _remedy_of_pause(reason: str) -> str:
+    return REMEDY_OF_RIG if reason.startswith(NOT_AS_DESCRIBED) else REMEDY_OF_COMPUTER
 
 
 class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
@@ -217,7 +223,7 @@ class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
 
 
 class _Engine:
-    """State of `conduct` between two steps: nothing beyond the log, except what the desk displays."""
+    """The running session between two steps: log, rig, user interface, and the texts on display."""
 
     def __init__(
         self,
@@ -249,7 +255,7 @@ class _Engine:
         return self._state.protocol.study.blind in BLINDED
 
     def record(self, kind: str, **content: Any) -> None:
-        """Write an event to the log, then pass it to `on_event` and `marks`."""
+        """Write an event to the log, then pass the event to `on_event` and `marks`."""
         event = self._session.record(kind, **content)
         self._lines.append(line_of_event(event))
         if self._on_event is not None:
@@ -258,7 +264,7 @@ class _Engine:
             self._marks.push(kind, text=line_of_event(event))
 
     def open(self) -> None:
-        """Record the device, its firmware and the expected number of trials."""
+        """Write the device, its firmware and this computer to the log, and compute the expected number of trials."""
         state = self._state
         self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
         self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
@@ -319,9 +325,10 @@ class _Engine:
                 self._hit(presented)
 
     def _pulse(self, presented: Presented) -> bool:
-        """Send a torque pulse, with hands off, and return True if the rig moves as it is described.
+        """Apply a torque pulse with hands off the handle; return True if the rig moves as it is described.
 
-        It is called before the first trial of a block, after a resume, and after a trial whose end leaves a doubt.
+        The pulse comes before the first trial of a block, after a resume, and after a trial that ended in doubt about
+        the rig.
         """
         self._show("hands off", presented, say="Let go of the handle.")
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
@@ -466,7 +473,7 @@ class _Engine:
         self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
 
     def _may_end(self) -> bool:
-        """Ask the operator whether to end the session or to repeat the last trial; return True to end it."""
+        """Ask the operator whether to end the session or to repeat the last trial; return True to end the session."""
         if self._redoable() is None:
             return True
         self._show("ready to end", say="That was the last one.")
@@ -476,15 +483,13 @@ class _Engine:
         return reply.action == "go"
 
     def _machine_pauses(self, reason: str) -> None:
-        """Pause until a person has fixed the rig or computer; without a person at the desk, raise `OverrunError`."""
+        """Pause until a person has fixed the rig or the computer; in a rehearsal, raise `OverrunError`."""
         if self._desk.who != "simulated":
             self._pause(reason)
             return
         self.record("paused", reason=reason)
-        raise OverrunError(
-            reason,
-            remedy=f"{_mend(reason)}; then resume: {resume_command(self._session.directory, self._session.log.events)}",
-        )
+        resume = resume_command(self._session.directory, self._session.log.events)
+        raise OverrunError(reason, remedy=f"{_remedy_of_pause(reason)}; then resume the session: {resume}")
 
     def _pause(self, reason: str) -> None:
         if self._state.paused is None:
@@ -492,14 +497,14 @@ class _Engine:
         text = (
             "paused"
             if reason in (ASKED_FOR, ASKED_FOR_BEFORE)
-            else f"paused: {reason}; {_mend(reason)}, then continue"
+            else f"paused: {reason}; {_remedy_of_pause(reason)}, then continue"
         )
         self._show("paused", say="Let go of the handle.")
         self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
         self.record("continued")
 
     def _redoable(self) -> RecordedTrial | None:
-        """Return the trial that `redo` would repeat: the newest valid one, if it is in the present block; else None."""
+        """Return the trial that the action "redo" would repeat (newest valid trial of the current block), or None."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
@@ -510,7 +515,7 @@ class _Engine:
             self.record("redone", trial=trial.trial)
 
     def _ask(self, question: Question) -> Reply:
-        """Ask until the reply is a permitted action other than a note; write notes to the log."""
+        """Ask a question until the reply is a permitted action other than a note; write notes to the log."""
         while True:
             reply = self._desk.ask(question)
             if reply.action not in question.actions:
@@ -526,7 +531,7 @@ class _Engine:
     # What is seen.
 
     def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
-        """Return a function to call during a hit: it displays each new phase and calls the desk's `watch`."""
+        """Return a function to call during a hit: it displays each new phase and calls the user interface's `watch`."""
         beside = self._desk.watch()
         seen = -1
         self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
@@ -551,7 +556,7 @@ class _Engine:
         experiment: Experiment | None = None,
         say: str = "",
     ) -> None:
-        """Display the state of the session; include the wall only if the operator is not blinded."""
+        """Display the state of the session, without the wall if the operator is blinded."""
         state = self._state
         trial = wall.trial if wall else state.newest
         blind = state.protocol.study.blind in BLINDED
@@ -583,7 +588,7 @@ class _Engine:
 
 
 def _scale(x: Experiment) -> dict[str, Any]:
-    """Return start, wall, limits and units with which a desk scales its bars."""
+    """Return start and wall position, limits and units, with which a user interface scales its bars."""
     limits, motion = x.rig.limits, x.rig.motion
     return {
         "start": x.trial.start,

@@ -1,6 +1,6 @@
 """Interface between a session and the operator at the rig: views, questions and replies.
 
-Everything in a view or a question may be displayed: the engine leaves out what a blinded operator must not know.
+Everything in a view or a question may be displayed: the engine omits what a blinded operator must not know.
 """
 
 from __future__ import annotations
@@ -19,29 +19,30 @@ QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
 # item: of the questionnaire. trouble: something went wrong (`text` says what): go tries again.
 
 Action = Literal[
-    "go",  # on with it
+    "go",  # continue
     "judge",  # `value` is a verdict
-    "answer",  # `value` answers an item
-    "redo",  # the last trial does not count and comes again
+    "answer",  # `value` answers a question of the questionnaire
+    "redo",  # the last trial does not count and is repeated
     "pause",
     "note",  # `value` is the text; the same question is asked again
-    "skip",  # leave this run
-    "abort",  # leave the session, to be resumed some day
+    "skip",  # end this search without a limit
+    "abort",  # leave the session, which can be resumed later
 ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeskView:
-    """Present state of a session, to be displayed by a desk.
+    """Current state of a session, for display by the operator's user interface.
 
     Attributes
     ----------
     state
         Short name of the state: "ready", "homing", "free space", "go", "hold", "verdict?", "rest", "paused", "done" …
     say
-        Text for the operator to read to the participant; empty for none at present.
+        Text for the operator to read to the participant; empty if there is none now.
     code, block, blocks, run, runs, trial, trials
-        Code of the participant; number and total of blocks, runs and trials. `trials` is an estimate, 0 if unknown.
+        Code of the participant; number and total of blocks, searches (runs) and trials. `trials` is an estimate, 0 if
+        unknown.
     practice, attempt
         True for a practice trial; number of the attempt at this trial, from 1.
     condition, stiffness, damping
@@ -54,9 +55,9 @@ class DeskView:
         Values for bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
         velocity_unit.
     heat
-        Heat of the motor's winding as a share of its budget.
+        Heat of the motor's winding as a fraction of its budget.
     last
-        Result of the last trial in a few words, with the reason if it is invalid.
+        Result of the last trial in a few words, with the reason if the trial is invalid.
     lines
         Newest lines of the log, oldest first.
     """
@@ -85,16 +86,16 @@ class DeskView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A question that must be answered before the session continues.
+    """A question that the operator must answer before the session continues.
 
     Attributes
     ----------
     actions
-        Permitted actions of the reply.
+        Actions that the reply may have.
     seconds
         Duration of the rest, for a question of kind "rest" (s).
     item
-        Item of the questionnaire: name, text, kind, lowest, highest, choices.
+        Question of the questionnaire: name, text, kind, lowest, highest, choices.
     trial
         Number of the trial that the question concerns; 0 for no trial.
     """
@@ -109,7 +110,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """Reply to a question: action, its value, and the response time (s)."""
+    """Reply of the operator to a question: action, its value (a verdict or a text), and the response time (s)."""
 
     action: Action
     value: str = ""
@@ -122,23 +123,27 @@ class Desk(ABC):
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Receive the session, once, before any other call. The engine changes it; a desk must only read it."""
+        """Receive the session, once, before any other call.
+
+        A desk must only read the session: the engine changes it.
+        """
 
     @abstractmethod
     def show(self, view: DeskView) -> None:
-        """Display the present state of the session; return at once."""
+        """Display the current state of the session; return at once."""
 
     @abstractmethod
     def ask(self, question: Question) -> Reply:
-        """Ask a question and wait for the reply.
+        """Ask the operator a question and wait for the reply.
 
         Raise `rig.core.errors.StoppedError` if no reply is possible any more.
         """
 
     def watch(self) -> Callable[[int, int], None] | None:
-        """Return a function to call a few times a second during a hit, with ticks and phase; None if not needed.
+        """Return a function to call a few times a second during a hit, with number of ticks and phase.
 
-        It may raise `rig.core.errors.StoppedError`: the hit ends with zero effort.
+        The function may raise `rig.core.errors.StoppedError`; then the hit ends with zero effort. Return None if no
+        function is needed.
         """
         return None
 

@@ -1,4 +1,4 @@
-"""Check a protocol on a device before a session: whether it supports the conditions, arms the walls and keeps pace."""
+"""Check a protocol on a device before a session: the device supports the conditions, arms the walls and keeps pace."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.session.planning._conditions import Walls
 
 
 def device_checks(url: str, walls: Walls) -> list[Check]:
-    """Return checks of the walls on the device at `url`, opened as for a session with a person; nothing moves.
+    """Return checks of the walls on the device at `url`, which is opened as for a session with a person; nothing moves.
 
     Raise `rig.core.errors.RigError` if the device cannot be opened.
     """

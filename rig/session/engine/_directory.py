@@ -1,9 +1,9 @@
-"""Manage the directory of one participant: begin a session, resume it after any end, and correct it.
+"""The directory of one participant: begin a session, resume it after any end, and correct it.
 
-session.log               every decision (`rig.session.engine._log`), the only memory of a session
-protocol.toml             copy of the protocol file at the start
-trials/t0001.parquet …    recordings; the name contains the trial's number, but nothing about its wall
-trials/abandoned/         recordings of trials that were not logged because the process died
+session.log               every decision (`rig.session.engine._log`), from which the state of the session is computed
+protocol.toml             copy of the protocol file at the start trials/t0001.parquet …    recordings; the name contains
+the trial's number, but nothing about its wall trials/abandoned/         recordings of trials that were not logged
+because the process died
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rig.session.planning._load import as_mapping, check_code
 from rig.session.planning._names import directory_name
 from rig.session.planning._protocol import Protocol
 
-OF_TRIAL = {"void": True, "counts": False}  # what an amendment may change of a trial itself
+OF_TRIAL = {"void": True, "counts": False}  # corrections of a trial itself: exclude it, or include it again
 WALL = WallClock()
 SESSIONS, REHEARSALS = Path("sessions"), Path("rehearsals")
 LOG, PROTOCOL, TRIALS, ABANDONED = "session.log", "protocol.toml", "trials", "abandoned"
@@ -45,7 +45,7 @@ class Session:
     directory
         Directory of the participant.
     log, state
-        Log of the events so far, and the state that follows from it.
+        Log of the events so far, and the state that is computed from it.
     clock
         Clock for the times in the log.
     """
@@ -56,13 +56,13 @@ class Session:
     clock: SessionClock = field(default_factory=WallClock)
 
     def record(self, kind: str, **content: Any) -> Event:
-        """Write an event to the log, then apply it to the state; return the event."""
+        """Write an event to the log, then update the state with it; return the event."""
         event = self.log.append(kind, **content)
         self.state.apply(event)
         return event
 
     def close(self) -> None:
-        """Close the log and release the directory for other programs."""
+        """Close the log and release the directory for other processes."""
         self.log.close()
 
     def __enter__(self) -> Session:
@@ -73,7 +73,7 @@ class Session:
 
 
 def study_directory(protocol: Protocol, study: Path | None, *, rehearsal: bool = False) -> Path:
-    """Return the directory of all participants of a study: `study` if given, else one named after the title."""
+    """Return the directory of all participants of a study: `study` if given, otherwise one named after the title."""
     if study is not None:
         return study
     return (REHEARSALS if rehearsal else SESSIONS) / directory_name(protocol.study.title)
@@ -93,7 +93,7 @@ def begin(
     differs: Sequence[str] = (),
     clock: SessionClock = WALL,
 ) -> Session:
-    """Begin a participant's session in a directory of its own.
+    """Begin the session of a participant in the participant's directory.
 
     Parameters
     ----------
@@ -102,11 +102,12 @@ def begin(
     protocol, experiment
         Protocol, and the experiment that it names (`rig.session.planning._conditions.base_of`).
     text, sha256
-        Contents and hash of the protocol file, of which a copy is stored.
+        Contents and SHA-256 of the protocol file, of which a copy is stored.
     code, row
         Code of the participant, and row of the order of conditions.
     versions, rehearsal, differs
-        Further contents of the first event; `differs` are keys that have another value in the study's earlier sessions.
+        Further contents of the first event: versions of software, the simulated person of a rehearsal, and keys that
+        have another value in the study's earlier sessions.
     clock
         Clock for the times in the log (s).
 
@@ -145,14 +146,14 @@ def begin(
 
 
 def refuse_begun(protocol: Protocol, directory: Path, code: str) -> None:
-    """Raise `ConfigError` if the code is not valid or the directory already contains a session."""
+    """Raise `ConfigError` if the participant's code is not valid or the directory already contains a session."""
     check_code(protocol, code)
     if (directory / LOG).exists() and (events := read(directory / LOG)):
         raise _begun(directory, events)
 
 
 def clear_rehearsal(directory: Path) -> None:
-    """Delete the directory if it contains a rehearsal; leave a person's session or any other directory unchanged."""
+    """Delete the directory if it contains a rehearsal; do not change a person's session or any other directory."""
     events = read(directory / LOG) if (directory / LOG).exists() else []
     if events and events[0].content.get("rehearsal") is not None:
         shutil.rmtree(directory)
@@ -163,22 +164,22 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
     return ConfigError(
         f"{directory} already contains a {'rehearsal with a simulated person' if rehearsal else 'session'} "
         f"({len(events)} events)",
-        remedy=f"resume it: {resume_command(directory, events)}; or give another "
+        remedy=f"resume this one: {resume_command(directory, events)}; or give another "
         + ("code, or another directory for people with `study`" if rehearsal else "code"),
     )
 
 
 def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
-    """Resume a session, whatever ended it.
+    """Resume a session that was interrupted or left.
 
-    Recordings without an event in the log are moved to trials/abandoned and listed in the log with their hashes.
+    Recordings without an event in the log are moved to trials/abandoned and listed in the log with their SHA-256.
 
     Parameters
     ----------
     directory
         Directory of the participant.
     at
-        "trial": continue with the next trial. "block": repeat the present block; its trials so far do not count.
+        "trial": continue with the next trial. "block": repeat the current block; its trials so far do not count.
     clock
         Clock for the times in the log (s).
 
@@ -228,10 +229,10 @@ def _refuse_no_session(directory: Path) -> None:
 
 
 def event_of_trial(directory: Path, trial: int, value: str) -> int:
-    """Return the number of the event that a correction of a trial changes.
+    """Return the number of the log's event that a correction of a trial must change.
 
-    It is the event of the verdict, or, if `value` is a key of `OF_TRIAL` (void, counts), that of the trial itself.
-    Raise `ConfigError` if the session has no such event.
+    For the values "void" and "counts" this is the event of the trial itself, otherwise the event of its verdict. Raise
+    `ConfigError` if the session has no such event.
     """
     _refuse_no_session(directory)
     kind = "trial" if value in OF_TRIAL else "judged"
@@ -241,7 +242,7 @@ def event_of_trial(directory: Path, trial: int, value: str) -> int:
     if not events:
         raise ConfigError(
             f"{directory} has no trial {trial}" if kind == "trial" else f"trial {trial} has no verdict",
-            remedy="list them with rig session show --log",
+            remedy="list trials and verdicts with rig session show --log",
         )
     return events[-1].number
 
@@ -251,8 +252,8 @@ def amend(
 ) -> Event:
     """Append a correction of event `number` to the log; the original event stays in the log.
 
-    A verdict, the text of a note, and an answer can be corrected. A trial can be excluded ("void") or included again
-    ("counts").
+    A verdict, the text of a note, and an answer can be corrected to `value`. A trial can be excluded ("void") or
+    included again ("counts"). `why` is the reason.
 
     Raises
     ------
@@ -265,20 +266,22 @@ def amend(
     with SessionLog(directory / LOG, clock=clock) as log:
         if not 0 <= number < len(log.events):
             raise ConfigError(
-                f"{directory} has no event {number}: its log has 0 to {len(log.events) - 1}",
-                remedy="list them with rig session show",
+                f"the log in {directory} has no event {number}; its events have the numbers 0 to {len(log.events) - 1}",
+                remedy="list the events with rig session show",
             )
         kind = log.events[number].kind
         if kind not in AMENDABLE:
             raise ConfigError(
-                f"event {number} is {kind!r}, which cannot be corrected",
-                remedy=f"correct one of {', '.join(AMENDABLE)}; write anything else into a note",
+                f"event {number} of the log is of the kind {kind!r}, which cannot be corrected",
+                remedy=f"correct an event of the kind {', '.join(AMENDABLE)}; write anything else into a note",
             )
         (name,) = AMENDABLE[kind]
         if name == "verdict" and value not in VERDICTS:
             raise ConfigError(f"{value!r} is not a verdict", remedy=f"choose one of {', '.join(VERDICTS)}")
         if not why.strip():
-            raise ConfigError("a correction needs a reason", remedy="give it with `why`")
+            raise ConfigError(
+                "a correction needs a reason, but `why` is empty", remedy="give the reason with `why`"
+            )
         if name == "void" and value not in OF_TRIAL:
             raise ConfigError(
                 f"event {number} is a trial, which cannot be corrected to {value!r}",
@@ -293,20 +296,24 @@ def amend(
 
 
 def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
-    """Return a corrected answer in the form that the item requires; raise `ConfigError` if it is not valid."""
+    """Return a corrected answer in the form that the log stores; raise `ConfigError` if the answer is not valid."""
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:
         return value
     kept = parse_answer(describe_item(item), value)
     if kept is None:
         raise ConfigError(
-            f"{value!r} is not an answer to {name}", remedy=f"give {describe_answer(describe_item(item))}"
+            f"{value!r} is not a valid answer to the question {name}",
+            remedy=f"give {describe_answer(describe_item(item))}",
         )
     return kept
 
 
 def _set_aside(session: Session) -> list[dict[str, str]]:
-    """Move recordings without an event to trials/abandoned; return file and hash of those not yet in the log."""
+    """Move recordings that the log does not mention to trials/abandoned.
+
+    Return file and SHA-256 of all recordings in that directory that the log does not list yet.
+    """
     trials = session.directory / TRIALS
     aside = trials / ABANDONED
     logged = {Path(trial.recording).name for trial in session.state.trials if trial.recording}
@@ -337,7 +344,7 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
 
 
 def _find_damaged(session: Session) -> list[dict[str, str]]:
-    """Return file and hash of damaged lines that were moved out of the log and are not yet listed in it."""
+    """Return file and SHA-256 of damaged lines that were moved out of the log and that the log does not list yet."""
     events = [event for event in session.log.events if event.kind == "resumed"]
     known = {one["file"] for event in events for one in event.content.get("damaged", ())}
     found = [path for path in set_aside(session.log.path) if path.name not in known]
@@ -350,5 +357,6 @@ def _free(directory: Path, path: Path) -> Path:
         if not found.exists():
             return found
     raise RecordingError(
-        f"{directory} contains too many recordings named {path.stem}", remedy="move some of them away"
+        f"{directory} already contains 9999 files with the name {path.stem}",
+        remedy="move some of these files to another directory",
     )

@@ -1,4 +1,4 @@
-"""Check whether the device of a session can run every condition, before a session writes anything."""
+"""Check that the device of a session can run every condition, before a session writes anything."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.session.planning._schedule import levels_of
 
 
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
-    """Check all conditions on the device and its link; return the worst result of each check. Nothing moves.
+    """Check that the device and its link can run all conditions; return the worst result of each check. Nothing moves.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield experiment and fixed settings of the stiffest wall for each condition and damping."""
+    """Yield the experiment with the stiffest wall, and its fixed settings, for each condition and damping."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:
@@ -46,7 +46,7 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
 
 
 def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:
-    """Return a remedy that names keys of a protocol, because a session itself has no rate and uses one device."""
+    """Return a remedy for a failed check that names keys of the protocol instead of options for a single trial."""
     if one.name == "rig of the device" and any(condition.fit for condition in walls.protocol.condition):
         return (
             f"{one.remedy}; a board has one encoder: run conditions with another encoder as a separate study"

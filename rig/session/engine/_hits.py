@@ -1,4 +1,4 @@
-"""Run the trials of a session on a device as recorded hits, and compute the values of each for the session's log."""
+"""Run the trials of a session on a device as recorded hits, and compute the values of each hit for the log."""
 
 from __future__ import annotations
 
@@ -62,24 +62,26 @@ NUMBERS = (
 
 @dataclass(slots=True, kw_only=True)
 class DeviceRunner:
-    """Runner of a session's trials on a device, real or simulated.
+    """Runs the trials of a session on a device, real or simulated.
 
-    In virtual time each trial uses a new device; in real time all trials use the same one.
+    In virtual time each trial uses a new device; in real time all trials use the same device.
 
     Attributes
     ----------
     url
         URL of the device; None to simulate.
-    realtime, verified
-        Same as in `rig.experiments.hits.hit.HitRequest`.
+    realtime
+        True if a simulated device runs in real time.
+    verified
+        True if the operator confirms that the polarity of the rig is verified.
     arm_anyway
-        Consent, for the whole session, to walls that the arming gate refuses. A search for the limit needs them.
+        True if the operator consents, for the whole session, to walls that the arming gate refuses.
     lossy_anyway
         Begin although nearly every trial would be invalid because of lost samples.
     hand
-        File through which a person moves the simulated hand (`rig.realtime.hand`); None to play the hand's script.
+        File through which a person moves the simulated hand (`rig.realtime.hand`); None if the hand follows its script.
     messages
-        Permissions that this computer or the port did not grant, each once.
+        Messages about permissions that this computer or the port did not grant, without repetition.
     """
 
     url: str | None = None
@@ -100,16 +102,19 @@ class DeviceRunner:
 
     @property
     def virtual(self) -> bool:
-        """Return True if trials run in virtual time."""
+        """True if trials run in virtual time, as fast as the computer simulates."""
         return not self.realtime and (self.url or "sim://").startswith("sim:")
 
     @property
     def simulated(self) -> bool:
-        """Return True if the device is simulated, so that no real rig can move."""
+        """True if the device is simulated, so that no real rig can move."""
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the log stores about the device, its clock and this computer."""
+        """Return facts about the device, its clock and this computer, which the log stores.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
             "url": url,
@@ -139,7 +144,7 @@ class DeviceRunner:
         }
 
     def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
-        """Measure the link and return the walls that a real rig arms only with consent; nothing moves.
+        """Measure the delay of the link, and return the walls that a real rig runs only with consent; nothing moves.
 
         Raises
         ------
@@ -165,9 +170,9 @@ class DeviceRunner:
         return self._refused
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure lost and late samples at the experiment's rate on the open device; None in virtual time.
+        """Measure lost and late samples at the experiment's rate on the open device; nothing moves.
 
-        Nothing moves.
+        Return None in virtual time. `changes` are settings of the experiment that the device must not change.
 
         Raises
         ------
@@ -184,7 +189,9 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check whether the device and its link can run an experiment; nothing moves.
+        """Check that the device and its link can run an experiment; return the results. Nothing moves.
+
+        `changes` are settings of the experiment that the device must not change.
 
         Raises
         ------
@@ -201,7 +208,10 @@ class DeviceRunner:
             return _fits(x, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a torque pulse, with no hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
+        """Apply a short torque pulse, with no hand on the handle, to check that the rig moves as it is described.
+
+        The pulse is recorded as `name` in `directory`.
+        """
         device = self._device(experiment, changes)
         assert device is not None  # a real one
         with plain_errors("make", directory):
@@ -224,26 +234,31 @@ class DeviceRunner:
         heat: float,
         blinded: bool = False,
     ) -> TrialDone:
-        """Run one trial.
+        """Run one trial and return its result.
 
         Parameters
         ----------
         experiment, changes
-            Experiment with the wall, and the settings of it that the device's defaults must not change.
+            Experiment with the wall, and its settings that the device must not change.
         directory, name
             Directory and name of the recording.
         watch
-            Receives the effective experiment; returns a function to call during the hit.
+            Function that receives the experiment in effect, and returns a function to call during the hit.
         heat
-            Heat of the winding before the hit, as a share of its budget.
+            Heat of the winding before the hit, as a fraction of its budget.
         blinded
-            Same as in `rig.experiments.hits.hit.HitRequest`.
+            True if the person must not know the wall: programs that display the running loop must hide it.
+
+        Returns
+        -------
+        TrialDone
+            Result of the hit, its duration (s), and the error that ended a recorded hit early, which is not raised.
 
         Raises
         ------
         RigError
             The trial is not allowed or not possible, so nothing moved and nothing was recorded; or writing to the disk
-            failed. An error that ended a recorded hit is not raised but returned.
+            failed.
         """
         device = self._device(experiment, changes)
         request = HitRequest(
@@ -307,7 +322,7 @@ class DeviceRunner:
 
 
 def _serial_number(link: Link) -> str | None:
-    """Return the serial number of the connected board, or None if the link does not report it."""
+    """Return the serial number of the connected board; None if the link does not report it."""
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 
@@ -321,14 +336,14 @@ def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
 
 
 def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: float) -> float:
-    """Return the heat of a winding after a series of efforts, as a share of its budget, by a first-order model.
+    """Return the heat of a winding after a series of efforts, as a fraction of its budget, by a first-order model.
 
     Parameters
     ----------
     before
-        Share of the budget at the beginning.
+        Heat at the beginning, as a fraction of the budget.
     load
-        Effort divided by the nominal effort in each tick; a constant load of 1 leads to a share of 1.
+        Effort divided by the nominal effort in each tick; a constant load of 1 leads to a heat of 1.
     tick_s, time_constant_s
         Length of a tick, and thermal time constant of the winding (s).
     """

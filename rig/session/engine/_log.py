@@ -1,11 +1,11 @@
-"""Write and read the log of a session: one line for each event, written to disk before the session continues.
+"""The log of a session: one line for each event, written to disk before the session continues.
 
 The state of a session is computed from its log (`_state`). A line (`rig.recording.lines`) contains an event::
 
     {"n": number from 0, "after": CRC of the line before (0 for the first), "at": seconds since 1970, "kind": …, …}
 
-The first line also has ``"log"``, the version of the format. Lines are never changed or removed: a correction is a
-new event.
+The first line also has ``"log"``, the version of the format. Lines are never changed or removed: a correction is a new
+event.
 """
 
 from __future__ import annotations
@@ -40,9 +40,10 @@ class Event:
 
 
 class DamagedLineError(RecordingError):
-    """A line of a log is damaged.
+    """A line of a session's log is damaged.
 
-    `events` are the events before it, `place` is its offset in the file (bytes), `last` is True if no line follows.
+    `events` are the events before the line, `place` is the line's offset in the file (bytes), and `last` is True if no
+    line follows.
     """
 
     def __init__(self, path: Path, events: Sequence[Event], place: int, *, last: bool) -> None:
@@ -67,7 +68,7 @@ class SessionLog:
     path
         Path of the file; created if it does not exist.
     clock
-        Returns the time of day (s since 1970), for `Event.at`.
+        Function that returns the time of day (s since 1970), for `Event.at`.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class SessionLog:
     def __init__(self, path: Path, *, clock: Callable[[], float] = time.time) -> None:
         self.path = path
         self._clock = clock
-        self._broken = False  # what is in the file may be more than `events`: nothing may follow it
+        self._broken = False  # True while the file may end with an incomplete line: nothing may be appended
         self._file = LineFile(path, remedy="end the session that is running there, or wait for its end")
         try:
             self.events, self._last, self._end = _read(path, self._file.lines())
@@ -100,19 +101,19 @@ class SessionLog:
             raise
 
     def append(self, kind: str, **content: Any) -> Event:
-        """Append an event and write it to disk before returning it; the caller may act on it only after that.
+        """Append an event, write it to disk and return it; the caller may act on the event only after that.
 
         Raises
         ------
         RecordingError
-            Writing failed: the event has not happened, unless the log contains it when it is opened again. Or an
-            earlier append failed and its incomplete line could not be removed; opening the log again removes it.
+            Writing failed: the event did not happen, unless the log contains it when it is opened again. Or an earlier
+            append failed and its incomplete line could not be removed; opening the log again removes that line.
         ValueError
             A name in `content` is reserved for the log.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
-            raise ValueError(f"{', '.join(taken)}: these keys of an event are reserved for the log")
+            raise ValueError(f"an event must not have the keys {', '.join(taken)}, which the log uses itself")
         event = Event(len(self.events), self._clock(), kind, plain(content))  # as it will be read
         line = self._line_of(event)
         if self._broken:
@@ -152,7 +153,7 @@ class SessionLog:
 
 
 def read(path: Path) -> list[Event]:
-    """Return the events of a log, also while a session writes to it.
+    """Return the events of a session's log, also while a session writes to it.
 
     Raise `RecordingError` if the log does not exist or a line is damaged or missing.
     """
@@ -171,7 +172,7 @@ def read(path: Path) -> list[Event]:
 
 
 def set_damaged_line_aside(path: Path) -> Path | None:
-    """Move a damaged last line of a log to a new file next to it; return its path, or None without damage.
+    """Move a damaged last line of a log to a new file next to the log; return its path, or None without damage.
 
     Raises
     ------
@@ -198,12 +199,15 @@ def set_damaged_line_aside(path: Path) -> Path | None:
 
 
 def set_aside(path: Path) -> list[Path]:
-    """Return the files with damaged lines that were moved out of a log, oldest first."""
+    """Return the files with damaged lines that were moved out of the log at `path`, oldest first."""
     return list(takewhile(Path.exists, _beside(path)))
 
 
 def log_losses(event: Event) -> list[str]:
-    """Return sentences (without a full stop) about lines that the log had lost when the session was resumed."""
+    """Return sentences (without a full stop) about lines of the log that were lost when the session was resumed.
+
+    `event` is an event of the kind "resumed".
+    """
     losses = []
     if torn := event.content.get("torn"):
         losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")
@@ -218,7 +222,7 @@ def _beside(path: Path) -> Iterator[Path]:
 
 
 def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], int, int]:
-    """Return the events, the CRC of the last line, and the offset at which the valid part of the file ends (bytes)."""
+    """Return the events of a log, the CRC of its last line, and the byte offset at which the valid part ends."""
     events: list[Event] = []
     last = end = 0
     for place, line in lines:
@@ -230,8 +234,8 @@ def _read(path: Path, lines: Iterator[tuple[int, bytes]]) -> tuple[list[Event], 
         # The chain of CRCs shows a line that was removed or replaced.
         if (found.get("n"), found.get("after")) != (len(events), last):
             raise RecordingError(
-                f"{path}, line {len(events) + 1}: a line before it was removed or changed",
-                remedy="restore the file from a copy; later lines depend on it",
+                f"{path}: a line before line {len(events) + 1} was removed or changed",
+                remedy="restore the file from a copy; later lines depend on the changed one",
             )
         if not events and found.get("log") != VERSION:
             raise RecordingError(

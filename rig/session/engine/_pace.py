@@ -1,8 +1,8 @@
 """Measure, before a session begins, how many samples this computer and the link lose; report the result and log it.
 
 A session is refused if a hit in each quarter of the measurement would have been invalid by the limits of `[verdict]` on
-lost samples, because nearly every trial would then be invalid. The operator can accept that (`lossy_anyway`).
-Smaller losses give a warning; trials that they make invalid are repeated.
+lost samples, because nearly every trial would then be invalid. The operator can accept that (`lossy_anyway`). Smaller
+losses give a warning; trials that become invalid by these losses are repeated.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from rig.session.planning._conditions import Walls, own_rates
 
 
 def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
-    """Measure losses at the fastest rate of a session; raise `PlanError` if nearly every trial would be invalid."""
+    """Raise `PlanError` if nearly every trial of a session would be invalid because of lost samples.
+
+    The losses are measured at the fastest rate of the session, and may be accepted with `lossy_anyway`.
+    """
     found = list(pace_checks(walls, runner))
     if not runner.lossy_anyway:
         refuse(found)
@@ -26,7 +29,7 @@ def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
 def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     """Yield a check of the samples lost at the fastest rate of a session; nothing moves.
 
-    Yield nothing in virtual time, and for laws on the device, which lose no samples because of the host.
+    Yield nothing in virtual time, and for control laws that run on the device, because the host causes no losses then.
     """
     if runner.virtual:
         return
@@ -49,12 +52,12 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:
-    """Return a text about how to avoid the losses, for a real or a simulated rig."""
+    """Return a text about how to avoid lost samples, e.g. a lower rate, for a real or a simulated rig."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
     ways = [slower, "rehearse" if simulated else "", "close other programs and run `rig doctor`"]
     return ", or ".join(filter(None, ways))
 
 
 def sentence(found: Pace, *, simulated: bool) -> str:
-    """Return a sentence with losses and remedy; empty if nothing was lost."""
+    """Return a sentence about lost samples and how to avoid them; "" if no sample was lost."""
     return found.text and f"{found.text}; {remedy(found, simulated=simulated)}"

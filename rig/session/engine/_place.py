@@ -19,12 +19,12 @@ from rig.recording.header import checkout, versions
 from rig.session.engine._log import Event
 
 # Keys of an ``opened`` event that distinguish devices; a key that one of two events lacks distinguishes nothing.
-_TELLING = {"simulated": "", "device": "device", "serial_number": "serial number"}
+_DISTINGUISHING = {"simulated": "", "device": "device", "serial_number": "serial number"}
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """URL of a session's device (None to simulate), whether it runs in real time, and whether it is simulated."""
+    """The device on which a session takes place: URL (None to simulate), and True if in real time, and if simulated."""
 
     url: str | None = None
     realtime: bool = False
@@ -32,7 +32,7 @@ class Place:
 
 
 def last_place(events: Sequence[Event]) -> Place:
-    """Return the device on which a session was opened last."""
+    """Return URL, real time and kind of the device on which a session was opened last, from the events of its log."""
     opened = last_opened(events)
     place = opened.get("place")
     if place is None:
@@ -41,12 +41,12 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """Return the content of the last ``opened`` event; empty if the session has none."""
+    """Return the content of the last ``opened`` event of a log, which describes the device; {} if there is none."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 
 def resume_command(directory: Path, events: Sequence[Event]) -> str:
-    """Return the command that resumes a session on the same device with the same consents."""
+    """Return the command line that resumes a session on the same device with the same consents of the operator."""
     place = last_place(events)
     words = ["rig", "session", "resume", str(directory)]
     if place.url is not None:
@@ -61,23 +61,23 @@ def resume_command(directory: Path, events: Sequence[Event]) -> str:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """Return the names of the properties in which the devices of two ``opened`` events differ; empty if they agree."""
+    """Return the properties in which the devices of two ``opened`` events differ, e.g. "serial number"; [] if none."""
     return [
         name or ("the one is simulated" if one[key] else "the other is simulated")
-        for key, name in _TELLING.items()
+        for key, name in _DISTINGUISHING.items()
         if one.get(key) is not None and other.get(key) is not None and one[key] != other[key]
     ]
 
 
 def device_words(opened: Mapping[str, Any]) -> str:
-    """Return name, kind (simulated or real) and serial number of a device as text."""
+    """Return name, kind (simulated or real) and serial number of the device in an ``opened`` event, as text."""
     kind = "simulated" if opened.get("simulated") else "real"
     number = opened.get("serial_number")
     return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
 
 
 def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
-    """Return a list of one sentence about the losses in an ``opened`` event; an empty list without losses."""
+    """Return a list with one sentence about the lost samples in an ``opened`` event of a log; [] without losses."""
     pace = opened.get("pace") or {}
     if not pace.get("said"):
         return []
@@ -87,7 +87,7 @@ def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
 
 @cache
 def software() -> dict[str, str]:
-    """Return the versions of software and platform, for the log."""
+    """Return the versions of software and operating system, by name, for the log."""
     return {
         **versions(f"{MAJOR}.{MINOR}"),
         "sources": code_version().partition("+")[2],

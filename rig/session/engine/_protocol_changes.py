@@ -42,26 +42,29 @@ _LISTED = 5  # names in a message
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Key in which protocols differ, with its value for each participant; None if the key is missing."""
+    """A key in which the protocols of sessions differ, with its value for each participant.
+
+    A value is None if the participant's protocol lacks the key.
+    """
 
     key: str
     values: Mapping[str, Any]
 
     @property
     def is_neutral(self) -> bool:
-        """Return True if the key cannot affect a result."""
+        """True if the key cannot affect a result."""
         return is_within(self.key, NEUTRAL)
 
     @property
     def usual(self) -> Any:
-        """Return the most frequent value; of several equally frequent ones, the first participant's."""
+        """The most frequent value; of several equally frequent values, the first participant's."""
         texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
         (most, _), *_ = Counter(texts.values()).most_common(1)
         return next(self.values[code] for code, text in texts.items() if text == most)
 
     @property
     def sentence(self) -> str:
-        """Return the key with the participants who have each value."""
+        """Text with the key, its values, and the participants who have each value."""
         texts = {code: value_words(value) for code, value in self.values.items()}
         each = (
             f"{text}: {list_names([code for code, theirs in texts.items() if theirs == text])}"
@@ -76,25 +79,28 @@ def is_within(key: str, keys: Iterable[str]) -> bool:
 
 
 def value_words(value: Any) -> str:
-    """Return the value of a setting as text for a message, shortened if it is long."""
+    """Return the value of a setting as text for a message, shortened if it is long; "not given" for None."""
     text = "not given" if value is None else json.dumps(value, ensure_ascii=False)
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 1]}…"
 
 
 def list_names(names: Sequence[str]) -> str:
-    """Return the first names as text, with the number of the remaining ones."""
+    """Return the first five names as text, with the number of the remaining names."""
     more = len(names) - _LISTED
     return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a session, from protocol and experiment in its log; `reach_for` is passed on to `Walls`."""
+    """Return the walls of a session as experiments, from the protocol and the experiment in its log.
+
+    `reach_for` is passed to `Walls` and needed only for a simulated hand.
+    """
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
     return Walls(state.protocol, base, reach_for)
 
 
 def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the plain value of every dotted key of a protocol, and of its experiment (``experiment.…``).
+    """Return the value of every dotted key of a protocol, and of its experiment (``experiment.…``), as JSON types.
 
     Keys of conditions and questions contain their names; the key ``condition`` has the names of conditions in order.
     """
@@ -107,17 +113,17 @@ def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, 
 
 
 def differences(settings: Mapping[str, Mapping[str, Any]]) -> list[Difference]:
-    """Return the keys in which the settings of participants (by code) differ."""
+    """Return the keys in which settings differ; `settings` contains the settings of each participant by code."""
     keys = dict.fromkeys(key for of in settings.values() for key in of)
     each = [Difference(key, {code: of.get(key) for code, of in settings.items()}) for key in keys]
     return [one for one in each if any(value != one.usual for value in one.values.values())]
 
 
 def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
-    """Return the differences between a protocol and the sessions in a study's directory.
+    """Return the keys in which a protocol differs from the sessions in a study's directory; [] without sessions.
 
-    The values of this protocol have the name "here". Sessions without a trial, the session of `code`, and sessions that
-    cannot be read are ignored; the analysis rejects the last.
+    The values of this protocol have the name "here" in place of a participant's code. Sessions without a trial, the
+    session of `code`, and sessions that cannot be read are ignored; the analysis rejects the last.
     """
     there = _settings_there(study, code)
     here = settings_of(walls.protocol, config.as_mapping(walls.base))
@@ -158,7 +164,7 @@ def protocol_check(walls: Walls, study: Path) -> Iterable[Check]:
 
 
 class ChangedProtocolError(ConfigError):
-    """The protocol differs from that of the study's earlier sessions."""
+    """The protocol differs from the protocol of the study's earlier sessions."""
 
 
 def _sentence(found: Sequence[Difference], study: Path) -> str:
@@ -187,7 +193,7 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
-    """Return code and settings of a session as a mapping; empty if the session has no trial."""
+    """Return the settings of a session by the participant's code; {} if the session has no trial."""
     if not any(event.kind == "trial" for event in events):
         return {}
     began = events[0].content

@@ -29,24 +29,24 @@ from rig.session.planning._trial import RecordedTrial
 from rig.session.search._observer import Observer
 
 _MAIN_VERDICT = {Kind.STABLE: "stable", Kind.LIMIT_CYCLE: "buzz", Kind.UNSTABLE: "unstable"}
-LATENCY_S = (0.6, 1.6)  # how long a simulated person thinks, at least and at most
+LATENCY_S = (0.6, 1.6)  # shortest and longest response time of a simulated person
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Person:
-    """Simulated person with known thresholds.
+    """Simulated person with known thresholds of stiffness.
 
     Attributes
     ----------
     thresholds
-        K50 of each condition: the stiffness with half of the verdicts stable. Without one, the person gives the
-        automatic verdict.
+        K50 of each condition: the stiffness at which half of the verdicts are stable. For a condition without a
+        threshold, the person gives the automatic verdict.
     spread
         Spread s of the psychometric function (unit of stiffness; `rig.session.search._psychometric`).
     lapse_rate
-        Share of verdicts that are inverted by mistake (0 to 1).
+        Fraction of verdicts that are inverted by mistake (0 to 1).
     unsure
-        Share of trials judged "unsure" (0 to 1).
+        Fraction of trials judged "unsure" (0 to 1).
     people_sd
         Standard deviation, over people, of the logarithm of the factor by which `of_code` multiplies the thresholds.
     """
@@ -58,12 +58,15 @@ class Person:
     people_sd: float = 0.0
 
     def of_code(self, code: str, seed: int) -> Person:
-        """Return the person with this code: all thresholds multiplied by a random factor that the code determines."""
+        """Return the simulated person for a participant's code, who differs from other persons in the thresholds.
+
+        All thresholds are multiplied by one random factor, which `code` and `seed` determine.
+        """
         drawn = random.Random(f"person {seed} {code}").gauss(0.0, self.people_sd)
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
     def judge(self, trial: RecordedTrial, drawn: np.random.Generator) -> str:
-        """Return the verdict of the simulated person on a trial."""
+        """Return the verdict of the simulated person on a trial: "stable", "buzz", "unstable" or "unsure"."""
         if drawn.random() < self.unsure:
             return "unsure"
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
@@ -79,7 +82,10 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Return the threshold of each condition from texts like ``dual=430``; raise `ConfigError` for another form."""
+    """Return the stiffness threshold of each condition from texts like ``dual=430``.
+
+    Raise `ConfigError` for a text of another form.
+    """
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
@@ -98,7 +104,7 @@ def thresholds_of(given: Iterable[str]) -> dict[str, float]:
 
 
 def check_person(person: Person, protocol: Protocol) -> None:
-    """Raise `ConfigError` if a number of the simulated person is out of range or names an unknown condition."""
+    """Raise `ConfigError` if a number of the simulated person is out of range, or a condition is unknown."""
     names = [one.name for one in protocol.condition]
     for name, stiffness in person.thresholds.items():
         if name not in names:
@@ -118,11 +124,13 @@ def check_person(person: Person, protocol: Protocol) -> None:
         )
     for option, share in (("`lapse_rate`", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
-            raise ConfigError(f"{option} {share:g} is not a share", remedy="give a number from 0 to 1")
+            raise ConfigError(
+                f"{option} {share:g} is not a share of verdicts or trials", remedy="give a number from 0 to 1"
+            )
 
 
 class Day:
-    """Virtual clock (s), which only its methods advance."""
+    """Virtual clock of a rehearsal (s), which only its methods advance."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -132,20 +140,20 @@ class Day:
         return self.seconds
 
     def took(self, seconds: float) -> None:
-        """Advance the virtual time by a duration."""
+        """Advance the virtual time by the duration of an action (s)."""
         self.seconds = round(self.seconds + seconds, 6)
 
     def resume_at(self, at: float) -> None:
-        """Set the virtual time to `at`, the time of the newest event in the log."""
+        """Set the virtual time to `at` (s), the time of the newest event in the log."""
         self.seconds = at
 
     def rests(self, seconds: float) -> None:
-        """Advance the virtual time by the length of a rest."""
+        """Advance the virtual time by the duration of a rest (s)."""
         self.took(seconds)
 
 
 class RealDay(WallClock):
-    """Real time of day; a rest waits in real time."""
+    """Clock of a rehearsal in real time."""
 
     def rests(self, seconds: float) -> None:
         """Wait for the duration of a rest (s)."""
@@ -153,7 +161,10 @@ class RealDay(WallClock):
 
 
 class RehearsalDesk(Desk):
-    """Desk with a simulated person, who replies at once and advances the clock by a simulated response time."""
+    """User interface with a simulated person, who replies at once.
+
+    The clock advances by a simulated response time.
+    """
 
     who = "simulated"
 
@@ -166,19 +177,19 @@ class RehearsalDesk(Desk):
         self.state: SessionState | None = None  # of the session, as it is now
 
     def attend(self, session: Session) -> None:
-        """Use state, participant's code and clock of this session."""
+        """Store the state and the clock of a session, and adapt the simulated person to the participant's code."""
         self.state = session.state
         self.person = self.person.of_code(session.state.code, session.state.seed)
         if isinstance(session.clock, Day | RealDay):
             self.day = session.clock
 
     def show(self, view: DeskView) -> None:
-        """Pass the view to the callback `looks`, if any."""
+        """Call the function `looks` with the view, if it is given."""
         if self.looks is not None:
             self.looks(view)
 
     def ask(self, question: Question) -> Reply:
-        """Return the reply of the simulated person; a run with too many invalid trials is skipped."""
+        """Return the reply of the simulated person; a search with too many invalid trials is skipped."""
         reply = self._answer(question)
         (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
         return reply
@@ -204,7 +215,7 @@ class RehearsalDesk(Desk):
 
 
 def _plain_answer(item: Mapping[str, Any]) -> str:
-    """Return a placeholder answer: the first choice, the middle of a scale, or the word "rehearsal"."""
+    """Return a placeholder answer to a question: the first choice, the middle of a scale, or the word "rehearsal"."""
     if item.get("kind") == "choice":
         return str(item["choices"][0])
     if item.get("kind") == "scale":

@@ -57,13 +57,13 @@ from rig.session.planning._schedule import rows_of, schedule
 from rig.session.planning._simulated_hand import reach_for
 
 OnEvent = Callable[[Event], None]
-# the experiment is the study's, as a mapping
+# Arguments of the function: protocol, the study's experiment as nested dictionaries, and the rig.
 DeskFor = Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResult:
-    """Result of a session that has ended or was left. It contains nothing about the walls.
+    """Result of a session that has ended or was left; it contains nothing about the walls.
 
     Attributes
     ----------
@@ -72,18 +72,18 @@ class SessionResult:
     code, row
         Code of the participant, and row of the order of conditions.
     ended, stopped
-        Reason for which the session ended, or for which it was left; else None.
+        Reason for which the session ended, or for which the operator left it; otherwise None.
     trials, counted, invalid, by_machine, aborted, outside
-        Numbers of recorded hits; of judged hits that count; of invalid hits, and of those that computer or link made
-        invalid; of hits cut off for safety; of hits outside the bands of the protocol.
+        Numbers of recorded hits; of judged hits that count; of invalid hits, and of hits made invalid by computer or
+        link; of hits cut off for safety; of hits outside the required ranges of impact speed and press.
     invalid_trials
         Sentence with the reasons for each invalid trial, oldest first, without hints at the wall.
     blocks, blocks_done
         Number of blocks without practice, and number of finished blocks.
     resume
-        Command that resumes the session; empty if it has ended.
+        Command line that resumes the session; empty if the session has ended.
     messages
-        Permissions that this computer or the port did not grant, and lines that the log had lost.
+        Messages about permissions that this computer or the port did not grant, and about lost lines of the log.
     """
 
     directory: Path
@@ -105,13 +105,13 @@ class SessionResult:
 
     @property
     def stands(self) -> str:
-        """Return a sentence about the state of the session."""
+        """Sentence about the state of the session, e.g. "session of P01: complete"."""
         why = self.ended or (f"interrupted: {self.stopped}" if self.stopped else "running")
         return f"session of {self.code}: {why}"
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """Return names and values of the result, to be displayed."""
+        """Names and values of the result, for display."""
         outside = f", {self.outside} outside the bands" if self.outside else ""
         trials = (
             f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
@@ -138,7 +138,7 @@ def run_session(
     on_event: OnEvent | None = None,
     marks: str | None = None,
 ) -> SessionResult:
-    """Run a participant's session from its beginning.
+    """Run a participant's session from its beginning, and return the result.
 
     Parameters
     ----------
@@ -147,22 +147,22 @@ def run_session(
     code
         Code of the participant.
     desk
-        Function that creates the desk, for a person or a simulated person.
+        Function that creates the user interface, for a person or a simulated person.
     runner
         Rig that runs the trials; closed at the end.
     study
         Directory of all participants; by default a directory named after the study's title, in ``sessions/`` or, for a
         rehearsal, in ``rehearsals/``.
     row
-        Row of the order, from 0; by default the number in the code minus 1.
+        Row of the order of conditions, from 0; by default the number in the code minus 1.
     person
         Simulated person of a rehearsal; None for a participant.
     again
-        Delete an existing rehearsal of this code first.
+        If True, delete an existing rehearsal of this code first.
     other_protocol
         Begin even if the protocol differs from that of the earlier sessions in a key that can affect a result.
     on_event
-        Called with each event after it was written to the log.
+        Function that is called with each event after the event was written to the log.
     marks
         Name of the extra (`rig.core.extras`) that streams samples and markers; without walls if a person is blinded.
 
@@ -172,7 +172,7 @@ def run_session(
         The protocol or the code is not valid, the participant has a session already, the protocol differs from that of
         the earlier sessions (`ChangedProtocolError`), or the rig refuses a wall (`rig.session.engine._arming`).
     RigError
-        The session cannot continue; see `rig.session.engine._conduct.conduct`.
+        The session cannot continue: for example, the disk is full or the device is disconnected. The effort is zero.
     """
     code = normalise(code)
     walls = load_walls(protocol_file, _reach_for(runner))
@@ -220,9 +220,10 @@ def run_session(
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
-    """Raise `ChangedProtocolError` if the protocol differs from that of the study's earlier sessions.
+    """Raise `ChangedProtocolError` if the protocol differs from the study's earlier sessions and results are affected.
 
-    Only differences that can affect a result count. `code`, `study` and `person` are those of `run_session`.
+    `study` is the directory of all participants; by default it is named after the title. `person` is the simulated
+    person of a rehearsal, or None.
     """
     place = study_directory(walls.protocol, study, rehearsal=person is not None)
     refuse_changed(changed_keys(walls, place, normalise(code)), place)
@@ -238,10 +239,11 @@ def resume_session(
     marks: str | None = None,
     other_device: bool = False,
 ) -> SessionResult:
-    """Resume a session; see `run_session` and, for `at`, `rig.session.engine._directory.resume`.
+    """Resume the session in a participant's directory, and return the result.
 
-    Raise `ConfigError`, before anything is written, if the device is not that of the session, unless `other_device` is
-    set.
+    `at` is "trial" to continue with the next trial, or "block" to repeat the current block. `run_session` explains the
+    other parameters. Raise `ConfigError`, before anything is written, if the device is not that of the session, unless
+    `other_device` is set.
     """
     person = read_person(directory)
     _refuse_a_real_rig(person, runner)
@@ -291,19 +293,22 @@ def _resume(
 
 
 def read_person(directory: Path) -> Person | None:
-    """Return the simulated person of a rehearsal; None for a session with a participant."""
+    """Return the simulated person of the rehearsal in a directory; None for a session with a participant."""
     events = read(directory / LOG)
     found = events[0].content.get("rehearsal") if events else None
     return None if found is None else Person(**found)
 
 
 def took_place(directory: Path) -> Place:
-    """Return the device on which a session was opened last."""
+    """Return the device on which the session in a directory was opened last."""
     return last_place(read(directory / LOG))
 
 
 def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
-    """Return the `desk` argument of `run_session` for a simulated person; `looks` is called with each view."""
+    """Return a function that creates the user interface for a simulated person, for `run_session`.
+
+    `looks` is called with each displayed view.
+    """
 
     def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
         return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
@@ -312,7 +317,7 @@ def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = No
 
 
 def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
-    """Return the state of a session and its events, also while the session runs."""
+    """Return the state and the events of the session in a directory, also while the session runs."""
     events = read(directory / LOG)
     return SessionState.of(events), events
 
@@ -320,7 +325,10 @@ def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
 def summary(
     directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
-    """Return the result of a session, without anything about its walls."""
+    """Return the result of a session: numbers of trials and blocks, and reason of the end; nothing about walls.
+
+    `messages` are added to the result.
+    """
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(
@@ -344,31 +352,31 @@ def summary(
 
 
 def row_of(code: str) -> int:
-    """Return the row of the order, from 0, for a participant's code: the last number in the code minus 1.
+    """Return the row of the order of conditions for a participant's code: the last number in the code minus 1.
 
-    Raise `ConfigError` if the code contains no number or the number 0.
+    Raise `ConfigError` if the code contains no number, or if the last number is 0.
     """
     numbers = re.findall(r"[0-9]+", code)
     if not numbers:
         raise ConfigError(
-            f"code {code!r} contains no number, from which the participant's row of the order is computed",
-            remedy="give the row: `row` N",
+            f"code {code!r} contains no number, which would determine the participant's row of the order of conditions",
+            remedy="give the row with `row`, counted from 0",
         )
     if int(numbers[-1]) == 0:
         raise ConfigError(
             f"code {code!r} has the number 0, but participants are counted from 1",
-            remedy="give another code, or the row: `row` N",
+            remedy="give another code, or the participant's row of the order with `row`",
         )
     return int(numbers[-1]) - 1
 
 
 def _checked_row(row: int, protocol: Protocol) -> int:
-    """Return the given row; raise `ConfigError` if the order does not have it."""
+    """Return the given row of the order of conditions; raise `ConfigError` if the order does not have it."""
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
-            f"row {row} of the order does not exist: {protocol.study.participants} participants are planned, and "
-            "rows are counted from 0",
+            f"row {row} of the order of conditions does not exist: {protocol.study.participants} participants are "
+            "planned, and rows are counted from 0",
             remedy=f"give `row` 0 to {rows - 1}, or raise study.participants",
         )
     return row
@@ -380,7 +388,7 @@ def _reach_for(runner: TrialRunner) -> ReachFor | None:
 
 
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
-    """Raise `ConfigError` if a simulated person is to use a real rig."""
+    """Raise `ConfigError` if a rehearsal (`person` is given) is to use a real rig."""
     if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",
@@ -418,7 +426,7 @@ def _conduct(
 def _streams(
     protocol: Protocol, experiment: Mapping[str, Any], marks: str | None
 ) -> Iterator[Streams | None]:
-    """Yield the open streams of a session; None if `marks` is None."""
+    """Yield the open data streams of a session to other programs; None if `marks` is None."""
     if marks is None:
         yield None
         return

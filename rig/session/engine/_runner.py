@@ -1,4 +1,4 @@
-"""Interface between the engine and a rig: it runs trials and returns their results."""
+"""Interface between the engine of a session and a rig that runs the trials and returns their results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionWall:
-    """Wall that a session may present, and the settings of its experiment that a device must not change."""
+    """A wall that a session may present, as an experiment of a condition.
+
+    `changes` are settings of the experiment that a device must not change.
+    """
 
     condition: str
     experiment: Experiment
@@ -29,9 +32,10 @@ class SessionWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefusedWalls:
-    """Walls that the arming gate refuses for a condition and a damping.
+    """The walls of one condition and damping that the arming gate refuses because of the delay of the link.
 
-    `stiffness` are the refused walls, `walls` the number of all walls, `text` the reason for the softest refused one.
+    `stiffness` contains their stiffnesses, ascending; `walls` is the number of all walls of this condition and damping,
+    and `text` the reason for the softest refused wall.
     """
 
     condition: str
@@ -43,7 +47,7 @@ class RefusedWalls:
 
 @dataclass(frozen=True, slots=True)
 class TrialDone:
-    """Result of a trial: its hit, the error that ended it early (or None), and its duration (s)."""
+    """Result of a trial: the hit, the error that ended the hit early (or None), and the duration (s)."""
 
     hit: HitOutcome
     error: Exception | None
@@ -51,9 +55,9 @@ class TrialDone:
 
 
 class TrialRunner(Protocol):
-    """Runner of trials: a rig (`DeviceRunner`), or a substitute in tests.
+    """Interface of a rig that runs the trials of a session: `DeviceRunner`, or a substitute in tests.
 
-    `hand` is the file through which a person moves the simulated hand, or None if it plays its script. With
+    `hand` is the file through which a person moves the simulated hand; None if the hand follows its script. With
     `arm_anyway` the operator accepts walls that the arming gate refuses, with `lossy_anyway` the loss of samples.
     """
 
@@ -63,37 +67,46 @@ class TrialRunner(Protocol):
 
     @property
     def simulated(self) -> bool:
-        """Return True if the device is simulated, so that no real rig can move."""
+        """True if the device is simulated, so that no real rig can move."""
         ...
 
     @property
     def virtual(self) -> bool:
-        """Return True if trials run in virtual time."""
+        """True if trials run in virtual time, as fast as the computer simulates."""
         ...
 
     @property
     def messages(self) -> Sequence[str]:
-        """Return messages about permissions that this computer or the port did not grant, without repetition."""
+        """Messages about permissions that this computer or the port did not grant, without repetition."""
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the log stores about the device, its clock and this computer."""
+        """Return facts about the device, its clock and this computer, which the log stores."""
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
-        """Return the walls that the rig arms only with consent; see `DeviceRunner.refusals`."""
+        """Return the walls that the rig runs only with the operator's consent, because the arming gate refuses them."""
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure lost and late samples at an experiment's rate; return None in virtual time."""
+        """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Check whether the device and its link can run an experiment; nothing moves."""
+        """Check that the device and its link can run an experiment; return the results. Nothing moves.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a torque pulse, with no hand on the handle; see `rig.experiments.motion.pulse.pulse`."""
+        """Apply a short torque pulse, with no hand on the handle, to check that the rig moves as it is described.
+
+        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
+        """
         ...
 
     def hit(
@@ -106,7 +119,7 @@ class TrialRunner(Protocol):
         heat: float,
         blinded: bool = False,
     ) -> TrialDone:
-        """Run one trial and return its result; see `DeviceRunner.hit`."""
+        """Run one trial and return its result; `DeviceRunner.hit` explains the parameters."""
         ...
 
     def close(self) -> None:

@@ -1,29 +1,31 @@
 """Compute the state of a session and its next step, as a pure function of its log.
 
-Nothing is stored outside of the log, so a killed session can be resumed, and an analysis uses the same data as the
-session itself. Kinds of events and their content:
+Nothing is stored outside the log, so a killed session can be resumed, and an analysis uses the same data as the session
+itself. Kinds of events and their content:
 
 =============  ====================================================================================================
 ``began``      protocol, protocol_sha256, experiment, code, row, seed, versions, rehearsal, differs (keys in which
                earlier sessions of the study have another value)
-``opened``     the device and where it is, its clock, this computer and versions, each time that it was opened
+``opened``     device and its URL, its clock, this computer and versions; written each time that the device is opened
 ``resumed``    where (trial, block), abandoned: recordings of trials that were not logged
-``block``      block: it begins
+``block``      number of the block that begins
 ``trial``      one recorded hit: `rig.session.planning._trial.Presented` and `rig.session.planning._trial.HitOutcome`
 ``judged``     trial, verdict, judged_by, response_time_s
-``redone``     trial: it does not count, and comes again
-``retried``    run: its trials were invalid so often that the operator was asked, and continued
-``skipped``    run: it is left without a limit
+``redone``     number of the trial that does not count and is repeated
+``retried``    number of the search (run) that the operator continued after too many invalid trials in a row
+``skipped``    number of the search (run) that ends without a limit
 ``note``       text, trial
-``paused``     reason … ``continued``
+``paused``     reason
+``continued``  end of a pause
 ``rested``     seconds, reason (every, block, heat)
 ``answered``   item, answer, block
-``restarted``  block: its trials do not count
-``amended``    number of the event that is corrected, field, value, why, trial that it is about; the field void of a
-               ``trial`` says afterwards that it does not count
-``stopped``    reason: the session was left, to be resumed
-``ended``      reason: complete, or the rule that ended it
-``streamed``   what went out by Lab Streaming Layer, and the offset of its clock
+``restarted``  number of the block that starts again; its trials so far do not count
+``pulse``      block, result of the torque pulse before the block, recording
+``amended``    number of the event that is corrected, field, value, why, trial; the field void of a ``trial`` states
+               whether the trial is excluded
+``stopped``    reason for which the session was left; it can be resumed
+``ended``      reason: complete, or the stop rule that ended the session
+``streamed``   summary of the data sent by Lab Streaming Layer, and number of lost markers
 =============  ====================================================================================================
 """
 
@@ -47,11 +49,11 @@ from rig.session.planning._times import cooling_s
 from rig.session.planning._trial import REDONE, RESTARTED, Presented, RecordedTrial, trial_of
 from rig.session.search import JudgedProbe, Probe, Rule
 
-# What a session without interruptions has once or not at all.
+# Kinds of events outside the course of trials; the time before such an event is not active time of the session.
 BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
 _LONGEST_PAUSE_S = 3600.0  # between two events: a longer gap does not count as active time
-_TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of the computer may have been set
+_TRUSTED_S = 30.0  # longest cooling assumed between two events: the computer's clock may have been changed
 
 
 # What comes next.
@@ -59,23 +61,23 @@ _TRUSTED_S = 30.0  # of the time between two events, for cooling: the clock of t
 
 @dataclass(frozen=True, slots=True)
 class DoTrial:
-    """Next step: run a trial with this wall."""
+    """Next step of a session: run a trial with this wall."""
 
     presented: Presented
 
 
 @dataclass(frozen=True, slots=True)
 class DoJudge:
-    """Next step: obtain the verdict on this trial."""
+    """Next step of a session: obtain the verdict on this trial."""
 
     trial: RecordedTrial
 
 
 @dataclass(frozen=True, slots=True)
 class DoAsk:
-    """Next step: ask an item of the questionnaire, or have the rig fitted for a block (item `FITTED`).
+    """Next step of a session: ask a question of the questionnaire, or have a part fitted to the rig (`FITTED`).
 
-    `block` is 0 before the first block, the number of the finished block after one, and -1 at the end.
+    `block` is 0 before the first block, the number of the finished block after a block, and -1 at the end.
     """
 
     item: Item
@@ -84,14 +86,17 @@ class DoAsk:
 
 @dataclass(frozen=True, slots=True)
 class DoBlock:
-    """Next step: begin this block."""
+    """Next step of a session: begin this block."""
 
     block: Block
 
 
 @dataclass(frozen=True, slots=True)
 class DoRest:
-    """Next step: rest for `seconds`; `reason` is every, block or heat."""
+    """Next step of a session: rest for `seconds` (s).
+
+    `reason` is "every" (a number of trials), "block" (between blocks) or "heat" (the motor cools).
+    """
 
     seconds: float
     reason: str
@@ -99,14 +104,17 @@ class DoRest:
 
 @dataclass(frozen=True, slots=True)
 class DoPause:
-    """Next step: pause, because computer or link made too many trials in a row invalid."""
+    """Next step of a session: pause, because computer or link made too many trials in a row invalid."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Next step: ask the operator how to continue, because too many trials of this run in a row were invalid."""
+    """Next step of a session: ask the operator how to continue after too many invalid trials in a row in one search.
+
+    `run` is this search and `last` its newest trial.
+    """
 
     run: SearchRun
     last: RecordedTrial
@@ -114,23 +122,24 @@ class DoDecide:
 
 @dataclass(frozen=True, slots=True)
 class DoEnd:
-    """Next step: end the session, for this reason."""
+    """Next step of a session: end the session for this reason."""
 
     reason: str
 
 
 Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoPause | DoDecide | DoEnd
 
-WALKING = ("ascending", "staircase", "interleaved")  # rules that go from wall to wall
+WALKING = ("ascending", "staircase", "interleaved")  # rules whose next wall follows from the walls before
 
-END = -1  # block of an item asked at the end
-FITTED = "fitted to the rig"  # an item that no question can be called: the rig is as the next block needs it
+END = -1  # block of a question that is asked at the end
+# Question about the part that the next block needs. A question of a protocol cannot have this name, with blanks.
+FITTED = "fitted to the rig"
 AS_IT_IS = "the rig as it is"
 
 
 @dataclass
 class SessionState:
-    """State of a session after its events so far; `SessionState.of` replays a log, `apply` adds an event.
+    """State of a session after the events in its log so far; `apply` updates the state with a new event.
 
     Attributes
     ----------
@@ -139,19 +148,27 @@ class SessionState:
     blocks
         Blocks in the order of this participant.
     trials
-        All trials so far, with those that do not count.
+        All trials so far, also those that do not count.
+    begun
+        Numbers of the blocks that were begun, in their order.
     skipped, corrected
-        Numbers of the runs that were skipped, and of the runs with a corrected verdict or an excluded trial.
+        Numbers of the searches that were skipped, and of the searches with a corrected verdict or an excluded trial.
     answered
-        Answers to the questionnaire, by item and block.
+        Answers to the questionnaire, by question and block.
     fitted
         Part that is fitted to the rig, as the operator confirmed; None if unknown, for example after a resume.
+    notes
+        Notes of the operator: number of the newest trial, and text.
     stopped
         Reason for which the session was left; None after it was resumed.
-    paused
-        Reason of a pause; None after the operator continued.
     ended
-        Reason for which the session ended; None while it has not.
+        Reason for which the session ended; None before its end.
+    paused
+        Reason of the current pause; None after the operator continued.
+    heat
+        Heat of the motor's winding as a fraction of its budget.
+    active_s
+        Duration of the session so far without interruptions (s).
     """
 
     protocol: Protocol
@@ -182,7 +199,7 @@ class SessionState:
 
     @classmethod
     def of(cls, events: Sequence[Event]) -> SessionState:
-        """Return the state after the events of a log.
+        """Return the state of a session after the events of its log.
 
         Raises
         ------
@@ -193,7 +210,8 @@ class SessionState:
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
-                "the session's log does not begin with its protocol", remedy="start a new session"
+                "the session's log does not begin with the event `began`, which contains the protocol",
+                remedy="restore the log from a copy, or start a new session",
             )
         began = events[0].content
         protocol = protocol_from_mapping(began["protocol"], "the protocol in the session's log")
@@ -234,7 +252,7 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """Return the block that was begun last; None if it is finished or no block was begun."""
+        """The block that was begun last; None if that block is finished, or no block was begun."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])
@@ -329,37 +347,38 @@ class SessionState:
 
     @property
     def newest(self) -> int:
-        """Return the number of the newest trial, 0 before the first."""
+        """Number of the newest trial; 0 before the first."""
         return self.trials[-1].trial if self.trials else 0
 
     @property
     def thermal_time_constant_s(self) -> float:
-        """Return the thermal time constant of the motor's winding (s)."""
+        """Thermal time constant of the motor's winding (s)."""
         return float(self.experiment["rig"]["limits"]["thermal_time_constant_s"])
 
     def trial_numbered(self, number: int) -> RecordedTrial:
         """Return the trial with this number; raise `RecordingError` if the log does not contain it."""
         if not 1 <= number <= len(self.trials) or self.trials[number - 1].trial != number:
             raise RecordingError(
-                f"the log refers to trial {number}, which it does not contain",
+                f"an event in the session's log refers to trial {number}, which the log does not contain",
                 remedy="restore the log from a copy",
             )
         return self.trials[number - 1]
 
     def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
-        """Return the trials of a run that were not excluded, with the invalid ones."""
+        """Return the trials of a search that were not excluded, also the invalid trials."""
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
-        """Return the search rule of a run, without its catch trials."""
+        """Return the search rule of a search, without catch trials."""
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return the answers that the search rule of a run receives: all judged probes, unless a verdict was corrected.
+        """Return the answers that the search rule of a search receives: one for each judged wall.
 
-        Rules in `WALKING` derive the next wall from the sequence of walls that they chose. After a correction such a
-        rule receives only the answers to walls that it would still have chosen, so it never jumps to a distant wall.
-        `judged_probes` returns the other answers too, for estimates that do not depend on the sequence.
+        Staircases and ascending series (rules in `WALKING`) derive the next wall from the sequence of walls that they
+        chose. After the correction of a verdict such a rule receives only the answers to walls that it would still have
+        chosen, so that it never jumps to a distant wall. `judged_probes` also returns the other answers, for estimates
+        that do not depend on the sequence.
         """
         probes = self.judged_probes(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -367,13 +386,13 @@ class SessionState:
         rule = self.rule(run)
         led: list[JudgedProbe] = []
         for answer in probes:
-            # A rule that walks derives its place from its own walls: an answer to another wall would let it jump.
+            # A rule in `WALKING` derives its level from its own walls: an answer to another wall would let it jump.
             if answer.probe.catch or rule.next(led) == answer.probe:
                 led.append(answer)
         return led
 
     def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return the answers of a run: one for each judged trial that counts.
+        """Return the answers in a search: one for each judged trial that counts.
 
         An unsure verdict is an answer without a verdict (`stable` is None). After `trial.unsure` unsure verdicts in a
         row on the same wall, the last of them counts as not stable.
@@ -396,7 +415,7 @@ class SessionState:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
     def asks(self, run: SearchRun) -> Probe | None:
-        """Return the next wall of a run; None if the run is finished or was skipped."""
+        """Return the next wall of a search; None if the search is finished or was skipped."""
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
@@ -456,7 +475,7 @@ class SessionState:
         return DoTrial(self._present(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
-        """Return the rest, fitting or start of the block that must precede its next trial; None if nothing must."""
+        """Return the rest, fitting or start that must precede the next trial of a block; None if nothing must."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:
@@ -497,7 +516,7 @@ class SessionState:
         )
 
     def _turn(self, block: Block, waiting: int) -> int:
-        """Return the index of the next run among the `waiting` unfinished runs of a block."""
+        """Return the index of the next search among the `waiting` unfinished searches of a block."""
         if not block.interleave:
             return 0
         done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
@@ -508,7 +527,7 @@ class SessionState:
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: SearchRun) -> int:
-        """Return the number of invalid trials in a row at the end of a run, since the operator last chose to continue.
+        """Return the number of invalid trials in a row at the end of a search, since the operator last continued.
 
         Trials that computer or link made invalid are not counted.
         """
@@ -545,7 +564,7 @@ class SessionState:
         )
 
     def _stop_rule(self) -> str | None:
-        """Return the stop rule that ends the session now, as text; None if no rule does."""
+        """Return the stop rule of the protocol that ends the session now, as text; None if no rule does."""
         stop = self.protocol.stop
         counted = sum(not (trial.practice or trial.void) for trial in self.trials)
         if stop.trials is not None and counted >= stop.trials:
@@ -574,7 +593,7 @@ def _count_in_a_row(found: Iterable[bool]) -> int:
 
 
 def apply_corrections(events: Iterable[Event]) -> list[Event]:
-    """Return the events with corrected content; the events of the corrections remain in the list."""
+    """Return the events of a log with corrected content; events that describe corrections remain in the list."""
     events = list(events)
     changes: dict[int, dict[str, Any]] = {}
     for event in events:

@@ -21,10 +21,14 @@ from rig.session.planning._times import QUESTION_S, Taken
 
 
 def find_taken(protocol: Protocol, study: Path) -> Taken | None:
-    """Return the times that earlier participants took for the same trials; None if none of their sessions is finished.
+    """Return the median times (s) that earlier participants took for the same kind of trials.
+
+    Return None if no such session is finished.
 
     Parameters
     ----------
+    protocol
+        Protocol of the new session.
     study
         Directory of the participants. Other directories, and sessions that cannot be read, are ignored.
     """
@@ -43,7 +47,7 @@ def find_taken(protocol: Protocol, study: Path) -> Taken | None:
 
 
 def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
-    """Return the events of a session if it has ended, is no rehearsal, and had the same trials; otherwise ()."""
+    """Return the events of a session that has ended, is no rehearsal, and had the same kind of trials; otherwise ()."""
     try:
         events = read(path)
         state = SessionState.of(events)

@@ -30,7 +30,7 @@ _LINES: dict[str, str] = {
 
 
 def line_of_event(event: Event) -> str:
-    """Return an event as a line without conditions and walls, which a blinded person may read."""
+    """Return an event as one line without conditions and walls, which a blinded person may read."""
     if event.kind == "trial":
         content = event.content
         invalid = content["automatic"] == Kind.INVALID
@@ -56,7 +56,7 @@ def line_of_event(event: Event) -> str:
 
 
 def whole_line(event: Event, motion: Motion) -> str:
-    """Return an event as a complete line, with condition, wall and all reasons, for people who are not blinded."""
+    """Return an event as one line with condition, wall and all reasons, for people who are not blinded."""
     content, parts = event.content, [line_of_event(event)]
     if event.kind == "trial":
         return _whole(trial_of(content), motion)
@@ -94,7 +94,10 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
 
 
 def outcome(trial: RecordedTrial, *, blind: bool) -> str:
-    """Return the result of a trial as text, without its wall and without anything that could influence a verdict."""
+    """Return the result of a trial as text, without its wall and without anything that could influence a verdict.
+
+    If `blind` is True, the reasons of an invalid trial contain no information about the wall.
+    """
     if trial.invalid:
         return _invalid(trial.trial, trial.reasons, blind=blind)
     if not trial.verdict:
@@ -111,7 +114,7 @@ def outcome(trial: RecordedTrial, *, blind: bool) -> str:
 
 
 def _describe_too_fast(trial: RecordedTrial) -> list[str]:
-    """Return a list with a warning if the verdict came sooner than a person can respond; otherwise an empty list."""
+    """Return a list with a warning if the verdict was given sooner than a person can respond; otherwise []."""
     if not trial.too_fast or trial.response_time_s is None:
         return []
     after_ms = 1e3 * trial.response_time_s
@@ -121,9 +124,9 @@ def _describe_too_fast(trial: RecordedTrial) -> list[str]:
 
 
 def _describe_kept(outside: Sequence[str], *, blind: bool) -> list[str]:
-    """Return a list with a phrase if a trial counts although it lay outside the bands; otherwise an empty list.
+    """Return a list with a phrase if a trial counts although it missed a required range (impact speed, press); else [].
 
-    Do not show it before the verdict: a measured press reveals that the wall was not unstable.
+    Do not show this phrase before the verdict: a measured press reveals that the wall was not unstable.
     """
     return [f"counts, but {summarise_reasons(outside, blind=blind)}"] if outside else []
 

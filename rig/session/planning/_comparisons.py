@@ -54,7 +54,7 @@ def wall_checks(walls: Walls) -> list[Check]:
 
 def _checks_of(x: Experiment) -> Sequence[Check]:
     try:
-        # A protocol states its conditions: what other comparisons would take for a cut-off is not theirs.
+        # The check of cut-off frequencies helps to compare single experiments; a protocol states its conditions itself.
         return [check for check in make_plan(x).checks if check.name != CUTOFFS]
     except RigError as error:
         return (Check("law", Outcome.REFUSED, error.message, error.remedy),)

@@ -80,7 +80,7 @@ class KeyMap:
         return next((meaning for meaning, known in self.keys.items() if known == key.lower()), "")
 
     def key_of(self, meaning: str) -> str:
-        """Return the name of the key with this meaning, for display; "" if there is none."""
+        """Return the name of the key with this meaning, for display; "" if no key has it."""
         return self.keys.get(meaning, "")
 
     @property

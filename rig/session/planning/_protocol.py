@@ -425,7 +425,7 @@ class Protocol:
     __pydantic_config__: ClassVar[dict[str, Any]] = STRICT
 
     def condition_named(self, name: str) -> Condition:
-        """Return the condition with this name; raise `KeyError` if there is none."""
+        """Return the condition with this name; raise `KeyError` if it is missing."""
         for condition in self.condition:
             if condition.name == name:
                 return condition
