@@ -39,10 +39,11 @@ _log = logging.getLogger(__name__)
 
 
 def with_ledger(recording: Recording) -> Recording:
-    """Return the recording with a timing summary in its trailer; fill the columns sampled_at and applied_at in place.
+    """Return the recording with a timing summary in its trailer (the facts stored at the end of a trial).
 
-    Return the recording unchanged if it has no rows, or if its trailer has no clock fit or (with a logged warning) an
-    invalid one: an invalid clock fit must not prevent a recording from being stored.
+    Fill the columns sampled_at and applied_at in place. Return the recording unchanged if it has no rows, or if its
+    trailer has no clock fit or (with a logged warning) an invalid one: an invalid clock fit must not prevent a
+    recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer or not len(recording):
@@ -58,7 +59,9 @@ def with_ledger(recording: Recording) -> Recording:
 
 
 def ledger_of(recording: Recording) -> Ledger:
-    """Return the times of each tick of a recording, from its rows and from the clock fit in its trailer.
+    """Return the times (ns) of each control tick of a recording, on the host's clock.
+
+    Device times are converted by the clock fit in the recording's trailer, if there is one.
 
     Raises
     ------
@@ -74,9 +77,9 @@ def ledger_of(recording: Recording) -> Ledger:
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the fit of host time over device time in a recording's trailer; None if missing.
+    """Return the fit of host time over device time that a recording stores in its trailer; None if missing.
 
-    Raise `RigError` if the fit is invalid.
+    The trailer contains the facts known at the end of a trial. Raise `RigError` if the fit is invalid.
     """
     clock = (recording.trailer or {}).get(CLOCK_KEY)
     return None if clock is None else ClockFit.from_mapping(clock)

@@ -142,8 +142,8 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
     metadata: dict[bytes, bytes] = schema.metadata or {}
     if not any(key in metadata for key in KEYS):
         raise RecordingError(
-            f"{path} is not a recording",
-            remedy="the file is Parquet written by another program; give one written by haptic-rig",
+            f"{path} is not a recording: this Parquet file was written by another program",
+            remedy="give a .parquet or .rigcap file that haptic-rig wrote",
         )
     return metadata
 
@@ -155,7 +155,9 @@ def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
     """
     # pyarrow's own conversion imports pandas.
     if chunk.null_count:
-        raise ValueError(f"a column of {dtype} has {chunk.null_count} empty values")
+        raise ValueError(
+            f"a column of the type {dtype} has {chunk.null_count} empty values; a recording has none"
+        )
     if chunk.type != pyarrow.from_numpy_dtype(dtype):
         raise ValueError(f"a column has the type {chunk.type} instead of {dtype}")
     return np.frombuffer(chunk.buffers()[1], dtype, len(chunk), chunk.offset * dtype.itemsize)
@@ -207,7 +209,7 @@ def _checked_columns(
                     yield name, row, values
                     row += len(values)
     if b"%08x" % crc != metadata[CHECKSUM_KEY]:
-        raise ValueError("the checksum of header and columns does not match")
+        raise ValueError("the checksum of header and columns does not match: the contents have changed")
 
 
 def _facts(path: Path, metadata: dict[bytes, bytes]) -> Recording:

@@ -63,12 +63,12 @@ def parse_json(text: bytes) -> Any:
     try:
         value = json.loads(text)
     except RecursionError:
-        raise ValueError(f"nested deeper than {DEPTH} levels") from None
+        raise ValueError(f"the JSON is nested deeper than {DEPTH} levels") from None
     level = [value]
     for _ in range(DEPTH):
         level = [below for one in level if type(one) in _NESTS for below in _parts(one)]
     if level:
-        raise ValueError(f"nested deeper than {DEPTH} levels")
+        raise ValueError(f"the JSON is nested deeper than {DEPTH} levels")
     return value
 
 

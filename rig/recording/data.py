@@ -1,7 +1,7 @@
 """A recording in memory: the type that every reader of recordings returns and every writer accepts.
 
 Trials, verdicts, replays, maps, sessions, plots, studies and `rig.testing` use this module. It must not read or write a
-file, nor judge a recording.
+file, nor evaluate a recording.
 """
 
 from __future__ import annotations

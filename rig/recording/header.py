@@ -157,7 +157,7 @@ def check_version(path: Path, found: object) -> None:
     if found != VERSION:
         raise RecordingError(
             f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",
-            remedy="open it with the haptic-rig that recorded it, or record again",
+            remedy="open it with the version of haptic-rig that recorded it, or record again",
         )
 
 

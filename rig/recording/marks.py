@@ -3,7 +3,7 @@
 ========  =============================================================================================
 homed     the first sample after homing
 free space
-          the first sample of the movement in free space before the trial
+          the first sample of the phase without effort before the trial, in which the person waits
 trial     the first sample of the trial
 contact   each first sample inside the wall after a sample outside the wall, during the trial
 release   the first sample of the release

@@ -1,7 +1,7 @@
 """Open a recording file; its first bytes, not its name, decide whether it is Parquet or a ``.rigcap`` capture.
 
 Commands, trials, `rig.experiments.lab`, the console, studies and plots use this module. It must not write, repair or
-judge a file: the returned recording lists the damage (`Recording.lost`).
+evaluate a file: the returned recording lists the damage (`Recording.lost`).
 """
 
 from __future__ import annotations

@@ -246,7 +246,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the recording; after an exception of the loop, write its text into the trailer as the reason.
+        """End the recording; after an exception of the loop, write the exception's text into the trailer as the reason.
 
         If the recorder fails as well, its error is added to the loop's exception as a note.
         """

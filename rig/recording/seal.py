@@ -160,7 +160,7 @@ class _ReadBack:
         )
         if not same:
             raise RecordingError(
-                f"the recording in {path} differs from {expected.path}",
+                f"the recording in {path} differs from the capture {expected.path}",
                 remedy="the capture was not removed; move one of the two files to another directory",
             )
         if found.names == expected.names:

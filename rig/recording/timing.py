@@ -135,7 +135,8 @@ class Ledger(TimingFacts):
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
         """Return the length of a latency stage in each tick (ns), and a mask that is True where the length is known.
 
-        `name` is a key of `STAGES`, or `LATENESS` for the delay of the receipt after its regular time.
+        `name` is a key of `STAGES`, e.g. "transport_in", or `LATENESS` for the delay of the receipt after its regular
+        time.
         """
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)

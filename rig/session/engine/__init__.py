@@ -1,1 +1,1 @@
-"""A session that runs: its log, the state that follows from it, trials on a device, and the desk's interface."""
+"""The engine of a session: log, state computed from the log, trials on a device, interface of the user interface."""

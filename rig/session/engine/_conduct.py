@@ -109,7 +109,10 @@ class Marks(Protocol):
     """Interface of an object that sends the session's events to other programs, without delaying the session."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
-        """Send an event to other programs, with its host time (ns); None: now."""
+        """Send an event with the name `mark` and further values to other programs.
+
+        `at_ns` is the time of the event on the host's clock (ns); None: now.
+        """
         ...
 
 
@@ -219,7 +222,7 @@ def _remedy_of_pause(reason: str) -> str:
 
 
 class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
-    """The operator leaves the session."""
+    """Raised when the operator leaves the session, which is no error."""
 
 
 class _Engine:
@@ -325,7 +328,7 @@ class _Engine:
                 self._hit(presented)
 
     def _pulse(self, presented: Presented) -> bool:
-        """Apply a torque pulse with hands off the handle; return True if the rig moves as it is described.
+        """Apply a torque pulse with hands off the handle; return True if the motion agrees with the rig's description.
 
         The pulse comes before the first trial of a block, after a resume, and after a trial that ended in doubt about
         the rig.

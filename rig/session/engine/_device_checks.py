@@ -1,4 +1,4 @@
-"""Check a protocol on a device before a session: the device supports the conditions, arms the walls and keeps pace."""
+"""Check a protocol on a device before a session: the device can run the conditions and walls, and loses few samples."""
 
 from __future__ import annotations
 

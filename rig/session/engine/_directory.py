@@ -1,9 +1,9 @@
 """The directory of one participant: begin a session, resume it after any end, and correct it.
 
 session.log               every decision (`rig.session.engine._log`), from which the state of the session is computed
-protocol.toml             copy of the protocol file at the start trials/t0001.parquet …    recordings; the name contains
-the trial's number, but nothing about its wall trials/abandoned/         recordings of trials that were not logged
-because the process died
+protocol.toml             copy of the protocol file at the start
+trials/t0001.parquet …    recordings; the name contains the trial's number, but nothing about its wall
+trials/abandoned/         recordings of trials that were not logged because the process died
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ def _refuse_no_session(directory: Path) -> None:
     with plain_errors("read", directory):
         if not (directory / LOG).is_file():
             raise ConfigError(
-                f"{directory} is not the directory of a session: it contains no {LOG}",
+                f"{directory} is not the directory of a session: it contains no file {LOG}",
                 remedy="give the directory of one participant",
             )
 

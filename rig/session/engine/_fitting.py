@@ -37,7 +37,10 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield the experiment with the stiffest wall, and its fixed settings, for each condition and damping."""
+    """Yield the experiment with the stiffest wall for each condition and damping, and its fixed settings.
+
+    Fixed settings are settings that the device must not change.
+    """
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:

@@ -208,9 +208,9 @@ class DeviceRunner:
             return _fits(x, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a short torque pulse, with no hand on the handle, to check that the rig moves as it is described.
+        """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
 
-        The pulse is recorded as `name` in `directory`.
+        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
         """
         device = self._device(experiment, changes)
         assert device is not None  # a real one

@@ -24,7 +24,10 @@ _DISTINGUISHING = {"simulated": "", "device": "device", "serial_number": "serial
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The device on which a session takes place: URL (None to simulate), and True if in real time, and if simulated."""
+    """The device on which a session takes place: its `url` (None to simulate).
+
+    `realtime` is True if trials run in real time, and `simulated` is True if the device is simulated.
+    """
 
     url: str | None = None
     realtime: bool = False
@@ -32,7 +35,10 @@ class Place:
 
 
 def last_place(events: Sequence[Event]) -> Place:
-    """Return URL, real time and kind of the device on which a session was opened last, from the events of its log."""
+    """Return the device on which a session was opened last: URL, real time or virtual, simulated or real.
+
+    `events` are the events of the session's log.
+    """
     opened = last_opened(events)
     place = opened.get("place")
     if place is None:

@@ -52,19 +52,19 @@ class Difference:
 
     @property
     def is_neutral(self) -> bool:
-        """True if the key cannot affect a result."""
+        """True if a difference in this key of the protocol cannot affect the results of a study."""
         return is_within(self.key, NEUTRAL)
 
     @property
     def usual(self) -> Any:
-        """The most frequent value; of several equally frequent values, the first participant's."""
+        """Most frequent value of the protocol's key over the participants; of equally frequent values, the first."""
         texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
         (most, _), *_ = Counter(texts.values()).most_common(1)
         return next(self.values[code] for code, text in texts.items() if text == most)
 
     @property
     def sentence(self) -> str:
-        """Text with the key, its values, and the participants who have each value."""
+        """Text with the protocol's key, its values, and the participants who have each value."""
         texts = {code: value_words(value) for code, value in self.values.items()}
         each = (
             f"{text}: {list_names([code for code, theirs in texts.items() if theirs == text])}"
@@ -74,7 +74,7 @@ class Difference:
 
 
 def is_within(key: str, keys: Iterable[str]) -> bool:
-    """Return True if a dotted key is in `keys`, or belongs to a section in `keys`."""
+    """Return True if a dotted key, e.g. "trial.say", is in `keys`, or belongs to a section in `keys`, e.g. "trial"."""
     return any(key == one or key.startswith(f"{one}.") for one in keys)
 
 
@@ -113,7 +113,10 @@ def settings_of(protocol: Protocol, experiment: Mapping[str, Any]) -> dict[str, 
 
 
 def differences(settings: Mapping[str, Mapping[str, Any]]) -> list[Difference]:
-    """Return the keys in which settings differ; `settings` contains the settings of each participant by code."""
+    """Return the keys in which the protocols of participants differ.
+
+    `settings` contains the values of all keys, by the participant's code.
+    """
     keys = dict.fromkeys(key for of in settings.values() for key in of)
     each = [Difference(key, {code: of.get(key) for code, of in settings.items()}) for key in keys]
     return [one for one in each if any(value != one.usual for value in one.values.values())]
@@ -131,7 +134,10 @@ def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
 
 
 def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
-    """Return the changes that can affect a result, and a changed title if the directory is named after a title."""
+    """Return the differences between protocols that can affect the results of a study.
+
+    A changed title is also returned if the study's directory `study` is named after a title.
+    """
 
     def shares_a_directory(one: Difference) -> bool:
         return one.key == TITLE and study.name in {directory_name(title) for title in one.values.values()}
@@ -140,7 +146,10 @@ def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
 
 
 def refuse_changed(changes: Sequence[Difference], study: Path) -> None:
-    """Raise `ChangedProtocolError` if one of the changes can affect a result."""
+    """Raise `ChangedProtocolError` if one of the differences between protocols can affect the results of a study.
+
+    `study` is the directory of the study's sessions.
+    """
     found = deciding(changes, study)
     if found:
         raise ChangedProtocolError(_sentence(found, study), remedy=_remedy(found))

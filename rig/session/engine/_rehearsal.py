@@ -116,7 +116,10 @@ def check_person(person: Person, protocol: Protocol) -> None:
     stiffnesses = {f"`threshold` {name}=": value for name, value in person.thresholds.items()}
     for option, value in {**stiffnesses, "`spread` ": person.spread}.items():
         if not 0.0 < value < math.inf:
-            raise ConfigError(f"{option}{value:g} is not a stiffness", remedy="give a number above 0")
+            raise ConfigError(
+                f"{option}{value:g} is not a stiffness: it must be finite and above 0",
+                remedy="give a number above 0",
+            )
     if not 0.0 <= person.people_sd < math.inf:
         raise ConfigError(
             f"`people_sd` {person.people_sd:g} is not a standard deviation",

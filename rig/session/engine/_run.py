@@ -371,7 +371,7 @@ def row_of(code: str) -> int:
 
 
 def _checked_row(row: int, protocol: Protocol) -> int:
-    """Return the given row of the order of conditions; raise `ConfigError` if the order does not have it."""
+    """Return the given row of the order of conditions; raise `ConfigError` if it is outside the planned rows."""
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(

@@ -103,7 +103,7 @@ class TrialRunner(Protocol):
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a short torque pulse, with no hand on the handle, to check that the rig moves as it is described.
+        """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
 
         The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
         """

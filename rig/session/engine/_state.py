@@ -369,7 +369,7 @@ class SessionState:
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
-        """Return the search rule of a search, without catch trials."""
+        """Return the search rule (e.g. a staircase) of a search, without catch trials."""
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
@@ -415,7 +415,7 @@ class SessionState:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
     def asks(self, run: SearchRun) -> Probe | None:
-        """Return the next wall of a search; None if the search is finished or was skipped."""
+        """Return the next wall that a search presents; None if the search is finished or was skipped."""
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
@@ -425,7 +425,7 @@ class SessionState:
         return known[1]
 
     def next(self) -> Step:
-        """Return the next step of the session."""
+        """Return the next step of the session, e.g. run a trial (`DoTrial`) or rest (`DoRest`)."""
         if self.ended is not None:
             return DoEnd(self.ended)
         counted = [trial for trial in self.trials if not trial.void]

@@ -29,9 +29,10 @@ Walls = Sequence[tuple[str, Experiment]]  # each with its condition
 
 
 def wall_checks(walls: Walls) -> list[Check]:
-    """Check every wall like a single hit; return for each check the worst result and the number of walls that share it.
+    """Check every wall of a study as for a single hit; return the worst result of each check.
 
-    `walls` are pairs of the condition's name and the experiment with the wall.
+    The text of a result contains the number of walls that share it. `walls` are pairs of the condition's name and the
+    experiment with the wall.
     """
     worst: dict[str, tuple[Check, str]] = {}
     number: dict[tuple[str, Outcome], int] = {}

@@ -173,10 +173,11 @@ def base_of(protocol: Protocol, folder: Path) -> Experiment:
     `folder` is the directory of the protocol file.
     """
     study = {"preset": protocol.study.preset, "experiment": protocol.study.experiment}
-    base = base_experiment(study, folder)
-    if isinstance(base, list):
-        raise config_error(base, f"protocol {protocol.study.title}")
-    return base
+    found = base_experiment(study, folder)
+    if isinstance(found, list):
+        problems = found
+        raise config_error(problems, f"the protocol {protocol.study.title}")
+    return found
 
 
 def broken_conditions(walls: Walls) -> list[Problem]:

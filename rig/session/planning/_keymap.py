@@ -93,15 +93,19 @@ def _check_key(meaning: str, written: str, all_keys: Mapping[str, str]) -> str:
     key = written.lower()
     if key == " ":
         key = STOP
-    where = f"[keys] {meaning} = {written!r}"
     if key in RESERVED:
-        raise ConfigError(f"{where}: {RESERVED[key]}", remedy="choose another key")
+        raise ConfigError(
+            f"[keys] {meaning} = {written!r} is a reserved key: {RESERVED[key]}", remedy="choose another key"
+        )
     if not (len(key) == 1 and key.isprintable()) and key not in NAMED:
         raise ConfigError(
-            f"{where} is not the name of a key",
+            f"[keys] {meaning} = {written!r} is not the name of a key",
             remedy=f"give one character, or one of {', '.join(sorted(NAMED - set(RESERVED)))}",
         )
     twin = next((other for other, its in all_keys.items() if its.lower() == key and other != meaning), None)
     if twin is not None:
-        raise ConfigError(f"{where}: this key already means {twin}", remedy="give each meaning another key")
+        raise ConfigError(
+            f"[keys] {meaning} = {written!r}: this key already means {twin}",
+            remedy="give each meaning another key",
+        )
     return key

@@ -38,7 +38,7 @@ def load_protocol(path: str | Path) -> Protocol:
 
 
 def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a protocol file as experiments, after checking the file; they contain the protocol.
+    """Return the walls of a protocol file as experiments, after checking the file; the result contains the protocol.
 
     `reach_for` is passed to `Walls` and needed only for a simulated hand.
 
@@ -90,7 +90,6 @@ def as_mapping(protocol: Protocol) -> dict[str, Any]:
 def check_code(protocol: Protocol, code: str) -> None:
     """Raise `ConfigError` if a participant's code does not match the protocol's pattern, or looks like a name."""
     pattern = protocol.study.code
-    remedy = f"give the code assigned to this person in the study's list; it must match {pattern}"
     if "@" in code:
         why = "is an e-mail address, which identifies a person"
     elif any(mark in code for mark in "/\\") or code in (".", "..") or code.startswith("."):
@@ -107,7 +106,10 @@ def check_code(protocol: Protocol, code: str) -> None:
         why = "looks like a name: three or more freely chosen letters in a row; sessions must not store names"
     else:
         return
-    raise ConfigError(f"participant code {code[:60]!r} {why}", remedy=remedy)
+    raise ConfigError(
+        f"participant code {code[:60]!r} {why}",
+        remedy=f"give the code assigned to this person in the study's list; it must match {pattern}",
+    )
 
 
 def json_schema() -> dict[str, Any]:

@@ -53,7 +53,7 @@ class Presented:
 
     @property
     def probe(self) -> Probe:
-        """The presented wall in the form that search rules use."""
+        """The presented wall as a `Probe`, the form that search rules use."""
         return Probe(self.stiffness, track=self.track, catch=self.catch)
 
     @property

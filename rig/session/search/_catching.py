@@ -40,19 +40,19 @@ class CatchTrials:
 
     @property
     def count(self) -> int:
-        """Number of catch trials on soft and on stiff walls."""
+        """Number of catch trials (trials whose correct verdict is known) on the softest and on the stiffest wall."""
         return self.soft + self.stiff
 
     @property
     def lapses(self) -> int:
-        """Number of wrong verdicts on soft and on stiff walls."""
+        """Number of wrong verdicts in catch trials, in which the correct verdict is known."""
         return self.false_unstable + self.false_stable
 
     @classmethod
     def of(
         cls, answers: Sequence[JudgedProbe], levels: Sequence[float], sides: Container[Censored]
     ) -> CatchTrials:
-        """Count the catch trials and the wrong verdicts among answers.
+        """Count the catch trials (trials whose correct verdict is known) and the wrong verdicts among answers.
 
         Parameters
         ----------
@@ -61,8 +61,8 @@ class CatchTrials:
         levels
             Stiffnesses of the search, ascending.
         sides
-            Sides ("above", "below") on which the limit lies beyond the levels. Catch trials at that end are not
-            counted, because the correct verdict is unknown.
+            Sides ("above", "below") on which the limit of stable walls lies beyond the levels. Catch trials at that end
+            are not counted, because the correct verdict is unknown.
         """
         caught = [(one.probe.level, one.stable) for one in answers if one.probe.catch]
         # A wall beyond the limit has no known verdict: then its catch trials measure no lapses.
@@ -114,9 +114,9 @@ class Catching:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return a catch trial or the next wall of the rule; None if the search is finished.
+        """Return a catch trial (a wall whose correct verdict is known) or the next wall of the rule.
 
-        A catch trial without a verdict is repeated.
+        A catch trial without a verdict is repeated. Return None if the search is finished.
         """
         probe = self.rule.next(answers)
         if probe is None:
@@ -126,7 +126,7 @@ class Catching:
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the rule's estimate of the limit, without the catch trials."""
+        """Return the rule's estimate of the limit of stable walls, without the catch trials."""
         return self.rule.estimate(answers)
 
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:

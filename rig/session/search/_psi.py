@@ -62,7 +62,10 @@ class Psi:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the wall whose verdict gives the least expected entropy of K50; None if the search is finished."""
+        """Return the wall whose verdict gives the least expected entropy of K50; None if the search is finished.
+
+        K50 is the stiffness at which half of the verdicts are stable.
+        """
         verdicts = verdicts_of(answers)
         if len(verdicts) >= self.hits or self._knows_enough(answers, len(verdicts)):
             return None
@@ -81,7 +84,7 @@ class Psi:
         return (estimate.high - estimate.low) / 2.0 <= self.enough * estimate.value
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the posterior median of K50 with its 95 % interval."""
+        """Return the posterior median of K50 (stiffness with half of the verdicts stable) with a 95 % interval."""
         return posterior_estimate(tuple(self.levels), answers)
 
 
@@ -107,7 +110,8 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return for each row the entropy of K50 after a verdict, times the probability of the verdict.
 
-    Each row of `joint` contains the joint probabilities of the verdict and each value of K50.
+    K50 is the stiffness at which half of the verdicts are stable. Each row of `joint` contains the joint probabilities
+    of the verdict and each value of K50.
     """
     likely = joint.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):

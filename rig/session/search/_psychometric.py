@@ -34,7 +34,11 @@ MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gra
 def share_stable(
     stiffness: Floats | float, threshold: float, spread: float, lapse_rate: float = 0.0
 ) -> Floats:
-    """Return the expected fraction of stable verdicts at a stiffness, for an observer with K50 = `threshold`."""
+    """Return the expected fraction of stable verdicts at a stiffness.
+
+    `threshold` is the stiffness with half of the verdicts stable (K50), and `spread` states how gradually verdicts
+    change with stiffness (both in the unit of stiffness).
+    """
     odds = np.clip((np.asarray(stiffness, dtype=np.float64) - threshold) / spread, -700.0, 700.0)
     return np.asarray(lapse_rate + (1.0 - 2.0 * lapse_rate) / (1.0 + np.exp(odds)))
 
@@ -42,13 +46,20 @@ def share_stable(
 # A grid, not a fit: nothing can fail to converge, and a few answers give a wide interval instead of none.
 @dataclass(frozen=True)
 class PsychometricGrid:
-    """Grid of K50, spread and lapse rate of the psychometric function, for a set of levels (stiffnesses, ascending)."""
+    """Grid of the parameters of the psychometric function (probability of a stable verdict over stiffness).
+
+    The parameters are K50 (stiffness with half of the verdicts stable), spread and lapse rate. `levels` are the tested
+    stiffnesses, ascending.
+    """
 
     levels: tuple[float, ...]
 
     @cached_property
     def edges(self) -> Floats:
-        """Edges of the cells around the grid's values of K50 (stiffness), shape (thresholds + 1,)."""
+        """Edges of the cells around the grid's values of K50 (stiffness with half of the verdicts stable).
+
+        The shape is (thresholds + 1,).
+        """
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -57,12 +68,15 @@ class PsychometricGrid:
 
     @cached_property
     def thresholds(self) -> Floats:
-        """The grid's values of K50 (stiffness), shape (thresholds,)."""
+        """The grid's values of K50 (stiffness with half of the verdicts stable), shape (thresholds,)."""
         return np.asarray((self.edges[:-1] + self.edges[1:]) / 2.0)
 
     @cached_property
     def spreads(self) -> Floats:
-        """The grid's values of the spread s (stiffness), shape (spreads,)."""
+        """The grid's values of the spread s (unit of stiffness), shape (spreads,).
+
+        The spread states how gradually verdicts change with stiffness.
+        """
         # Flat over log s.
         least = LEAST_SPREAD * np.diff(self.levels).min()
         return np.geomspace(
@@ -199,7 +213,7 @@ def _edges(levels: Floats, least: float) -> Floats:
 
 
 def _ratio_apart(levels: Sequence[float]) -> bool:
-    """Return True if the logarithms of the levels are more evenly spaced than the levels themselves."""
+    """Return True if the logarithms of the levels (stiffnesses) are more evenly spaced than the levels themselves."""
 
     def unevenness(values: Floats) -> float:
         steps = np.diff(values)

@@ -1,4 +1,4 @@
-"""Decide if values scatter more than rounding to levels explains, as every interval and p value requires.
+"""Decide if values scatter more than rounding to the tested levels explains, as each interval and p value requires.
 
 For means over n independent searches, the caller divides the rounding error by √n.
 """
@@ -19,14 +19,14 @@ def step_at(levels: Sequence[float], value: float) -> float:
 
 
 def rounding_deviation(step: float) -> float:
-    """Return the standard deviation of the rounding error for levels that are `step` apart."""
+    """Return the standard deviation of the rounding to levels (tested stiffnesses) that are `step` apart."""
     # A search rounds its limit to the distance of two levels. Values that scatter by less do not show how much people
     # vary: three differences of exactly 30 on levels 10 apart once gave 30 (29.99 … 30.01), p < 0.001.
     return step / math.sqrt(12.0)
 
 
 def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0) -> bool:
-    """Return True if a standard deviation is larger than rounding explains.
+    """Return True if a standard deviation is larger than rounding to the tested levels of stiffness explains.
 
     Parameters
     ----------

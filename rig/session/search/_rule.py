@@ -82,7 +82,7 @@ class Rule(Protocol):
         ...
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the estimate of the limit from these answers, also for an unfinished search."""
+        """Return the estimate of the limit of stable walls from these answers, also for an unfinished search."""
         ...
 
 

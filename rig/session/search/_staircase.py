@@ -85,7 +85,7 @@ class Staircase:
             check_whole("steps", step, 1, len(levels) - 1)
         if self.start is not None and self.start not in levels:
             raise ConfigError(
-                f"start = {self.start:g} is not one of the levels",
+                f"start = {self.start:g} is not one of the levels of the staircase",
                 remedy=f"choose one of {', '.join(f'{level:g}' for level in levels)}",
             )
 
@@ -126,14 +126,17 @@ class Staircase:
         return _Walk(place, direction, pressed, turns, len(verdicts))
 
     def has_ended(self, walk: _Walk) -> bool:
-        """Return True if the search is finished: by reversals, by `most` verdicts, or at an end of the levels."""
+        """Return True if the search is finished.
+
+        A search ends after `turns` reversals, after `most` verdicts, or at an end of the levels.
+        """
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """Return the estimate of the limit from the state of the staircase and its verdicts (level, stable).
+        """Return the estimate of the limit of stable walls, from the state of the staircase and its verdicts.
 
-        `hits` is the number of all answers, for the result.
+        `verdicts` are pairs of a level and True for stable; `hits` is the number of all answers, for the result.
         """
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.

@@ -43,7 +43,10 @@ class AskingDesk(Desk):
 
     @abstractmethod
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message from the user interface, with its ``kind``; None after `patience_s` (s)."""
+        """Return the next message from the user interface, with its ``kind``.
+
+        Return None if no message arrives within `patience_s` (s).
+        """
 
     @abstractmethod
     def _check_there(self) -> None:

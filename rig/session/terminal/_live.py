@@ -76,7 +76,7 @@ class LiveLoop:
         return snapshot_of(self._ring)
 
     def close(self) -> None:
-        """Close the shared memory of the control loop, which exists while a process has it open."""
+        """Close the shared memory of the control loop."""
         if self._ring is not None:
             self._ring.close()
             self._ring = None

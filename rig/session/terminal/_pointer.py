@@ -26,10 +26,10 @@ class PointerTarget(Protocol):
     """Receiver of the simulated hand's target position and press (`rig.realtime.hand.SharedHand`)."""
 
     def move(self, position: float, press: float) -> None:
-        """Move the hand towards a position of the link (rad or m), and press with a force (N)."""
+        """Move the simulated hand towards a position of the link (rad or m), and press with a force (N)."""
 
     def close(self) -> None:
-        """Release the hand, which then rests."""
+        """Release the simulated hand, which then rests."""
 
 
 class Pointer:
@@ -53,11 +53,11 @@ class Pointer:
             self._scale = dict(scale)
 
     def point(self, share: float, *, held: bool) -> None:
-        """Move the hand to a fraction of the screen's width (0 … 1); if `held` is True, press with full force."""
+        """Move the simulated hand to a fraction of the screen's width (0 … 1); if `held`, press with full force."""
         self._share, self._held = min(1.0, max(0.0, share)), held
 
     def key(self, name: str) -> bool:
-        """Move the hand by an arrow key and return True; return False for any other key."""
+        """Move the simulated hand by an arrow key and return True; return False for any other key."""
         steps = KEYS.get(name)
         if steps is None:
             return False
@@ -66,12 +66,12 @@ class Pointer:
 
     @property
     def share(self) -> float:
-        """Position of the hand as a fraction of the screen's width (0 … 1)."""
+        """Position of the simulated hand as a fraction of the screen's width (0 … 1)."""
         return self._share
 
     @property
     def intention(self) -> tuple[float, float] | None:
-        """Target position (rad or m) and press (N) of the hand; None before start and wall position are known."""
+        """Target position (rad or m) and press (N) of the simulated hand; None before start and wall are known."""
         if "start" not in self._scale or "wall" not in self._scale:
             return None
         start, wall = float(self._scale["start"]), float(self._scale["wall"])

@@ -42,11 +42,11 @@ class SeatHand:
         self._hand = hand
 
     def key(self, name: str) -> bool:
-        """Move the hand and return True if `name` is a key that moves it; return False for any other key."""
+        """Move the simulated hand and return True if `name` is a key that moves it; return False for any other key."""
         return self.kind == "keyboard" and self.pointer.key(name)
 
     def begin(self) -> None:
-        """Move the hand back to the start position before a trial, if arrow keys move it."""
+        """Move the simulated hand back to the start position before a trial, if arrow keys move it."""
         if self.kind == "keyboard":
             # Keys that led into the last wall would touch the next one in free space.
             self.pointer.point(START_SHARE, held=False)

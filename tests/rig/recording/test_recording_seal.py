@@ -285,7 +285,9 @@ def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording
         text=True,
         check=False,
     )
-    assert done.stdout.startswith("Parquet needs pyarrow, which is not installed; pip install pyarrow"), done.stderr
+    assert done.stdout.startswith("Parquet needs pyarrow, which is not installed; pip install pyarrow"), (
+        done.stderr
+    )
     assert f"pyarrow is not installed: {capture} stays a capture" in done.stderr
     assert torn.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == [
