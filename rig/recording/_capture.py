@@ -101,18 +101,12 @@ def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: b
 
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
-    """Return the bytes of the end block, which contains the trailer.
-
-    `number` and `rows` are the numbers of blocks and of rows before the end block.
-    """
+    """Return the bytes of the end block, which contains the trailer and follows `number` blocks with `rows` rows."""
     return pack_block(END_MAGIC, number, rows, 0, _pad(canonical_json(trailer), 0))
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
-    """Write a recording from memory to `file` as a capture; write the end block only if the recording is complete.
-
-    Raise `RecordingError` if parts of the recording are lost: the format cannot store `Recording.lost`.
-    """
+    """Write a recording to `file` as a capture; raise `RecordingError` if parts of the recording are lost."""
     if recording.lost:
         raise RecordingError(
             "a recording with lost parts (damaged or missing rows) cannot be written as a capture",
@@ -148,12 +142,8 @@ class _Findings:
 def read_capture(path: Path, columns: Collection[str] | None = None) -> Recording:
     """Read all valid rows of a ``.rigcap`` capture, also of an incomplete file.
 
-    If `columns` is given, the rows have only these columns; the header still describes all columns.
-
-    Raises
-    ------
-    RecordingError
-        The file does not exist, is not a capture, or has a damaged header or another format version.
+    If `columns` is given, the rows have only these columns; the header still describes all columns. Raise
+    `RecordingError` if the file does not exist, is not a capture, or has a damaged header or another format version.
     """
     with _open_mapped(path) as data:
         header, start = _read_header(path, data)
@@ -176,10 +166,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_capture_header(path: Path) -> Recording:
-    """Return the header of a ``.rigcap`` capture as a recording without rows and trailer.
-
-    Raise `RecordingError` if the file does not exist, is not a capture, or has a damaged header or another version.
-    """
+    """Return the header of a ``.rigcap`` capture as a recording without rows; raise `RecordingError` if damaged."""
     with _open_mapped(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)
@@ -204,7 +191,8 @@ def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
 def _forget(data: mmap.mmap) -> None:
     """Release the pages of the mapped file that were read, because they count as memory of this process."""
     if sys.platform == "linux":
-        with suppress(OSError):  # of locked memory, as while another thread runs in real time
+        # madvise fails on locked memory, as while a thread of this process runs in real time.
+        with suppress(OSError):
             data.madvise(mmap.MADV_DONTNEED)
 
 

@@ -61,14 +61,8 @@ def with_ledger(recording: Recording) -> Recording:
 def ledger_of(recording: Recording) -> Ledger:
     """Return the times (ns) of each control tick of a recording, on the host's clock.
 
-    Device times are converted by the clock fit in the recording's trailer, if there is one.
-
-    Raises
-    ------
-    RecordingError
-        The recording has no rows.
-    RigError
-        The clock fit in the trailer is invalid.
+    Device times are converted by the clock fit in the recording's trailer, if there is one. Raise `RecordingError`
+    without rows, and `RigError` if the clock fit is invalid.
     """
     if not len(recording):
         raise RecordingError("the recording has no rows", remedy="record again: the loop received no sample")
@@ -77,7 +71,7 @@ def ledger_of(recording: Recording) -> Ledger:
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the fit of host time over device time that a recording stores in its trailer; None if missing.
+    """Return the fit of host time over device time in a recording's trailer; None if missing.
 
     The trailer contains the facts known at the end of a trial. Raise `RigError` if the fit is invalid.
     """

@@ -28,7 +28,8 @@ from rig.recording.header import check_version, dtype_of, schema_of
 
 KEYS = (b"rig.header", b"rig.trailer", b"rig.complete", b"rig.lost")
 CHECKSUM_KEY = b"rig.crc32"
-GROUP_ROWS = 1 << 17  # of a row group: what is held twice while a recording is written
+# Rows of a row group, which is in memory twice while a recording is written.
+GROUP_ROWS = 1 << 17
 # Columns of at most this size are decoded together; those of a long recording one by one.
 READ_BYTES = 1 << 25
 
@@ -118,10 +119,7 @@ def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_parquet_facts(path: Path) -> Recording:
-    """Return header and trailer of a Parquet recording as a recording without rows.
-
-    Raise `RecordingError` if the file is not a recording.
-    """
+    """Return header and trailer of a Parquet recording as a recording without rows."""
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)
@@ -149,10 +147,7 @@ def _metadata(path: Path, schema: Any) -> dict[bytes, bytes]:
 
 
 def _to_numpy(chunk: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return a chunk of a pyarrow column as an array over the same memory.
-
-    Raise `ValueError` if the chunk has nulls or another dtype.
-    """
+    """Return a chunk of a pyarrow column as an array over the same memory; raise `ValueError` if it has nulls."""
     # pyarrow's own conversion imports pandas.
     if chunk.null_count:
         raise ValueError(

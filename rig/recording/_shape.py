@@ -10,7 +10,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-DEPTH = 32  # of a JSON: ours has half of it; the interpreter's own stack allows some hundreds
+# Recordings need about half of this depth; the interpreter's stack allows some hundreds of levels.
+DEPTH = 32
 _GREATEST = 1 << 62
 _NESTS = (dict, list)
 _NUMBER = object()  # one that numpy can hold
@@ -89,7 +90,8 @@ def misfit(value: Any, shape: Any, name: str) -> str:
     elif isinstance(shape, dict):
         fits = isinstance(value, dict)
         inside = list(_members(value, shape, name)) if fits else []
-    elif isinstance(shape, range):  # `in` would walk through it for all that is no int
+    # `value in range` would compare with every member if `value` is a float.
+    elif isinstance(shape, range):
         fits = isinstance(value, int | float) and shape.start <= value < shape.stop and value == int(value)
     elif isinstance(shape, tuple):
         fits = value in shape

@@ -53,10 +53,7 @@ class Stage:
 
 @dataclass(frozen=True, slots=True)
 class BadTick:
-    """One of the worst ticks: time since the first received sample (s), and duration of each stage (ns).
-
-    A duration is None if it is unknown.
-    """
+    """One of the worst ticks: time since the first received sample (s), length of each stage (ns; None if unknown)."""
 
     tick: int
     sample_index: int
@@ -225,7 +222,8 @@ def _worst(ledger: Ledger) -> list[BadTick]:
     """Return at most `WORST` ticks, the worst first, of equal ticks the earlier first; omit ticks without delay."""
     values, known = _badness(ledger)
     candidates = np.flatnonzero(known & (values > 0))
-    if len(candidates) > WORST:  # only what can be among the worst is sorted
+    # Sort only ticks that can be among the worst: a recording may have millions of ticks.
+    if len(candidates) > WORST:
         least = np.partition(values[candidates], -WORST)[-WORST]
         candidates = candidates[values[candidates] >= least]
     chosen = candidates[np.argsort(-values[candidates], kind="stable")[:WORST]]

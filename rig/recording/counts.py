@@ -33,10 +33,13 @@ from rig.recording.header import make_header
 from rig.recording.origin import COUNTS_FACTS
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
-WORST_DEVIATION = 0.1  # of a period: a speed from one interval is wrong by as much
-WHOLE_HZ = 1e-4  # a rate so near to whole Hz is taken as that
+# Relative to a period. A speed computed from one interval has the same relative error.
+WORST_DEVIATION = 0.1
+# A rate that differs by less from a whole number of Hz is rounded.
+WHOLE_HZ = 1e-4
 FEWEST = 3  # samples that show a period
-HEAD_BYTES = 1 << 16  # of a file, in which its dialect shows
+# Bytes at the beginning of the file from which delimiter and header are detected.
+HEAD_BYTES = 1 << 16
 COMMENTS = ("#", "%")
 
 Floats = NDArray[np.float64]
@@ -140,10 +143,7 @@ def read_counts(
 
 
 def count_rows(facts: Mapping[str, Any], motion: Motion) -> list[Row]:
-    """Return rate (Hz), resolution (rad or m per count) and lost samples of imported counts as rows of a printed table.
-
-    `facts` is the result of `rig.recording.origin.counts_facts`.
-    """
+    """Return rate (Hz), resolution (rad or m per count) and lost samples of imported counts, as lines to print."""
     rows = [
         Row("rate", facts["rate_hz"], "Hz", digits=9),
         Row("resolution", facts["resolution"], unit_of("position", motion), "a count"),
@@ -306,11 +306,7 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
 
 
 def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
-    """Fit a regular sampling grid to the times of the samples (s, from 0).
-
-    `rows` are the samples' row numbers in the file, for error messages. Raise `RecordingError` if the times are
-    irregular.
-    """
+    """Fit a regular sampling grid to times (s, from 0); `rows` are row numbers of the file for the error message."""
     intervals = np.diff(time_s)
     back = np.flatnonzero(intervals <= 0.0)
     if len(back):

@@ -131,10 +131,7 @@ class Recording(Shown, Drawn):
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Time of each row since the first row (s), on the device's clock, or else on the host's clock.
-
-        The host's clock is used if the device's clock was not recorded. If neither clock was recorded, all times are 0.
-        """
+        """Time of each row since the first row (s), by the device's clock, or the host's if that was not recorded."""
         for name in ("device_time", "received_at"):
             if name in self.names:
                 time: NDArray[np.int64] = self.rows[name]
@@ -161,10 +158,7 @@ class Recording(Shown, Drawn):
         return {name: self.column(name) for name in self.names}
 
     def to_pandas(self) -> Any:
-        """Return the rows as a pandas DataFrame, whose `attrs` contain ``units``, ``descriptions`` and ``header``.
-
-        Raise `RigError` if pandas is not installed.
-        """
+        """Return a pandas DataFrame with units, descriptions and header in `attrs`; raise `RigError` without pandas."""
         try:
             frame = pandas.DataFrame(self.to_numpy())
         except ImportError as error:
@@ -173,10 +167,7 @@ class Recording(Shown, Drawn):
         return frame
 
     def to_xarray(self) -> Any:
-        """Return the rows as an xarray Dataset with the coordinate ``time`` (s).
-
-        Each variable has the attributes ``units`` and ``long_name``. Raise `RigError` if xarray is not installed.
-        """
+        """Return an xarray Dataset over ``time`` (s) with units as attributes; raise `RigError` without xarray."""
         try:
             columns = {name: ("time", values) for name, values in self.to_numpy().items()}
             found = xarray.Dataset(columns, coords={"time": ("time", self.time_s, {"units": "s"})})

@@ -74,10 +74,7 @@ def sidecar_of(path: Path) -> Path:
 
 
 def facts(recording: Recording) -> dict[str, object]:
-    """Return everything of a recording except its rows, as a dictionary.
-
-    The keys are header, trailer, complete, lost, units and descriptions.
-    """
+    """Return all of a recording except its rows: header, trailer, completeness, losses, units and descriptions."""
     return {
         "header": recording.header,
         "trailer": recording.trailer,
@@ -94,10 +91,7 @@ def write_sidecar(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_csv(file: BinaryIO, recording: Recording) -> None:
-    """Write a recording to `file` as CSV: a line with the column names, then one line per row.
-
-    Floats have the fewest digits from which the same float is read back.
-    """
+    """Write a recording as CSV: a line of column names, then one line per row; floats can be read back without loss."""
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(recording.names)

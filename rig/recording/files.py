@@ -37,9 +37,9 @@ _REMEDIES = {
 
 
 def disk_error(doing: str, path: Path, number: int, reason: str | None = None) -> RecordingError:
-    """Return a `RecordingError` "cannot DOING PATH: REASON" for the errno `number`, with advice on what to do.
+    """Return a `RecordingError` "cannot DOING PATH: REASON" with advice on what to do.
 
-    Without `reason`, the text is the operating system's. `number` may also be an errno of `rig.core.regular_file`.
+    `number` is an errno of the operating system or of `rig.core.regular_file`; without `reason`, its text is used.
     """
     cause = reason or os.strerror(number)
     return RecordingError(f"cannot {doing} {path}: {cause}", remedy=_REMEDIES.get(number, ""))
@@ -71,10 +71,7 @@ def sync_directory(directory: Path) -> None:
 
 
 def make_directories(directory: Path) -> None:
-    """Create a directory and its missing parents, and flush their names to the disk.
-
-    Raise `RecordingError` on a disk error.
-    """
+    """Create a directory and its missing parents, flushed to the disk; raise `RecordingError` on a disk error."""
     missing: list[Path] = []
     there = directory
     with plain_errors("make", directory):
@@ -169,10 +166,7 @@ _reserving = threading.Lock()
 
 @contextmanager
 def reserved_name(directory: Path, stem: str) -> Iterator[Path]:
-    """Yield a path from `free_name`, and reserve it against other threads until the ``with`` block ends.
-
-    The reservation is needed because the caller creates the file later.
-    """
+    """Yield a path from `free_name` that no other thread gets until the ``with`` block ends."""
     with _reserving:
         capture = free_name(directory, stem)
         _reserved.add(capture)

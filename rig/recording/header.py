@@ -28,16 +28,14 @@ from rig.core.scratch import scratch
 from rig.recording.canonical import lossless
 
 FORMAT = "haptic-rig recording"
-VERSION = 2  # of header, columns and trailer; a change of their meaning is another version
+# Version of header, columns and trailer; raise it when the meaning of a key or column changes.
+VERSION = 2
 VOLATILE = ("created", "host", "git")
 _SIMPLE_DTYPE = re.compile(r"[<|][iuf][1248]")
 
 
 def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
-    """Return the layout of a row as JSON types: its size in bytes, and a description of each column.
-
-    A column is described by name, dtype, byte offset, unit and meaning.
-    """
+    """Return the layout of a row: its size (bytes), and name, dtype, offset, unit and meaning of each column."""
     dtype = np.dtype([(column.name, column.dtype) for column in columns], align=True)
     described = [
         {
@@ -53,10 +51,7 @@ def make_schema(columns: Sequence[Column], motion: Motion) -> dict[str, Any]:
 
 
 def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
-    """Return the numpy dtype of the rows that a schema from `make_schema` describes.
-
-    Raise `RecordingError` if the schema is invalid.
-    """
+    """Return the numpy dtype of the rows that a schema describes; raise `RecordingError` if the schema is invalid."""
     try:
         columns = schema["columns"]
         formats = [column["dtype"] for column in columns]
@@ -172,7 +167,8 @@ def versions(protocol: str) -> dict[str, str]:
     return {"python": platform.python_version(), "protocol": protocol, **installed}
 
 
-@cache  # packages are looked for on the disk, and a process keeps what it has loaded
+# Cached: the search for a package reads the disk, and the loaded version does not change within a process.
+@cache
 def _installed(package: str) -> str:
     try:
         return version(package)
@@ -204,10 +200,7 @@ def git_revision(directory: Path) -> dict[str, Any] | None:
 
 @lru_cache(maxsize=8)
 def _describe(directory: Path, second: int) -> dict[str, Any] | None:
-    """Return the result of `git_revision` without running any program that the checkout's git configuration names.
-
-    `second` is the time in whole seconds, as part of the key of the cache.
-    """
+    """Return the result of `git_revision` without running any program that the checkout's git configuration names."""
     try:
         answer = _git(
             directory, "rev-parse", "HEAD", "--show-toplevel", "--git-path", "index", "--git-path", "objects"
@@ -256,10 +249,7 @@ def _git(directory: Path, *arguments: str, **own: str) -> str:
 
 @cache
 def checkout() -> dict[str, str]:
-    """Return ``{"commit": TEXT}`` for the git checkout that this program runs from; {} outside a checkout.
-
-    The text is the commit, with a note if files were edited.
-    """
+    """Return ``{"commit": TEXT}`` for the git checkout that this program runs from; {} outside a checkout."""
     sources = Path(__file__).parents[2]
     found = git_revision(sources) if (sources / ".git").exists() else None
     if found is None:

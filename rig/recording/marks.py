@@ -72,10 +72,7 @@ class Mark:
 def marks(recording: Recording) -> list[Mark]:
     """Return the events in a recording (contact, end, sync edges, …), ordered by their time on the device's clock.
 
-    Raises
-    ------
-    RigError
-        The clock fit in the recording's trailer is invalid.
+    Raise `RigError` if the clock fit in the recording's trailer is invalid.
     """
     if not len(recording):
         return []
@@ -118,7 +115,8 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
     places = {
         "homed": behind[behind > homing[0]][:1] if len(homing) else homing,
         "free space": np.flatnonzero(phase == Phase.FREE)[:1],
-        "trial": np.flatnonzero(trial)[:1],  # where there was free space: the cue
+        # After a free-space phase this is the time of the cue.
+        "trial": np.flatnonzero(trial)[:1],
         "contact": _rising(inside),
         "release": np.flatnonzero(phase == Phase.RELEASE)[:1],
         "end": [len(rows) - 1],
@@ -129,10 +127,7 @@ def _of_phases(rows: NDArray[np.void]) -> Iterator[_Found]:
 
 
 def _of_edges(recording: Recording) -> list[_Found]:
-    """Return name, device time (ns) and tick of each rising edge of the sync input.
-
-    An edge in the first row is ignored, because it occurred before the recording.
-    """
+    """Return name, device time (ns) and tick of each rising edge of the sync input after the first row."""
     rows = recording.rows
     edge: _Ints = rows["sync_time"]
     places = 1 + np.flatnonzero((edge[1:] != edge[:-1]) & (edge[1:] != 0))
@@ -140,10 +135,7 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """Yield name, device time (ns) and tick of each rising edge of a sync output.
-
-    The device time is one tick before the sample that shows the edge.
-    """
+    """Yield name, device time (ns) and tick of each rising edge of a sync output, one tick before its first sample."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     # A law on the device sets the outputs in the tick of the sample itself: trial and contact are their marks.
     if loop != "host":

@@ -23,10 +23,7 @@ def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
 
 
 def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return facts about encoder counts imported from CSV; None if the recording was not imported.
-
-    The facts are file name, rate (Hz), resolution (rad or m per count), and numbers of lost samples and gaps.
-    """
+    """Return file, rate (Hz), resolution (rad or m per count) and lost samples of counts imported from CSV, or None."""
     found = (recording.header.get("extra") or {}).get(COUNTS_FACTS)
     return found if isinstance(found, dict) else None
 

@@ -25,9 +25,9 @@ CONFIDENCE = 0.95  # of each bound by itself
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile of a sample (`value`), and its lower and upper confidence bound; a bound is None with too few values.
+    """A quantile of a sample (`value`), and its lower and upper confidence bound (`low`, `high`).
 
-    Each bound holds alone with the confidence that was given to `quantile`.
+    A bound is None if the sample has too few values.
     """
 
     value: float
@@ -104,23 +104,18 @@ def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -
     )
 
 
-@lru_cache  # the stages of a ledger have as many ticks
+# Cached: all stages of a ledger have the same number of ticks.
+@lru_cache
 def _ranks_of_bounds(number: int, share: float, confidence: float) -> tuple[int, int]:
     low, high = (math.ceil(special.bdtrik(one, number, share)) for one in (1.0 - confidence, confidence))
     return low, high + 1
 
 
 def share_bounded_by_largest(number: int, confidence: float = CONFIDENCE) -> float:
-    """Return the level (0 … 1) of the quantile for which the largest of `number` values is an upper bound.
-
-    The values must be independent.
-    """
+    """Return the level (0 … 1) of the quantile for which the largest of `number` values is an upper bound."""
     return float((1.0 - confidence) ** (1.0 / number))
 
 
 def values_needed(share: float, confidence: float = CONFIDENCE) -> int:
-    """Return the least number of independent values that give an upper bound of the quantile at level `share`.
-
-    `share` is the fraction of values (0 … 1) below the quantile.
-    """
+    """Return the least number of independent values that give the quantile at level `share` (0 … 1) an upper bound."""
     return math.ceil(math.log(1.0 - confidence) / math.log(share))

@@ -42,10 +42,12 @@ SYNC_NS = 500_000_000
 AT_RISK_S = 1.0
 POLL_NS = 2_000_000
 POLL_VIRTUAL_NS = 1_000_000
-PATIENCE = 1000  # attempts to write to a descriptor that accepts nothing
+# Attempts to write to a file that accepts no bytes, 2 ms apart, before the recorder reports EIO.
+PATIENCE = 1000
 
 if sys.platform == "win32":
-    _BINARY = os.O_BINARY  # else each 0x0A becomes two bytes
+    # Without this flag Windows writes each byte 0x0A as two bytes.
+    _BINARY = os.O_BINARY
 else:
     _BINARY = 0
 
@@ -78,10 +80,7 @@ def take_rows(
 
 @kernel(_i64(_words, _i64, _i64, _i64))
 def close_block(block: NDArray[np.int64], number: int, first_row: int, count: int) -> int:
-    """Write head and CRC into a block of `count` rows; return the size of the block in bytes.
-
-    `rig.recording._capture` documents the layout.
-    """
+    """Write head and CRC of a block of `count` rows (layout: `rig.recording._capture`); return its size in bytes."""
     size = count * _ROW_WORDS * 8
     data = block.view(np.uint8)
     block[0] = _MAGIC_WORD
@@ -246,10 +245,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the recording; after an exception of the loop, write the exception's text into the trailer as the reason.
-
-        If the recorder fails as well, its error is added to the loop's exception as a note.
-        """
+        """End the recording; after an exception of the loop, write the exception's text into the trailer."""
         if error is None:
             self.finish()
             return
@@ -290,7 +286,8 @@ class Recorder:
             return self._trailer
         self._ring.put(LOOP_DONE, 1)
         self._thread.join(timeout_s)
-        if self._thread.is_alive():  # it still uses the descriptor: leave it open
+        # The thread still uses the descriptor, which therefore stays open.
+        if self._thread.is_alive():
             raise RecordingError(
                 f"{self.path}: the disk did not accept the last rows within {timeout_s:g} s",
                 remedy="check the system's log for errors of the disk; the earlier rows are in the file",

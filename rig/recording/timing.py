@@ -38,10 +38,7 @@ from rig.core.sample import RowFlag
 
 
 class Span(NamedTuple):
-    """A latency stage of a tick: the names of its begin and end time, e.g. "sampled" and "received".
-
-    `with_` is a text on a further cause of delay, or "".
-    """
+    """A latency stage of a tick: names of its begin and end time, and a text on a further cause of delay (`with_`)."""
 
     begin: str
     end: str
@@ -64,7 +61,8 @@ STAGES = {
 LATENESS = "lateness"
 WRAP_NS = (1 << 32) * 125 // 2  # the u32 of a STATE counts units of 62.5 ns
 SEQUENCES = 1 << 16
-NO_AGE = 0xFFFF  # no COMMAND yet, or an age beyond the range of the field
+# The device received no COMMAND yet, or its age is beyond the range of the field.
+NO_AGE = 0xFFFF
 
 _Ints = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
@@ -238,11 +236,7 @@ def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 
 
 def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
-    """Return the device time (ns) at which a command became active, from the row that reports it first.
-
-    This is the time of the sample `age` ticks earlier, or `age` periods before the reporting row if that row is
-    missing.
-    """
+    """Return the device time (ns) at which commands became active, from the rows `shown_at` that report them first."""
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")
     wanted = index[shown_at] - age

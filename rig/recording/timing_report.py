@@ -20,10 +20,7 @@ __all__ = ["LATENESS", "STAGES", "Ledger", "Timing", "TimingSummary", "timing", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timing(Drawn):
-    """Timing of a recording: times of each control tick (`ledger`), their summary, and the name of the file.
-
-    The name is empty for a recording in memory.
-    """
+    """Timing of a recording: times of each control tick, their summary, and the file's name (empty if in memory)."""
 
     ledger: Ledger
     summary: TimingSummary
@@ -33,24 +30,14 @@ class Timing(Drawn):
 def timing(recording: Recording | str | Path) -> TimingSummary:
     """Return quantiles of each latency stage (ns), the worst ticks and the loop's counters of a recording.
 
-    `recording` is a recording in memory, or the path of a Parquet recording or a ``.rigcap`` capture.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be read or has no rows.
-    RigError
-        The clock fit in the recording's trailer is invalid.
+    Raise `RecordingError` if the recording (in memory, or the path of a file) cannot be read or has no rows, and
+    `RigError` if the clock fit in its trailer is invalid.
     """
     return timing_of(recording).summary
 
 
 def timing_of(recording: Recording | str | Path) -> Timing:
-    """Return the times of each tick of a recording (ns), their summary, and the name of the file, for a plot.
-
-    `recording` is a recording in memory or a path. Raise `RecordingError` if the recording cannot be read or has no
-    rows, and `RigError` if the clock fit in its trailer is invalid.
-    """
+    """Return the times of each tick of a recording (ns), their summary, and the file's name; errors as for `timing`."""
     name = ""
     if not isinstance(recording, Recording):
         name = Path(recording).name

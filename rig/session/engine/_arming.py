@@ -81,7 +81,8 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
     The operator consents with `arm_anyway`. For a blinded operator the error contains only the number of such walls.
     """
     blinded = walls.protocol.study.blind in BLINDED
-    if runner.simulated:  # never refused
+    # The arming gate never refuses a simulated rig.
+    if runner.simulated:
         return
     try:
         found = runner.refusals(tuple(walls_of(walls)))

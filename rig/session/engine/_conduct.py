@@ -86,10 +86,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment with the softest wall of the first search, and its fixed settings, to open a device.
-
-    Fixed settings are settings that the device must not change.
-    """
+    """Return the experiment with the softest wall of the first search, and settings that a device must not change."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -117,10 +114,7 @@ class Marks(Protocol):
 
 
 class Streams(Marks, Protocol):
-    """Interface of data streams that send the session's events to other programs; the session opens and closes them.
-
-    An extra package provides the streams (table "marks" of `rig.core.extras`).
-    """
+    """Data streams (of an extra package) that send events to other programs; the session opens and closes them."""
 
     @property
     def lost(self) -> int:
@@ -376,7 +370,8 @@ class _Engine:
         except StoppedError as stop:
             if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":
                 raise
-            self._trouble("stopped before anything moved", presented)  # nothing to log: no trial was begun
+            # No trial had begun, so nothing is logged.
+            self._trouble("stopped before anything moved", presented)
             return
         self._session.clock.took(done.duration_s)
         hit = judge_bands(done.hit, state.protocol.trial, experiment.rig.motion)
@@ -391,7 +386,8 @@ class _Engine:
         """Raise the error that ended a hit early, or ask the operator how to continue. The effort is zero."""
         error = done.error
         if error is not None and not isinstance(error, _ASKED):
-            raise error  # the law or the desk is broken: the next hit would end like this one
+            # The control law or the user interface is broken: the next hit would end in the same way.
+            raise error
         if isinstance(error, StoppedError) and (error.signal is not None or self._desk.who == "simulated"):
             raise error
         if (
@@ -399,10 +395,12 @@ class _Engine:
             and not isinstance(error, DeviceFaultError)
             and not self._runner.simulated
         ):
-            raise error  # a person must check that the handle's position zero is still valid
+            # A person must check that the position zero of the handle is still valid.
+            raise error
         if self._state.trials[-1].invalid:
             why = error.message if isinstance(error, RigError) else done.hit.ended
-            if self._blind and isinstance(error, GuardError):  # an energy, a velocity, an oscillating effort
+            # The text of the error contains an energy, a velocity or an effort, from which the wall can be inferred.
+            if self._blind and isinstance(error, GuardError):
                 why = summarise_reasons(self._state.trials[-1].reasons, blind=True).removeprefix(
                     Opening.ENDED_EARLY
                 )

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-if TYPE_CHECKING:  # the console knows desks, and need not know of sessions
+# Only for types: the console imports this module and must not load the session's engine.
+if TYPE_CHECKING:
     from rig.session.engine._directory import Session
 
 QuestionKind = Literal["ready", "verdict", "rest", "paused", "item", "trouble"]
@@ -39,7 +40,7 @@ class DeskView:
     state
         Short name of the state: "ready", "homing", "free space", "go", "hold", "verdict?", "rest", "paused", "done" …
     say
-        Text for the operator to read to the participant; empty if there is none now.
+        Text for the operator to read to the participant; empty if no text is due now.
     code, block, blocks, run, runs, trial, trials
         Code of the participant; number and total of blocks, searches (runs) and trials. `trials` is an estimate, 0 if
         unknown.
@@ -123,10 +124,7 @@ class Desk(ABC):
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Receive the session, once, before any other call.
-
-        A desk must only read the session: the engine changes it.
-        """
+        """Receive the session once, before any other call; a desk must only read it, as the engine changes it."""
 
     @abstractmethod
     def show(self, view: DeskView) -> None:
@@ -134,10 +132,7 @@ class Desk(ABC):
 
     @abstractmethod
     def ask(self, question: Question) -> Reply:
-        """Ask the operator a question and wait for the reply.
-
-        Raise `rig.core.errors.StoppedError` if no reply is possible any more.
-        """
+        """Ask the operator a question and wait for the reply; raise `StoppedError` if no reply is possible."""
 
     def watch(self) -> Callable[[int, int], None] | None:
         """Return a function to call a few times a second during a hit, with number of ticks and phase.

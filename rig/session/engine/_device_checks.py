@@ -13,10 +13,7 @@ from rig.session.planning._conditions import Walls
 
 
 def device_checks(url: str, walls: Walls) -> list[Check]:
-    """Return checks of the walls on the device at `url`, which is opened as for a session with a person; nothing moves.
-
-    Raise `rig.core.errors.RigError` if the device cannot be opened.
-    """
+    """Return checks of the walls on the device at `url`, without motion; raise `RigError` if it cannot be opened."""
     with closing(DeviceRunner(url=url, realtime=True, verified=True)) as runner:
         fits = fit_checks(walls, runner)
         checks = [*fits, *arming_checks(walls, runner)]

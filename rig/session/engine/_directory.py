@@ -95,6 +95,9 @@ def begin(
 ) -> Session:
     """Begin the session of a participant in the participant's directory.
 
+    Raise `ConfigError` if the code is not valid or the participant has a session already, and `RecordingError` if
+    another process has the session open or writing fails. Nothing is overwritten.
+
     Parameters
     ----------
     directory
@@ -110,13 +113,6 @@ def begin(
         have another value in the study's earlier sessions.
     clock
         Clock for the times in the log (s).
-
-    Raises
-    ------
-    ConfigError
-        The code is not valid, or the participant has a session already. Nothing is overwritten.
-    RecordingError
-        Another process has the session open, or writing to the disk fails.
     """
     refuse_begun(protocol, directory, code)
     make_directories(directory / TRIALS)
@@ -172,7 +168,9 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
 def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
     """Resume a session that was interrupted or left.
 
-    Recordings without an event in the log are moved to trials/abandoned and listed in the log with their SHA-256.
+    Recordings without an event in the log are moved to trials/abandoned and listed in the log with their SHA-256. Raise
+    `ConfigError` if the directory contains no session or the session has ended, and `RecordingError` if another process
+    has the session open, the log is damaged, or writing fails.
 
     Parameters
     ----------
@@ -182,13 +180,6 @@ def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) ->
         "trial": continue with the next trial. "block": repeat the current block; its trials so far do not count.
     clock
         Clock for the times in the log (s).
-
-    Raises
-    ------
-    ConfigError
-        The directory contains no session, or the session has ended.
-    RecordingError
-        Another process has the session open, the log is damaged, or writing to the disk fails.
     """
     _refuse_no_session(directory)
     log = SessionLog(directory / LOG, clock=clock)
@@ -253,14 +244,8 @@ def amend(
     """Append a correction of event `number` to the log; the original event stays in the log.
 
     A verdict, the text of a note, and an answer can be corrected to `value`. A trial can be excluded ("void") or
-    included again ("counts"). `why` is the reason.
-
-    Raises
-    ------
-    ConfigError
-        The event does not exist or cannot be corrected, the value is not valid, or the reason is empty.
-    RecordingError
-        Another process has the session open, the log is damaged, or writing to the disk fails.
+    included again ("counts"). `why` is the reason. Raise `ConfigError` if the event cannot be corrected, the value is
+    not valid or the reason is empty, and `RecordingError` if the log is open elsewhere or damaged, or writing fails.
     """
     _refuse_no_session(directory)
     with SessionLog(directory / LOG, clock=clock) as log:
@@ -310,10 +295,7 @@ def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
 
 
 def _set_aside(session: Session) -> list[dict[str, str]]:
-    """Move recordings that the log does not mention to trials/abandoned.
-
-    Return file and SHA-256 of all recordings in that directory that the log does not list yet.
-    """
+    """Move recordings that the log lacks to trials/abandoned; return file and SHA-256 of those not listed yet."""
     trials = session.directory / TRIALS
     aside = trials / ABANDONED
     logged = {Path(trial.recording).name for trial in session.state.trials if trial.recording}

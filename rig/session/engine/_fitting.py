@@ -15,13 +15,7 @@ from rig.session.planning._schedule import levels_of
 
 
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
-    """Check that the device and its link can run all conditions; return the worst result of each check. Nothing moves.
-
-    Raises
-    ------
-    RigError
-        The device cannot be opened.
-    """
+    """Return the worst result of each check that the device and its link can run all conditions; nothing moves."""
     worst: dict[str, Check] = {}
     for x, changes in _stiffest(walls):
         for one in runner.fits(x, changes):
@@ -37,10 +31,7 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield the experiment with the stiffest wall for each condition and damping, and its fixed settings.
-
-    Fixed settings are settings that the device must not change.
-    """
+    """Yield the stiffest wall's experiment per condition and damping, with settings that a device must not change."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:

@@ -111,10 +111,7 @@ class DeviceRunner:
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return facts about the device, its clock and this computer, which the log stores.
-
-        `changes` are settings of the experiment that the device must not change.
-        """
+        """Return facts about the device, its clock and this computer, which the log stores."""
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
             "url": url,
@@ -146,10 +143,8 @@ class DeviceRunner:
     def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
         """Measure the delay of the link, and return the walls that a real rig runs only with consent; nothing moves.
 
-        Raises
-        ------
-        PlanError, ConfigError
-            A wall is not allowed on this rig even with consent, or the polarity of the rig is not verified.
+        Raise `PlanError` or `ConfigError` if a wall is not allowed even with consent, or the rig's polarity is not
+        verified.
         """
         if self.simulated or not walls:
             return ()
@@ -172,32 +167,21 @@ class DeviceRunner:
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
         """Measure lost and late samples at the experiment's rate on the open device; nothing moves.
 
-        Return None in virtual time. `changes` are settings of the experiment that the device must not change.
-
-        Raises
-        ------
-        RigError
-            The device cannot be opened or does not reply, or the required scheduling is not granted.
+        Return None in virtual time. `changes` are settings that the device must not change. Raise `RigError` if the
+        device does not reply, or the required scheduling is not granted.
         """
         device = self._device(experiment, changes)
         if device is None:
             return None
         x = in_effect(experiment, device, changes)
         run = prepared_on(device, x, verified=self.verified, reference_count=self._zero)
-        device.configure(run.parameters)  # so that it samples at this rate
+        # The device samples at this rate only after it was configured.
+        device.configure(run.parameters)
         self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict)
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check that the device and its link can run an experiment; return the results. Nothing moves.
-
-        `changes` are settings of the experiment that the device must not change.
-
-        Raises
-        ------
-        RigError
-            The device cannot be opened.
-        """
+        """Check that device and link can run an experiment, without motion; raise `RigError` if it cannot be opened."""
         device = self._device(experiment, changes)
         if device is not None:
             return _fits(in_effect(experiment, device, changes), device)
@@ -286,7 +270,8 @@ class DeviceRunner:
                 raise
             error, left = survived, recorded
             if isinstance(error, LinkLostError) and not isinstance(error, DeviceFaultError):
-                self.close()  # the next trial opens it anew
+                # After a lost link the next trial opens the device again.
+                self.close()
         done = _hit_of(left, left.path.relative_to(directory.parent), heat)
         return TrialDone(done, error, _duration_s(left.recording))
 

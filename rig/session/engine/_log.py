@@ -25,7 +25,8 @@ from rig.core.present import plain
 from rig.recording.files import plain_errors, whole_file
 from rig.recording.lines import LineFile, check_line_end, line_of, object_of
 
-VERSION = 4  # of events and their content; a change of their meaning is another version
+# Version of the events and their content; raise it when the meaning of a key changes.
+VERSION = 4
 RESERVED = ("n", "after", "at", "kind", "log")
 
 
@@ -103,31 +104,30 @@ class SessionLog:
     def append(self, kind: str, **content: Any) -> Event:
         """Append an event, write it to disk and return it; the caller may act on the event only after that.
 
-        Raises
-        ------
-        RecordingError
-            Writing failed: the event did not happen, unless the log contains it when it is opened again. Or an earlier
-            append failed and its incomplete line could not be removed; opening the log again removes that line.
-        ValueError
-            A name in `content` is reserved for the log.
+        Raise `RecordingError` if writing failed (the event did not happen, unless the log contains it when it is opened
+        again), or if an incomplete line of an earlier append could not be removed. Raise `ValueError` for a reserved
+        key in `content`.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
             raise ValueError(f"an event must not have the keys {', '.join(taken)}, which the log uses itself")
-        event = Event(len(self.events), self._clock(), kind, plain(content))  # as it will be read
+        # `plain` converts to JSON types, so that the event in memory equals the event that is read back.
+        event = Event(len(self.events), self._clock(), kind, plain(content))
         line = self._line_of(event)
         if self._broken:
             raise RecordingError(
                 f"cannot write {self.path}: an earlier write failed and may have left a partial line",
                 remedy="check the disk, then continue with `rig session resume`",
             )
-        self._broken = True  # until all below is done, whatever interrupts it
+        # Reset only after the sync: an interruption in between may leave an incomplete line.
+        self._broken = True
         try:
             self._file.append(line)
             self._file.sync(at_once=True)
         except BaseException:
             with suppress(RecordingError):
-                self._file.truncate(self._end)  # what was written of it must not stand before the next line
+                # An incomplete line must not precede the next event.
+                self._file.truncate(self._end)
                 self._broken = False
             raise
         self._end += len(line)
@@ -153,10 +153,7 @@ class SessionLog:
 
 
 def read(path: Path) -> list[Event]:
-    """Return the events of a session's log, also while a session writes to it.
-
-    Raise `RecordingError` if the log does not exist or a line is damaged or missing.
-    """
+    """Return the events of a session's log, also while it is written; raise `RecordingError` if it is damaged."""
     with plain_errors("read", path):
         if not path.is_file():
             raise RecordingError(f"session log {path} not found", remedy="check the path")
@@ -174,10 +171,7 @@ def read(path: Path) -> list[Event]:
 def set_damaged_line_aside(path: Path) -> Path | None:
     """Move a damaged last line of a log to a new file next to the log; return its path, or None without damage.
 
-    Raises
-    ------
-    RecordingError
-        Another line is damaged, another process has the log open, or writing to the disk fails.
+    Raise `RecordingError` if another line is damaged, another process has the log open, or writing fails.
     """
     file = LineFile(path, remedy="end the session that is running there, or wait for its end")
     try:
@@ -204,10 +198,7 @@ def set_aside(path: Path) -> list[Path]:
 
 
 def log_losses(event: Event) -> list[str]:
-    """Return sentences (without a full stop) about lines of the log that were lost when the session was resumed.
-
-    `event` is an event of the kind "resumed".
-    """
+    """Return sentences about lines of the log that were lost, from an event of the kind "resumed"."""
     losses = []
     if torn := event.content.get("torn"):
         losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")

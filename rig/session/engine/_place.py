@@ -35,10 +35,7 @@ class Place:
 
 
 def last_place(events: Sequence[Event]) -> Place:
-    """Return the device on which a session was opened last: URL, real time or virtual, simulated or real.
-
-    `events` are the events of the session's log.
-    """
+    """Return the device on which a session was opened last, from the events of its log."""
     opened = last_opened(events)
     place = opened.get("place")
     if place is None:
@@ -47,7 +44,7 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """Return the content of the last ``opened`` event of a log, which describes the device; {} if there is none."""
+    """Return the content of the last ``opened`` event of a log, which describes the device; {} before the first one."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 

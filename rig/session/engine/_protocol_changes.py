@@ -42,10 +42,7 @@ _LISTED = 5  # names in a message
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A key in which the protocols of sessions differ, with its value for each participant.
-
-    A value is None if the participant's protocol lacks the key.
-    """
+    """A key in which the protocols of sessions differ, with each participant's value (None if missing)."""
 
     key: str
     values: Mapping[str, Any]
@@ -91,10 +88,7 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a session as experiments, from the protocol and the experiment in its log.
-
-    `reach_for` is passed to `Walls` and needed only for a simulated hand.
-    """
+    """Return the walls of a session as experiments, from its log; `reach_for` is needed for a simulated hand."""
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
     return Walls(state.protocol, base, reach_for)
 
@@ -146,10 +140,7 @@ def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
 
 
 def refuse_changed(changes: Sequence[Difference], study: Path) -> None:
-    """Raise `ChangedProtocolError` if one of the differences between protocols can affect the results of a study.
-
-    `study` is the directory of the study's sessions.
-    """
+    """Raise `ChangedProtocolError` if a difference to the sessions in `study` can affect a study's results."""
     found = deciding(changes, study)
     if found:
         raise ChangedProtocolError(_sentence(found, study), remedy=_remedy(found))

@@ -82,10 +82,7 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Return the stiffness threshold of each condition from texts like ``dual=430``.
-
-    Raise `ConfigError` for a text of another form.
-    """
+    """Return the stiffness threshold of each condition from texts like ``dual=430``; raise `ConfigError` if invalid."""
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")
@@ -164,10 +161,7 @@ class RealDay(WallClock):
 
 
 class RehearsalDesk(Desk):
-    """User interface with a simulated person, who replies at once.
-
-    The clock advances by a simulated response time.
-    """
+    """User interface with a simulated person, who replies at once; the clock advances by a response time."""
 
     who = "simulated"
 

@@ -220,11 +220,7 @@ def run_session(
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
-    """Raise `ChangedProtocolError` if the protocol differs from the study's earlier sessions and results are affected.
-
-    `study` is the directory of all participants; by default it is named after the title. `person` is the simulated
-    person of a rehearsal, or None.
-    """
+    """Raise `ChangedProtocolError` if the protocol differs from the study's sessions and results are affected."""
     place = study_directory(walls.protocol, study, rehearsal=person is not None)
     refuse_changed(changed_keys(walls, place, normalise(code)), place)
 
@@ -305,10 +301,7 @@ def took_place(directory: Path) -> Place:
 
 
 def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
-    """Return a function that creates the user interface for a simulated person, for `run_session`.
-
-    `looks` is called with each displayed view.
-    """
+    """Return a function that creates the user interface of a simulated person; `looks` receives each view."""
 
     def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
         return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
@@ -325,10 +318,7 @@ def session_state(directory: Path) -> tuple[SessionState, list[Event]]:
 def summary(
     directory: Path, state: SessionState, events: Sequence[Event] = (), messages: tuple[str, ...] = ()
 ) -> SessionResult:
-    """Return the result of a session: numbers of trials and blocks, and reason of the end; nothing about walls.
-
-    `messages` are added to the result.
-    """
+    """Return the result of a session: numbers of trials and blocks, reason of the end, and `messages`."""
     counted = [trial for trial in state.trials if not (trial.void or trial.practice) and trial.verdict]
     blocks = [block for block in state.blocks if not block.practice]
     return SessionResult(

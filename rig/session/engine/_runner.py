@@ -20,10 +20,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionWall:
-    """A wall that a session may present, as an experiment of a condition.
-
-    `changes` are settings of the experiment that a device must not change.
-    """
+    """A wall that a session may present: experiment, and its settings (`changes`) that a device must not change."""
 
     condition: str
     experiment: Experiment
@@ -89,24 +86,15 @@ class TrialRunner(Protocol):
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time.
-
-        `changes` are settings of the experiment that the device must not change.
-        """
+        """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time."""
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Check that the device and its link can run an experiment; return the results. Nothing moves.
-
-        `changes` are settings of the experiment that the device must not change.
-        """
+        """Check that the device and its link can run an experiment; return the results. Nothing moves."""
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
-
-        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
-        """
+        """Apply a torque pulse with no hand on the handle, recorded as `name`, to check the rig's description."""
         ...
 
     def hit(

@@ -52,7 +52,8 @@ from rig.session.search import JudgedProbe, Probe, Rule
 # Kinds of events outside the course of trials; the time before such an event is not active time of the session.
 BOOKKEEPING = ("opened", "resumed", "stopped", "streamed", "amended", "pulse")
 AMENDABLE = {"judged": ("verdict",), "trial": ("void",), "note": ("text",), "answered": ("answer",)}
-_LONGEST_PAUSE_S = 3600.0  # between two events: a longer gap does not count as active time
+# A longer gap between two events does not count as active time of the session.
+_LONGEST_PAUSE_S = 3600.0
 _TRUSTED_S = 30.0  # longest cooling assumed between two events: the computer's clock may have been changed
 
 
@@ -111,10 +112,7 @@ class DoPause:
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Next step of a session: ask the operator how to continue after too many invalid trials in a row in one search.
-
-    `run` is this search and `last` its newest trial.
-    """
+    """Next step of a session: ask the operator how to continue after too many invalid trials of the search `run`."""
 
     run: SearchRun
     last: RecordedTrial
@@ -201,12 +199,8 @@ class SessionState:
     def of(cls, events: Sequence[Event]) -> SessionState:
         """Return the state of a session after the events of its log.
 
-        Raises
-        ------
-        RecordingError
-            The log does not begin with the event ``began``.
-        ConfigError
-            The protocol in the log is not valid.
+        Raise `RecordingError` if the log does not begin with the event ``began``, and `ConfigError` if its protocol is
+        invalid.
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
@@ -457,7 +451,8 @@ class SessionState:
             return first
         spoiled = _count_in_a_row(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
-            why = summarise_reasons(self.trials[-1].reasons, blind=True)  # a blinded operator reads the log
+            # A blinded operator may read the log.
+            why = summarise_reasons(self.trials[-1].reasons, blind=True)
             return DoPause(f"this computer or the link made {spoiled} trials in a row invalid: {why}")
         last = next((t for t in reversed(self.trials) if t.block == block.number and not t.void), None)
         if last is not None and last.invalid and last.run in [run.number for run in waiting]:

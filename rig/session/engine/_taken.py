@@ -21,16 +21,10 @@ from rig.session.planning._times import QUESTION_S, Taken
 
 
 def find_taken(protocol: Protocol, study: Path) -> Taken | None:
-    """Return the median times (s) that earlier participants took for the same kind of trials.
+    """Return the median times (s) that participants of earlier finished sessions took for the same kind of trials.
 
-    Return None if no such session is finished.
-
-    Parameters
-    ----------
-    protocol
-        Protocol of the new session.
-    study
-        Directory of the participants. Other directories, and sessions that cannot be read, are ignored.
+    `study` is the directory of the participants; sessions that cannot be read are ignored. Return None without
+    sessions.
     """
     logs = [events for path in sorted(study.glob(f"*/{LOG}")) if (events := _read_finished(protocol, path))]
     steps = [step for events in logs for step in _steps(events)]

@@ -48,7 +48,8 @@ def line_of_event(event: Event) -> str:
         value = event.content["value"]
         change = {True: "does not count", False: "counts after all"}.get(value, f"corrected: {value}")
         return f"trial {event.content['trial']} {change} ({event.content['why']})"
-    if event.kind == "stopped":  # many a reason begins with that word
+    # Many reasons already begin with the word "stopped".
+    if event.kind == "stopped":
         return f"stopped: {event.content['reason']}".replace("stopped: stopped", "stopped", 1)
     if event.kind == "resumed":
         return "; ".join(["resumed", *log_losses(event)])

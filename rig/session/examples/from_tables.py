@@ -70,10 +70,7 @@ def differences(kmax: pd.DataFrame, conditions: list[str]) -> pd.DataFrame:
 
 
 def mixed_model(kmax: pd.DataFrame) -> object:
-    """Return the fitted mixed model of K_max over condition and damping.
-
-    Participants have a random effect for condition and for damping if both factors have several values.
-    """
+    """Return the fitted mixed model of K_max over condition and damping, with random effects of participants."""
     frame = kmax.assign(damping=kmax["damping"].map("B = {:g}".format))
     several = [name for name in ("condition", "damping") if frame[name].nunique() > 1]
     random = {f"participant × {name}": f"0 + C({name})" for name in several} if len(several) > 1 else {}

@@ -26,10 +26,7 @@ BANDS: Mapping[str, tuple[str, str, str]] = {
 
 
 def describe_task(trial: Trial, motion: Motion) -> str:
-    """Return the required ranges of impact speed and press as text with units; "" if the protocol requires none.
-
-    `trial` is the section ``[trial]`` of the protocol.
-    """
+    """Return the ranges of impact speed and press that ``[trial]`` requires, as text with units; "" without any."""
     return ", ".join(
         f"{words} {_words(band)} {unit_of(quantity, motion)}"
         for name, (quantity, _, words) in BANDS.items()
@@ -49,10 +46,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """Return the hit with a text for each required range (impact speed, press) that it missed.
-
-    If the protocol requires it (`trial.outside`), the returned hit is also marked invalid.
-    """
+    """Return the hit with a text for each required range that it missed, marked invalid if the protocol requires it."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)
@@ -84,10 +78,7 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """Return settings of the simulated hand for which its press is the middle of the required range; {} without one.
-
-    `trial` is the section ``[trial]`` of the protocol.
-    """
+    """Return the simulated hand's setting with which its press is the middle of the required range; {} without one."""
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 

@@ -20,8 +20,10 @@ from rig.session.planning._simulated_hand import simulate_hits
 from rig.session.planning._times import Heat, TrialTimes
 
 TIRES_S = 1200.0  # chosen: a hand tires after this time without a rest
-COARSE = 0.25  # of the expected limit: a step that resolves little
-SLOW = 4  # chosen: fewer trials than this between two cooling pauses make people impatient
+# Step between levels, relative to the expected limit, above which a search resolves too little.
+COARSE = 0.25
+# Chosen: fewer trials than this between two cooling pauses make people impatient.
+SLOW = 4
 FAR = 10.0  # times the stiffest wall: a larger cap is probably a typing error
 SEVERITY = (Outcome.OK, Outcome.WARNING, Outcome.REFUSED)
 
@@ -139,10 +141,7 @@ def _cell(cell: CellPlan) -> str:
 
 
 def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
-    """Check that the motor stays below its heat limit, and how often a session must pause to let the motor cool.
-
-    `trials` is the expected number of trials in a session.
-    """
+    """Check that the motor stays below its heat limit, and how often it must pause in a session of `trials` trials."""
     share = protocol.rest.heat
     text = (
         f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
@@ -163,10 +162,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check that a hit ends when the motor has given a limited energy to the hand; yield the result.
-
-    `under` contains the experiments of each condition.
-    """
+    """Check that the rig's limits end a hit in which the motor gives too much energy (J) to the hand."""
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in under for one in of]
@@ -183,10 +179,7 @@ def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> I
 
 
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
-    """Check that the simulated hand of a rehearsal keeps the required ranges of impact speed and press on these walls.
-
-    `trial` is the section ``[trial]`` of the protocol.
-    """
+    """Check that the simulated hand of a rehearsal keeps the required impact speed and press on these walls."""
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
     simulated = [simulate_hits(x) for x in walls] if bands else []
     for name, band in bands.items():
@@ -206,11 +199,7 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 
 
 def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check that the limits in ``[caps]`` can have an effect; yield a warning for each limit that cannot.
-
-    A limit far above all possible values is probably a typing error. `under` contains the experiments of each
-    condition.
-    """
+    """Check that each limit in ``[caps]`` can act: one far above all possible values is probably a typing error."""
     caps, experiments = protocol.caps, [one for of in under for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
@@ -225,10 +214,7 @@ def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Ite
 
 
 def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
-    """Check that the order of conditions is balanced over the participants; yield the result.
-
-    A Latin square is balanced if the number of participants is a multiple of `rows`.
-    """
+    """Check that the number of participants is a multiple of `rows`, so that the order of conditions is balanced."""
     number = protocol.study.participants
     if protocol.order.kind == "latin-square":
         runs = sum(len(one.damping) for one in protocol.condition)
@@ -250,10 +236,7 @@ def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
 
 
 def stop_checks(protocol: Protocol, trials: ExpectedRange, session_s: ExpectedRange) -> Iterator[Check]:
-    """Check if a stop rule is likely to end a session before all its trials; yield the results.
-
-    `trials` and `session_s` are the expected number of trials and duration (s) of a session.
-    """
+    """Check if a stop rule is likely to end a session before its expected number of trials and duration (s)."""
     stop = protocol.stop
     for name, limit, expected, unit in (
         ("trials", stop.trials, trials, "trials"),
@@ -269,10 +252,7 @@ def stop_checks(protocol: Protocol, trials: ExpectedRange, session_s: ExpectedRa
 
 
 def rest_checks(protocol: Protocol, trials: ExpectedRange, times: TrialTimes) -> Iterator[Check]:
-    """Check that a session gives the hand enough rest; yield the result.
-
-    `trials` is the expected number of trials in a session.
-    """
+    """Check that a session with the expected number of trials gives the hand enough rest."""
     rest = protocol.rest
     if protocol.trial.kind != "human":
         return

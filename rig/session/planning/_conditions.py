@@ -121,10 +121,7 @@ class Walls:
         return x if seed is None else replace(x, trial=replace(x.trial, seed=seed))
 
     def softest(self, condition: Condition) -> Experiment:
-        """Return the experiment with the softest wall of a condition, at the condition's first damping.
-
-        Raise `ConfigError` if the rig, the trial or the estimator does not allow this wall.
-        """
+        """Return the experiment with the softest wall of a condition, at the condition's first damping."""
         return self.at(condition, *self._softest(condition))
 
     def _softest(self, condition: Condition) -> tuple[float, float]:
@@ -168,10 +165,7 @@ def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
 
 
 def base_of(protocol: Protocol, folder: Path) -> Experiment:
-    """Return the experiment that a protocol names; raise `ConfigError` if this experiment is not valid.
-
-    `folder` is the directory of the protocol file.
-    """
+    """Return the experiment that a protocol in the directory `folder` names; raise `ConfigError` if it is not valid."""
     study = {"preset": protocol.study.preset, "experiment": protocol.study.experiment}
     found = base_experiment(study, folder)
     if isinstance(found, list):

@@ -156,12 +156,10 @@ NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
 
 
 def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
-    """Return the expected numbers of trials of a search, from observers that are simulated around the expected limit.
-
-    Invalid trials and their repetitions are not counted.
-    """
+    """Return the expected numbers of valid trials of a search, from observers simulated around the expected limit."""
     levels, settings = levels_of(wanted), wanted.settings
-    if wanted.rule == "psi" and not settings.get("enough"):  # same for all observers, half of it above K50
+    # Without `enough`, Psi always uses all hits, about half of them above K50.
+    if wanted.rule == "psi" and not settings.get("enough"):
         hits = float(settings.get("hits", 25))
         return ExpectedTrials(
             count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(hits / 4, hits / 2, 3 * hits / 4)
@@ -171,7 +169,8 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
         above = sorted(repeats * sum(level > k50 for level in levels) for k50 in limit.values)
         hits = repeats * len(levels)
         return ExpectedTrials(count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(*above))
-    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:  # series are all alike
+    # All series are alike on average: one is simulated, and the result multiplied.
+    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:
         series = replace(wanted, settings={**settings, "repeats": 1})
         return expected_trials(series, limit) * float(settings.get("repeats", 5))
     taken = {k50: _simulate_searches(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
@@ -185,13 +184,11 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
 
 
 def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, float]:
-    """Return the approximate number of trials of each condition in a session, practice included, by condition.
-
-    `blocks` is the session's schedule.
-    """
+    """Return the approximate number of trials of each condition in a session's blocks, practice included."""
     found = dict.fromkeys((condition.name for condition in protocol.condition), 0.0)
     searches = {one.name: protocol.search_of(one) for one in protocol.condition}
-    likely: dict[str, float] = {}  # by search: most conditions have the same one
+    # Cached by search settings, which most conditions share.
+    likely: dict[str, float] = {}
     for one in (one for block in blocks for one in block.runs):
         if one.practice:
             found[one.condition] += len(protocol.practice.stiffness)
@@ -207,10 +204,7 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
-    """Return mean number of trials, mean number of trials judged not stable, and number of searches that `most` ended.
-
-    `k50` is the stiffness at which half of the observer's verdicts are stable.
-    """
+    """Return mean number of trials, of trials judged not stable, and number of searches ended by the setting `most`."""
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
     answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]

@@ -27,8 +27,7 @@ def describe_item(item: Item) -> dict[str, Any]:
 def parse_answer(item: Mapping[str, Any], text: str) -> str | int | None:
     """Return a typed answer in the form that the log stores; None if the answer is not valid.
 
-    A choice may be given by its words or by its number, from 1; words have priority. Parsing a result once more gives
-    the same result.
+    A choice may be given by its words or by its number, from 1; words have priority.
     """
     text, kind = text.strip(), item["kind"]
     if kind == "text":

@@ -54,13 +54,7 @@ class KeyMap:
 
     @classmethod
     def of(cls, keys: Keys) -> KeyMap:
-        """Return the key map for the section ``[keys]`` of a protocol.
-
-        Raises
-        ------
-        ConfigError
-            A key is not valid, has two meanings, or is reserved for the console.
-        """
+        """Return the key map for the section ``[keys]``; raise `ConfigError` for an invalid or repeated key."""
         named = {field.name: getattr(keys, field.name) for field in fields(keys) if field.name != "bell"}
         return cls({meaning: _check_key(meaning, key, named) for meaning, key in named.items()}, keys.bell)
 
@@ -70,10 +64,7 @@ class KeyMap:
         return cls(dict(value["keys"]), bool(value["bell"]))
 
     def meaning(self, key: str) -> str:
-        """Return the meaning of a key: a verdict, an action, ``stop``, ``help``, or "" for no meaning.
-
-        Case is ignored.
-        """
+        """Return the meaning of a key, ignoring case: a verdict, an action, ``stop``, ``help``, or ""."""
         special = {STOP: "stop", HELP: "help", "enter": "go"}.get(key)
         if special:
             return special

@@ -30,22 +30,15 @@ _NAMES = {  # keys whose values are compared as names, by section
 
 
 def load_protocol(path: str | Path) -> Protocol:
-    """Return the protocol from a file after checking it, the experiment that it names, and every condition.
-
-    Raise `ConfigError` if anything is not valid.
-    """
+    """Return the protocol from a file, checked with experiment and all conditions; raise `ConfigError` if invalid."""
     return load_walls(path).protocol
 
 
 def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
     """Return the walls of a protocol file as experiments, after checking the file; the result contains the protocol.
 
-    `reach_for` is passed to `Walls` and needed only for a simulated hand.
-
-    Raises
-    ------
-    ConfigError
-        The file is not valid. The message has one line for each problem: file, key, value, allowed range, remedy.
+    `reach_for` is passed to `Walls` and needed only for a simulated hand. Raise `ConfigError` if the file is not valid,
+    with one line for each problem: file, key, value, allowed range, remedy.
     """
     path, source = Path(path), str(path)
     table = tidy(read_toml(path, "a protocol"))
@@ -117,7 +110,8 @@ def json_schema() -> dict[str, Any]:
     schema = {"$schema": DIALECT, **schema_of(Protocol)}
     _type_settings(schema["$defs"]["Search"])
     schema["$defs"]["Study"]["properties"]["preset"]["examples"] = list(presets.names())
-    for owner in ("Study", "Condition"):  # keys of an experiment, dotted with or without quotes
+    # Keys of an experiment may be dotted with or without quotes in TOML, so the schema allows any table.
+    for owner in ("Study", "Condition"):
         changes = schema["$defs"][owner]["properties"]["changes"]
         schema["$defs"][owner]["properties"]["changes"] = {
             "type": "object",
@@ -156,10 +150,7 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 
 def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
-    """Return the protocol of a TOML table (None if types are wrong), and its problems.
-
-    Rules between keys are checked only if types and ranges of all keys are valid.
-    """
+    """Return the protocol of a TOML table (None if types are wrong), and its problems."""
     table = _with_names(_flat_changes(table))
     try:
         parsed = parse_table(PROTOCOL, table, motion)

@@ -39,10 +39,7 @@ def directory_name(title: str) -> str:
 
 
 def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed: str) -> dict[str, str]:
-    """Return the file or directory name of each code; raise `ConfigError` if two names are equal, ignoring case.
-
-    `allowed` is a text about valid codes for the error message.
-    """
+    """Return the file or directory name of each code; raise `ConfigError` if two names are equal, ignoring case."""
     names = {code: name_of(code) for code in codes}
     sharing: dict[str, list[str]] = {}
     for code in sorted(names):

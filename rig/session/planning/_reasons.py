@@ -43,10 +43,7 @@ _OUTSIDE = {
 
 
 def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
-    """Return a text that impact speed or press of a trial missed its required range, e.g. "hit too fast: 0.5 rad/s …".
-
-    `name` is "impact_speed" or "press", `band` the range as text, and `above` True if the value was too high.
-    """
+    """Return a text that impact speed or press (`name`) of a trial missed its required range `band`."""
     return f"{_OUTSIDE[name][above]}{value:.3g} {unit} (required: {band} {unit})"
 
 

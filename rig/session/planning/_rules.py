@@ -27,7 +27,8 @@ from rig.session.planning._schedule import level_steps, rule
 MOST_LEVELS = 400
 MOST_RUNS = 10_000
 MOST_STEPS_OF_A_SCALE = 100
-MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")  # keys that no command changes on a rig
+# Keys of mechanical or electrical parts: only a person can change these on a rig, not a command.
+MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")
 # A pattern of codes that matches one of these texts allows names of people, or texts that are not valid codes.
 NAMES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
 LETTERS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
@@ -135,10 +136,7 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def fits(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of conditions that need another mechanical part on the rig.
-
-    A person fits this part (key `fit`) between blocks.
-    """
+    """Yield problems of conditions that need another mechanical part, which a person fits between blocks (`fit`)."""
     blocks = protocol.order.blocks
     if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
         must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'

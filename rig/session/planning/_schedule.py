@@ -19,7 +19,8 @@ from rig.session.planning._protocol import Protocol, Search
 from rig.session.search import Estimate, JudgedProbe, Probe
 
 PRACTICE = 0  # number of the block, and of the run, of the practice trials
-LARGEST_SEED = 2**53  # whole numbers below it survive JSON in any language
+# JSON parsers of any language read whole numbers below 2^53 without loss.
+LARGEST_SEED = 2**53
 
 T = TypeVar("T")
 
@@ -43,7 +44,7 @@ class SearchRun:
 class Block:
     """Group of searches between two breaks of a session; block 0 is practice.
 
-    With `interleave`, the trials of the block's searches alternate.
+    If `interleave` is True, the trials of the block's searches alternate.
     """
 
     number: int
@@ -102,10 +103,7 @@ def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
 
 
 def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the rule of a search, without catch trials; for practice, a rule that presents each wall once.
-
-    Raise `rig.core.errors.ConfigError` for invalid settings; `rig.session.planning._load` rejects them earlier.
-    """
+    """Return the rule of a search, without catch trials; for practice, a rule that presents each wall once."""
     if run.practice:
         return InOrder(protocol.practice.stiffness)
     return rule(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
@@ -119,10 +117,7 @@ def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
 
 
 def asking(wanted: Search, seed: int) -> search.Rule:
-    """Return the search rule for search settings, with catch trials if the settings have any.
-
-    Raise `rig.core.errors.ConfigError` for invalid settings.
-    """
+    """Return the search rule for search settings, with catch trials if the settings have any."""
     own = rule(wanted, seed)
     if not wanted.catch_share:
         return own
@@ -130,10 +125,7 @@ def asking(wanted: Search, seed: int) -> search.Rule:
 
 
 def rule(wanted: Search, seed: int) -> search.Rule:
-    """Return the search rule for search settings, without catch trials.
-
-    Raise `rig.core.errors.ConfigError` for invalid settings.
-    """
+    """Return the search rule for search settings, without catch trials; raise `ConfigError` if they are invalid."""
     levels = levels_of(wanted)
     settings: Mapping[str, Any] = wanted.settings
     start = settings.get("start")
@@ -149,7 +141,8 @@ def levels_of(wanted: Search) -> tuple[float, ...]:
         values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
     else:
         values = (wanted.lowest * (wanted.ratio or 1.0) ** place for place in range(steps + 1))
-    return tuple(float(f"{value:.12g}") for value in values)  # 0.1 · 3 is 0.3 in a table
+    # Without rounding, 0.1 · 3 would be 0.30000000000000004 in tables and logs.
+    return tuple(float(f"{value:.12g}") for value in values)
 
 
 def level_steps(wanted: Search) -> int:
@@ -179,13 +172,11 @@ class InOrder:
 
 
 def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
-    """Return items in the order of one row of a Williams design (a balanced Latin square).
-
-    The rows of n items repeat after n rows, or after 2 n rows if n is odd.
-    """
+    """Return items in the order of a row of a Williams design, a balanced Latin square of n rows (2 n if n is odd)."""
     n = len(items)
     row %= _rows(n)
-    mirrored = n % 2 == 1 and row % 2 == 1  # in turns, so that half a cycle is balanced as well as can be
+    # Rows of the square and of its mirror image alternate, so that half a cycle is nearly balanced as well.
+    mirrored = n % 2 == 1 and row % 2 == 1
     shift = row // 2 if n % 2 else row
     zigzag = [(place + 1) // 2 if place % 2 else -(place // 2) for place in range(n)]  # 0, 1, -1, 2, -2 …
     order = tuple(items[(place + shift) % n] for place in zigzag)
@@ -206,7 +197,8 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
         fits = _fits(protocol)
-        square = order.kind == "latin-square"  # every order of conditions under every order of what is fitted
+        # Each order of conditions is combined with each order of the fitted parts.
+        square = order.kind == "latin-square"
         within = row // _rows(len(fits)) if square else row
         names = [
             name

@@ -10,16 +10,15 @@ from rig.config import Experiment
 from rig.experiments.hits.hit_simulator import HitSimulator
 
 QUICKEST_S = 0.05  # chosen: no hand reaches faster
-TOUCH_S = 0.01  # after the contact: nothing more is needed for a speed
+# A hit ends this time after the contact, since only its impact speed is needed.
+TOUCH_S = 0.01
 HITS = 3  # simulated, each with another tremor and start
-HALVINGS = 8  # of the durations of a reach: to 2 % from `QUICKEST_S` to some seconds
+# Number of bisections: 8 find the duration to 2 % between `QUICKEST_S` and some seconds.
+HALVINGS = 8
 
 
 def reach_for(x: Experiment, speed: float) -> float:
-    """Return the duration of the reach (s) whose impact speed is nearest to `speed` (rad/s or m/s).
-
-    The duration is found by simulated hits, and limited by the duration of the trial.
-    """
+    """Return the duration of a simulated hand's reach (s) whose impact speed is nearest to `speed` (rad/s or m/s)."""
     room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
     quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
     brief = replace(x, trial=replace(x.trial, hold_s=TOUCH_S))
@@ -34,10 +33,7 @@ def reach_for(x: Experiment, speed: float) -> float:
 
 
 def simulate_hits(x: Experiment) -> dict[str, list[float]]:
-    """Return impact speeds (rad/s or m/s) and presses (N·m or N) of a simulated hand in some hits on a soft wall.
-
-    The press is the effort of the wall's spring at the resting penetration, on a soft wall equal to the mean effort.
-    """
+    """Return impact speeds (rad/s or m/s) and presses (N·m or N) of a simulated hand in some hits on a soft wall."""
     verdicts = [
         HitSimulator(replace(x, trial=replace(x.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed)))
         .hit(x.wall.stiffness, x.wall.damping)

@@ -15,9 +15,12 @@ from rig.config import Experiment, push_at_rest
 
 QUESTION_S = 10.0  # chosen: a question that is read out and answered
 BETWEEN_RUNS_S = 5.0  # chosen: to sit down and to look at the next one
-COOL_TO = 0.5  # of the share of heat above which a motor rests
-REHEARSED_TICK_S = 1e-4  # of computing for a tick in virtual time: 85 to 130 µs were measured; roughly
-LONG = 10_000  # trials after which the heat has settled, or never will
+# A cooling pause begins above the heat `rest.heat` and ends at this fraction of it, so that pauses are rare.
+COOL_TO = 0.5
+# Computing time of one tick of a rehearsal in virtual time: 85 to 130 µs were measured.
+REHEARSED_TICK_S = 1e-4
+# After this number of trials the heat is periodic: the rest of a longer session is extrapolated.
+LONG = 10_000
 
 
 def cooling_s(heat: float, share: float, time_constant_s: float) -> float:

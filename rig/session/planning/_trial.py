@@ -146,6 +146,7 @@ def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
 def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
     """Return the trial that a log entry describes; its `void` is "left out" if the entry was excluded later."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
-    given["condition"] = normalise(given["condition"])  # of a log before protocols were
+    # A log may be older than the normalisation of names in protocols.
+    given["condition"] = normalise(given["condition"])
     given["reasons"], given["outside"] = tuple(given["reasons"]), tuple(given["outside"])
     return RecordedTrial(**given, void=LEFT_OUT if content.get("void") else "")

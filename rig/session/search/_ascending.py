@@ -29,11 +29,7 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, slots=True)
 class AscendingSeries:
-    """Result of a finished ascending series: the last stable level (`limit`, stiffness).
-
-    If all walls were stable, or not even the softest wall, the true limit lies beyond the levels (`censored`), and
-    `limit` is the nearest level.
-    """
+    """Result of an ascending series: last stable level (stiffness); `censored` if the limit lies beyond the levels."""
 
     limit: float
     censored: Censored

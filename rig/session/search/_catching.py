@@ -122,7 +122,8 @@ class Catching:
         if probe is None:
             return None
         since = takewhile(lambda one: one.probe.catch or one.stable is None, reversed(answers))
-        caught = sum(one.stable is not None for one in since)  # since the rule's own latest verdict
+        # Number of catch trials since the latest verdict that belongs to the rule.
+        caught = sum(one.stable is not None for one in since)
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:

@@ -56,10 +56,7 @@ class Interleaved:
         return replace(one, start=one.levels[0]), replace(one, start=one.levels[-1])
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next wall of one of the unfinished staircases, chosen at random; None if both are finished.
-
-        A wall without a verdict is repeated.
-        """
+        """Return the next wall of an unfinished staircase, chosen at random; None if both staircases are finished."""
         probes = [track.next(answers, number) for number, track in enumerate(self._tracks)]
         going = [probe for probe in probes if probe is not None]
         if not going:

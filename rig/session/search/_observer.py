@@ -39,10 +39,7 @@ class Observer:
 
 
 def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
-    """Return the answers of a simulated observer to a search rule until the search is finished; at most `most`.
-
-    The answers are reproducible by `seed`.
-    """
+    """Return the answers of a simulated observer until the search is finished, at most `most`; random by `seed`."""
     drawn = np.random.default_rng(seed)
     answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:

@@ -89,10 +89,7 @@ class Psi:
 
 
 def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]) -> Estimate:
-    """Return the posterior median of K50 (stiffness with half of the verdicts stable) with its 95 % interval.
-
-    `levels` are the stiffnesses of the search, ascending.
-    """
+    """Return the posterior median of K50 (stiffness with half of the verdicts stable) with its 95 % interval."""
     verdicts = verdicts_of(answers)
     found = psychometric.locate(levels, verdicts)
     estimate = Estimate(
@@ -110,8 +107,8 @@ def posterior_estimate(levels: tuple[float, ...], answers: Sequence[JudgedProbe]
 def _entropy(joint: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return for each row the entropy of K50 after a verdict, times the probability of the verdict.
 
-    K50 is the stiffness at which half of the verdicts are stable. Each row of `joint` contains the joint probabilities
-    of the verdict and each value of K50.
+    Each row of `joint` contains the joint probabilities of the verdict and each value of K50 (the limit of stable
+    walls).
     """
     likely = joint.sum(axis=1, keepdims=True)
     with np.errstate(divide="ignore", invalid="ignore"):

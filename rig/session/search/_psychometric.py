@@ -28,7 +28,8 @@ FINENESS = 0.4
 SPREADS = 10
 LAPSE_RATES = (0.0, 0.01, 0.02, 0.04, 0.08)
 LEAST_SPREAD = 0.25  # of the smallest step
-MOST_SPREAD = 0.35  # of the range; cut off at a quarter, the posterior of a gradual observer was too narrow
+# Relative to the range of levels; with 0.25, the posterior of an observer with gradual verdicts was too narrow.
+MOST_SPREAD = 0.35
 
 
 def share_stable(
@@ -56,10 +57,7 @@ class PsychometricGrid:
 
     @cached_property
     def edges(self) -> Floats:
-        """Edges of the cells around the grid's values of K50 (stiffness with half of the verdicts stable).
-
-        The shape is (thresholds + 1,).
-        """
+        """Cell edges around the grid's K50 (stiffness with half of the verdicts stable), shape (thresholds + 1,)."""
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -103,10 +101,7 @@ class PsychometricGrid:
         return [((), np.zeros(self.shares.shape[1:]))]
 
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
-        """Return the posterior probability of each grid point, shape (thresholds, spreads, lapse rates).
-
-        `verdicts` are pairs of a level and True for stable.
-        """
+        """Return the posterior probability of each grid point, shape (thresholds, spreads, lapse rates)."""
         known, log = self._latest[0]
         if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
             known, log = (), np.zeros(self.shares.shape[1:])
@@ -180,7 +175,7 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
 
 
 def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
-    """Return an interval extended to infinity (`side` "above") or to 0 ("below"); return it unchanged if `side` is "".
+    """Return an interval extended to infinity (`side` "above") or to 0 ("below"); unchanged if `side` is "".
 
     The extended interval contains `end`, the last level on that side.
     """
@@ -192,20 +187,14 @@ def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[
 def interval(
     levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], share: float
 ) -> tuple[float, float]:
-    """Return the 95 % interval of the stiffness at which the fraction `share` of verdicts is stable.
-
-    `verdicts` are pairs of a level and True for stable, from any search rule.
-    """
+    """Return the 95 % interval of the stiffness at which the fraction `share` of verdicts (level, stable) is stable."""
     grid = of_levels(levels)
     low, high = grid.quantiles(grid.posterior(verdicts), share, (0.025, 0.975))
     return float(low), float(high)
 
 
 def _edges(levels: Floats, least: float) -> Floats:
-    """Return evenly spaced cell edges, from half a range of the levels below them to half a range above.
-
-    No edge is below `least`.
-    """
+    """Return evenly spaced edges, from half a range below the levels (but not below `least`) to half a range above."""
     half = (levels[-1] - levels[0]) / 2.0
     low, high = max(levels[0] - half, least), levels[-1] + half
     wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))

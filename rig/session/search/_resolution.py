@@ -9,7 +9,8 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 
-FLOATING = 1e-9  # relative: the same numbers added in another order differ by less
+# Relative; sums of the same numbers in another order differ by less.
+FLOATING = 1e-9
 
 
 def step_at(levels: Sequence[float], value: float) -> float:

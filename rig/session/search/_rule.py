@@ -28,7 +28,7 @@ class Probe:
 
 @dataclass(frozen=True, slots=True)
 class JudgedProbe:
-    """Answer to a presented wall: True if the person judged the wall as stable, False if not.
+    """Answer to a presented wall: `stable` is True if the person judged the wall as stable, False if not.
 
     `stable` is None without a verdict (unsure), so that the rule presents the wall again.
     """
@@ -87,10 +87,7 @@ class Rule(Protocol):
 
 
 def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
-    """Return levels (stiffnesses) as a tuple of floats.
-
-    Raise `rig.core.errors.ConfigError` unless there are at least two levels, above zero and in ascending order.
-    """
+    """Return levels (stiffnesses) as floats; raise `ConfigError` unless two or more, above zero and ascending."""
     values = tuple(float(level) for level in levels)
     rising = all(a < b for a, b in pairwise(values))
     if len(values) < 2 or not rising or not values[0] > 0.0 or not math.isfinite(values[-1]):
@@ -126,7 +123,8 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
     """
     if math.isnan(value):
         return ""
-    near = FLOATING * value  # a mean of equal levels may differ from them by rounding
+    # The mean of equal levels may differ from them by floating-point rounding.
+    near = FLOATING * value
     if not low - near <= value <= high + near:
         return "the estimate lies outside its own interval"
     if not any(stable and level <= value + near for level, stable in verdicts):
@@ -137,10 +135,7 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 
 
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
-    """Return level and verdict (True: stable) of each answer that has a verdict, without catch trials.
-
-    If `track` is given, return only the verdicts of this series or staircase.
-    """
+    """Return level and verdict (True: stable) of each judged answer, of one or all tracks, without catch trials."""
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

@@ -25,7 +25,8 @@ from rig.session.search._rule import (
     verdicts_of,
 )
 
-EDGE_VERDICTS = 3  # in a row at an end of the levels, which it cannot leave: the limit lies beyond
+# After this number of verdicts in a row that would lead beyond an end of the levels, the limit lies beyond.
+EDGE_VERDICTS = 3
 
 
 @dataclass(slots=True)
@@ -34,7 +35,8 @@ class _Walk:
 
     place: int
     direction: int
-    pressed: int  # verdicts in a row that wanted beyond the end
+    # Number of verdicts in a row that would have led beyond an end of the levels.
+    pressed: int
     turns: Sequence[tuple[int, bool]]  # place, and whether the smallest step was active
     hits: int
 
@@ -95,10 +97,7 @@ class Staircase:
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
     def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
-        """Return the current wall of the staircase; None if the search is finished.
-
-        `track` is the number of the staircase, if several are interleaved.
-        """
+        """Return the current wall of the staircase with the number `track`; None if the search is finished."""
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
@@ -134,10 +133,7 @@ class Staircase:
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """Return the estimate of the limit of stable walls, from the state of the staircase and its verdicts.
-
-        `verdicts` are pairs of a level and True for stable; `hits` is the number of all answers, for the result.
-        """
+        """Return the estimate of the limit of stable walls, from the staircase's state and verdicts (level, stable)."""
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]

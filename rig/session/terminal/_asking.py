@@ -43,10 +43,7 @@ class AskingDesk(Desk):
 
     @abstractmethod
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message from the user interface, with its ``kind``.
-
-        Return None if no message arrives within `patience_s` (s).
-        """
+        """Return the next message from the user interface; None if none arrives within `patience_s` (s)."""
 
     @abstractmethod
     def _check_there(self) -> None:
@@ -62,14 +59,9 @@ class AskingDesk(Desk):
         self._send("view", view=plain(view))
 
     def ask(self, question: Question) -> Reply:
-        """Ask the operator a question and wait for the reply.
-
-        Raises
-        ------
-        StoppedError
-            The user interface has ended, so no reply is possible.
-        """
-        if question.kind != "rest" or question != self._question:  # a rest continues while a note is written
+        """Ask the operator a question and wait for the reply; raise `StoppedError` if the user interface ended."""
+        # After a note the same rest continues, so its time is not started again.
+        if question.kind != "rest" or question != self._question:
             self._began_s = time.monotonic()
         self._question = question
         self._number += 1
@@ -115,10 +107,7 @@ class AskingDesk(Desk):
         return message
 
     def _reply(self, message: Message, question: Question, took_s: float) -> Reply | None:
-        """Return the reply in a message; None if the message does not answer this question.
-
-        `took_s` is the time since the question was asked (s).
-        """
+        """Return the reply in a message; None if the message does not answer this question, asked `took_s` (s) ago."""
         # An answer names its question: one to an earlier question, or with an action that was not offered, is ignored.
         if message["kind"] != "reply" or message.get("number") != self._number:
             return None

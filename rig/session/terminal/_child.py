@@ -65,7 +65,8 @@ class Child:
             with ExitStack() as ours:
                 self._start(ours)
                 ours.pop_all()
-        except (OSError, RuntimeError) as error:  # RuntimeError: no thread
+        # RuntimeError: the reader thread could not be started.
+        except (OSError, RuntimeError) as error:
             raise RigError(
                 f"the console cannot be started: {getattr(error, 'strerror', None) or error}",
                 remedy="free memory, processes or open files, then resume the session",
@@ -145,15 +146,13 @@ class Child:
             self._process.send_signal(signal.SIGKILL)
 
     def close(self, *, last: bool = True) -> None:
-        """End the console process, by force if necessary; never raise an exception.
-
-        If `last` is True, restore the terminal's settings; if not, the next console uses the terminal.
-        """
+        """End the console process, by force if needed; restore the terminal if this console is the `last` one."""
         if self._closed:
             return
         if not self.dead:
             self.say("end")
-            self._reader.join(END_S)  # reads the end of the pipe at once: `wait` polls ever more rarely
+            # The reader sees the end of the pipe at once; `Popen.wait` would poll with growing intervals.
+            self._reader.join(END_S)
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(0.0 if self._reader.is_alive() else END_S)
         if not self.dead:

@@ -99,16 +99,14 @@ class Conversation:
         self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
-        """Open a new question; if the operator requested an action earlier, return this action as the reply.
-
-        `now_s` is the time on the caller's clock (s).
-        """
+        """Open a new question at `now_s` (s); return an action that the operator requested earlier as the reply."""
         asked = Question(**{**question, "actions": tuple(question["actions"])})
         self.question, self.due_s = asked, now_s + asked.seconds
         self.held.ask(now_s)
         self.asked += 1
         self.entry, self.twice, self.notice = None, None, ""
-        self.help = False  # whatever ends a hit asks something: nothing may cover that
+        # Each end of a hit asks a question, which the list of keys must not cover.
+        self.help = False
         later, self.later = self.later, None
         if later is not None and later in asked.actions:
             return self._act(later, sure=True)
@@ -117,10 +115,7 @@ class Conversation:
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
-        """Return the reply that ends a rest, if the rest is over at `now_s` (s); otherwise [].
-
-        A rest does not end while the operator is typing or confirming an action.
-        """
+        """Return the reply that ends a rest if the rest is over at `now_s` (s), unless the operator is typing."""
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
         return self._answer(Answer("go"))
@@ -208,7 +203,8 @@ class Conversation:
             return []
         if action in TWICE and not sure:
             self.twice = action
-            self.held.ask_again()  # the same key confirms, but not by being held
+            # The same key pressed once more confirms the action, but not the key while it is held down.
+            self.held.ask_again()
             return []
         return self._answer(Answer(action))
 
@@ -259,10 +255,7 @@ class Conversation:
         return self._answer(Answer("answer", value))
 
     def _answer_of(self, text: str) -> str | None:
-        """Return the answer to the open question of the questionnaire in its stored form.
-
-        If the text is not a valid answer, set `notice` and return None.
-        """
+        """Return a typed answer in its stored form; if the answer is not valid, set `notice` and return None."""
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 
-MOST_SEQUENCE = 64  # bytes of an escape sequence; a longer one is noise
+# Longest escape sequence (bytes); more bytes without an end are noise on the line.
+MOST_SEQUENCE = 64
 
 
 _FINAL = {"A": "up", "B": "down", "C": "right", "D": "left", "H": "home", "F": "end"}
@@ -30,14 +31,12 @@ _CONTROL = {
     32: "space",
     0: "space",  # with ctrl
 }
-_SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")  # with a modifier, from terminals that tell it
+# Space with a modifier key, from terminals that report modifiers (CSI u, modifyOtherKeys).
+_SPACE = re.compile(r"32(;[\d:]*)*u|27;\d+;32~")
 
 
 class Keyboard:
-    """Converter of terminal bytes to names of keys.
-
-    `feed` accepts bytes; `flush` ends an escape sequence that stays incomplete.
-    """
+    """Converter of terminal bytes to names of keys; `flush` ends an escape sequence that stays incomplete."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -69,10 +68,7 @@ class Keyboard:
 
 
 def _first(data: bytes) -> tuple[int, str]:
-    """Return length in bytes and name of the first key; length 0 if the key is incomplete.
-
-    The name is "" if the bytes are not a character.
-    """
+    """Return length and name of the first key: length 0 if incomplete, name "" if the bytes are no character."""
     if data[0] == 0x1B:
         return _escape(data)
     if data[0] in _CONTROL:
@@ -116,7 +112,8 @@ def _single_shift(data: bytes) -> tuple[int, str]:
     if len(data) == 2:
         return 0, ""
     if not 0x20 < data[2] < 0x7F:
-        return 2, "unknown"  # cut short by something else
+        # The sequence was cut off by other bytes, which are the next key.
+        return 2, "unknown"
     letter = chr(data[2])
     return 3, _FUNCTION.get(letter) or _FINAL.get(letter) or ("enter" if letter == "M" else "unknown")
 

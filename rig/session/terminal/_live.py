@@ -16,7 +16,8 @@ from rig.realtime import running
 from rig.realtime.control_words import HEAD, LATE, LOOP_DONE, LOST, PHASE, SKIPPED
 from rig.realtime.ring import Ring
 
-ROWS = 512  # newest rows that are looked at: a small part of what the ring holds, so that the loop does not overtake
+# Number of newest rows to read: a small part of the ring buffer, so that the loop does not overwrite them meanwhile.
+ROWS = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +56,7 @@ class Snapshot:
 
 
 class LiveLoop:
-    """Reader of the control loop of another process, through shared memory.
-
-    The shared memory of a running loop is opened when needed, and closed when the loop has ended.
-    """
+    """Reader of another process's control loop, through shared memory that is open only while the loop runs."""
 
     def __init__(self, pid: int) -> None:
         self._pid = pid

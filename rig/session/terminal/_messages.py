@@ -20,7 +20,8 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-MOST_BYTES = 1 << 20  # of an unfinished line: more is not ours
+# Longest unfinished line (bytes); a longer one does not come from this protocol.
+MOST_BYTES = 1 << 20
 
 
 def line_of(kind: str, **content: Any) -> bytes:

@@ -51,10 +51,7 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
 
 
 def instruct(view: DeskView) -> tuple[str, str]:
-    """Return cue and text for the participant's screen, in the current state of a session.
-
-    For an unknown state the cue is "Please wait".
-    """
+    """Return cue and text for the participant's screen; in an unknown state of the session, "Please wait"."""
     instruction = INSTRUCTIONS.get(view.state, Instruction("Please wait"))
     read_out = "" if instruction.replaces else view.say
     return instruction.cue, " ".join(filter(None, (read_out, instruction.text)))

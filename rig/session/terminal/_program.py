@@ -35,13 +35,11 @@ LEFT = "the session's program has ended; continue with `rig session resume`\n"
 
 
 def main(arguments: list[str]) -> int:
-    """Run the console until the session or its process ends; return the exit code.
-
-    `arguments` are the descriptors of two pipes: from the session, and to the session.
-    """
+    """Run the console with the descriptors of two pipes (from and to the session); return the exit code."""
     from_session, to_session = (int(text) for text in arguments)
     for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTTOU, signal.SIGTTIN):
-        signal.signal(number, signal.SIG_IGN)  # ^C is for the session's program, which ends this one
+        # Ctrl+C signals the session's process, which ends this one in an orderly way.
+        signal.signal(number, signal.SIG_IGN)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _end)
     try:
@@ -173,7 +171,8 @@ class _Console:
             _write(" " if key == STOP else key)
 
     def _send(self, kind: str, **content: Any) -> None:
-        os.write(self._to, line_of(kind, **content))  # short: a pipe takes it whole
+        # A message is shorter than PIPE_BUF, so the pipe accepts it as a whole.
+        os.write(self._to, line_of(kind, **content))
 
 
 def _write(text: str) -> None:

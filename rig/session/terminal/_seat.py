@@ -16,7 +16,8 @@ from rig.session.terminal._conversation import Conversation, Decision, StopPress
 from rig.session.terminal._live import LiveLoop, Snapshot
 from rig.session.terminal._pointer import KEYS, START_SHARE, HandKind, Pointer, PointerTarget
 
-if TYPE_CHECKING:  # a console, started anew within a hit, loads no loop
+# Only for types: a console that restarts within a hit must start fast, without the control loop.
+if TYPE_CHECKING:
     from rig.session.engine._runner import TrialRunner
     from rig.session.planning._protocol import Keys
 
@@ -136,7 +137,8 @@ class Seat:
         """
         for outcome in outcomes:
             if isinstance(outcome, StopPressed):
-                running.ask_to_stop(self._pid)  # before anything that may take time
+                # First of all, because sending the message below may take time.
+                running.ask_to_stop(self._pid)
                 if self.talk.moving:
                     self._say("stop")
             else:
@@ -150,10 +152,7 @@ def full_press(experiment: Mapping[str, Any]) -> float:
 
 
 def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
-    """Return the key map for the section ``[keys]`` of a protocol.
-
-    Raise `ConfigError` for an invalid key, or a key that moves the simulated hand.
-    """
+    """Return the key map for ``[keys]``; raise `ConfigError` if a key is invalid or moves the simulated hand."""
     keymap = KeyMap.of(keys)
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:

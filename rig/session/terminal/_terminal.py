@@ -15,7 +15,8 @@ from typing import Any
 assert sys.platform != "win32"
 
 _OFF = b"\0"  # _POSIX_VDISABLE of Linux
-_INPUT, _LOCAL, _CHARACTERS = 0, 3, 6  # places in what tcgetattr gives
+# Indices in the list that `termios.tcgetattr` returns.
+_INPUT, _LOCAL, _CHARACTERS = 0, 3, 6
 
 
 def as_plain(before: list[Any]) -> list[Any]:
@@ -28,16 +29,14 @@ def as_plain(before: list[Any]) -> list[Any]:
 
 def from_plain(value: list[Any]) -> list[Any]:
     """Convert terminal settings from `as_plain` back, for `termios.tcsetattr`."""
-    timed = (termios.VMIN, termios.VTIME)  # numbers where lines are not wanted: the module takes both
+    # The termios module reads and writes these two entries as numbers outside of line mode.
+    timed = (termios.VMIN, termios.VTIME)
     characters = [n if i in timed else bytes([n]) for i, n in enumerate(value[_CHARACTERS])]
     return [*value[:_CHARACTERS], characters]
 
 
 def take(descriptor: int, before: list[Any]) -> bytes:
-    """Switch the terminal to single keys without echo; return the bytes that were typed earlier.
-
-    `before` are the current settings from `termios.tcgetattr`.
-    """
+    """Switch the terminal with the settings `before` to single keys without echo; return bytes typed earlier."""
     changed = [*before]
     # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)

@@ -26,7 +26,8 @@ from rig.session.terminal import _terminal as terminal
 from rig.session.terminal._asking import SILENCE_S, AskingDesk
 from rig.session.terminal._seat import full_press, keymap_for, refuse_a_hand
 
-if TYPE_CHECKING:  # a desk asks, and loads no loop
+# Only for types: a console that restarts within a hit must start fast, without the control loop.
+if TYPE_CHECKING:
     from rig.session.engine._runner import TrialRunner
 
 if sys.platform != "win32":
@@ -128,10 +129,7 @@ class ConsoleDesk(AskingDesk):
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message of the current console process; None after `patience_s` (s) without one.
-
-        A message of an earlier console process is ignored.
-        """
+        """Return the next message of the current console process; None if none arrives within `patience_s` (s)."""
         try:
             child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
         except Empty:
@@ -171,10 +169,7 @@ class ConsoleDesk(AskingDesk):
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
-        """Replace a dead or hanging console process by a new one, which receives the current view.
-
-        Raise `StoppedError` after `RESTARTS` restarts.
-        """
+        """Replace a dead or hanging console by a new one; raise `StoppedError` after `RESTARTS` restarts."""
         if not self._child.dead:
             self._child.kill()
         why = self._child.complaint()
@@ -193,21 +188,15 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """Return a function that makes the operator's user interface in a terminal.
-
-    The function is the argument `desk` of `rig.session.engine._run.run_session`.
+    """Return a function that makes the operator's user interface in a terminal, for `run_session`.
 
     Parameters
     ----------
     hand
-        Input device that moves the hand of a simulated rig; None if the hand follows its script.
+        Input device that moves the hand of a simulated rig; None if the hand follows its script. For a real rig the
+        returned function raises `ConfigError` if `hand` is given.
     place
         Path of the terminal.
-
-    Raises
-    ------
-    ConfigError
-        `hand` is given for a real rig (raised by the returned function).
     """
 
     def make(protocol: Protocol, experiment: Mapping[str, Any], runner: TrialRunner) -> Desk:
@@ -217,7 +206,8 @@ def at_console(
             if hand is not None:
                 kept = made.enter_context(ExitStack())
                 path = kept.enter_context(scratch("hand")) / "hand"
-                SharedHand.create(path).close()  # before a device looks for it
+                # The file must exist before the simulated device opens it.
+                SharedHand.create(path).close()
                 moved = MovedHand(path=path, press=full_press(experiment), close=kept.close)
             desk = ConsoleDesk(protocol.keys, hand=moved, place=place)
             made.pop_all()
@@ -228,10 +218,7 @@ def at_console(
 
 
 def _open_terminal(place: Path) -> tuple[int, list[Any]]:
-    """Open the terminal; return its descriptor and its settings.
-
-    Raise `ConfigError` if the terminal is missing, or belongs to another job of the shell.
-    """
+    """Open the terminal, return descriptor and settings; raise `ConfigError` if missing or used by another job."""
     with ExitStack() as opened:
         try:
             descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
@@ -245,7 +232,8 @@ def _open_terminal(place: Path) -> tuple[int, list[Any]]:
         try:
             ours = os.tcgetpgrp(descriptor) == os.getpgrp()
         except OSError:
-            ours = True  # a terminal that controls no session has no foreground process group
+            # A terminal that is not the controlling terminal of a session has no foreground process group.
+            ours = True
         if not ours:
             raise ConfigError(
                 "the session is a background job of the shell, which cannot read keys",
