@@ -161,11 +161,11 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
     return Check("motor heat over a session", Outcome.OK, f"{text}; no pause is needed")
 
 
-def energy_check(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
+def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
     """Check that the rig's limits end a hit in which the motor gives too much energy (J) to the hand."""
     if protocol.trial.kind != "human":
         return
-    limits = [one.rig.limits.energy for of in under for one in of]
+    limits = [one.rig.limits.energy for of in by_condition for one in of]
     free = any(limit is None for limit in limits)
     most = max((limit for limit in limits if limit is not None), default=0.0)
     yield Check(
@@ -198,9 +198,9 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
         )
 
 
-def cap_checks(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
+def cap_checks(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
     """Check that each limit in ``[caps]`` can act: one far above all possible values is probably a typing error."""
-    caps, experiments = protocol.caps, [one for of in under for one in of]
+    caps, experiments = protocol.caps, [one for of in by_condition for one in of]
     stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
     most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
     unit = unit_of("stiffness", experiments[0].rig.motion)
