@@ -71,10 +71,7 @@ def ledger_of(recording: Recording) -> Ledger:
 
 
 def clock_of(recording: Recording) -> ClockFit | None:
-    """Return the fit of host time over device time in a recording's trailer; None if missing.
-
-    The trailer contains the facts known at the end of a trial. Raise `RigError` if the fit is invalid.
-    """
+    """Return the fit of host time over device time in a recording's trailer, or None; raise `RigError` if invalid."""
     clock = (recording.trailer or {}).get(CLOCK_KEY)
     return None if clock is None else ClockFit.from_mapping(clock)
 

@@ -33,6 +33,8 @@ def cut(
 ) -> Recording:
     """Return the rows of a recording between two times as a new recording in memory.
 
+    Raise `RecordingError` if the interval contains fewer than two rows, or ticks are missing inside it.
+
     Parameters
     ----------
     recording
@@ -43,16 +45,6 @@ def cut(
     initial_state
         State of the controller before the first row of the cut, in the form of the header's key ``initial_state``.
         Without this state, the cut can be replayed only if it begins with the first row of the recording.
-
-    Returns
-    -------
-    Recording
-        Rows of the interval, and header and trailer of the cut. No file is written.
-
-    Raises
-    ------
-    RecordingError
-        The interval contains fewer than two rows, or ticks are missing inside it.
     """
     times, rows = recording.time_s, recording.rows
     first, end = np.searchsorted(times, first_s, "left"), np.searchsorted(times, last_s, "right")

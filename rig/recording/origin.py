@@ -29,10 +29,7 @@ def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
 
 
 def refuse_counts(recording: Recording) -> None:
-    """Raise `RecordingError` if the recording was imported from a CSV file of encoder counts.
-
-    The header of such a recording describes no rig, control law or virtual wall.
-    """
+    """Raise `RecordingError` if the recording was imported from a CSV file, and so describes no rig, law and wall."""
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
             f"the recording was imported from {facts['file']}: it has encoder counts, but no rig, control law and wall",

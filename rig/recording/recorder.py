@@ -187,7 +187,8 @@ class Recorder:
     """Context manager that writes the rows of a control loop from its ring buffer to a file.
 
     A recorder serves one ring buffer and one run of the loop. Leaving the context ends the recording, also after an
-    exception of the loop. Call `finish` earlier to write a trailer and to make sure that all rows are on disk.
+    exception of the loop. Call `finish` earlier to write a trailer and to make sure that all rows are on disk. Raise
+    `RecordingError` if the file exists or cannot be created, or the header does not describe the loop's rows.
 
     Parameters
     ----------
@@ -203,11 +204,6 @@ class Recorder:
         Number of rows per block.
     flush_s
         Age at which rows are written although their block is not full (s; only in real time).
-
-    Raises
-    ------
-    RecordingError
-        The file exists or cannot be created, the disk is full, or the header does not describe the loop's rows.
     """
 
     def __init__(
@@ -268,6 +264,8 @@ class Recorder:
         """Write the remaining rows and the trailer, flush and close the file, and return the trailer.
 
         Call `finish` after the loop has returned: later rows are not recorded. A second call only returns the trailer.
+        Raise `RecordingError` if the disk reports an error or takes longer than `timeout_s`; earlier rows are in the
+        file.
 
         Parameters
         ----------
@@ -276,11 +274,6 @@ class Recorder:
             added under the key ``recorder``.
         timeout_s
             Longest wait for the disk (s).
-
-        Raises
-        ------
-        RecordingError
-            The disk reported an error or takes longer than `timeout_s`. Rows written earlier are in the file.
         """
         if self._trailer is not None:
             return self._trailer

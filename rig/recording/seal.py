@@ -51,8 +51,10 @@ def seal(
 ) -> Recording:
     """Convert a ``.rigcap`` capture to Parquet, add latencies and sync edges, and remove the capture.
 
-    Without pyarrow, log a warning and keep the capture; if the capture is complete and undamaged, rewrite it with the
-    added columns and the longer trailer.
+    Return the recording read back from the new file. Without pyarrow, log a warning and keep the capture; if the
+    capture is complete and undamaged, rewrite it with the added columns and the longer trailer. Raise `RecordingError`,
+    without changing the capture, if `recording` is not a capture, the disk reports an error, another recording has the
+    name, or the new file differs.
 
     Parameters
     ----------
@@ -66,17 +68,6 @@ def seal(
         Function that receives the recording with the true signals, and returns keys to add to the trailer.
     keep_capture
         If True, do not remove the capture.
-
-    Returns
-    -------
-    Recording
-        The recording read back from the new file, with the path of that file.
-
-    Raises
-    ------
-    RecordingError
-        The file is not a capture, the disk reports an error, another recording has the name, or the new file differs
-        from the capture. The capture is then unchanged.
     """
     capture = recording.path
     assert capture is not None
