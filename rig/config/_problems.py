@@ -19,7 +19,7 @@ class Problem:
     remedy: str
 
     def text(self, source: str) -> str:
-        """Return one line: source (name of the file), key with value, and the violated requirement."""
+        """Return the problem in one line: source (name of the file), key with value, and the violated requirement."""
         subject = f"{self.key} = {self.value}" if self.value else self.key
         return f"{source}: {subject}: {self.must}"
 

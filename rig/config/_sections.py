@@ -569,7 +569,7 @@ class Experiment(Shown):
         )
 
     def brief(self) -> list[Item]:
-        """Return lines for printing: rig, wall, rates, law, source and duration of the push, effort limit."""
+        """Return the experiment as lines: rig, wall, rates, law, source and duration of the push, effort limit."""
         trial, motion = self.trial, self.rig.motion
         push = f"{trial.effort:g} {unit_of('effort', motion)}"
         who = {"human": f"a hand with a {self.operator.grip} grip", "excitation": "an excitation"}

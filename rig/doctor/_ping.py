@@ -69,7 +69,7 @@ class PingBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> PingBuffers:
-        """Return arrays of the required sizes, filled with zeros."""
+        """Return buffers of the required sizes, filled with zeros."""
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),

@@ -117,7 +117,7 @@ class LinkMeasurement:
 
     @property
     def sample_delay_s(self) -> float:
-        """Return the time (s) from a bridge's tick to the drive's sample in 99.9 % of ticks; 0 without a bridge."""
+        """Return the time (s) from a bridge's tick to its drive's sample (99.9 % quantile); 0 without a bridge."""
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property

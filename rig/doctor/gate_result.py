@@ -94,7 +94,7 @@ class Gate:
         return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
 
     def items(self) -> list[Item]:
-        """Return the verdict ("may be armed" or not), all checks and the spectral radii as lines for printing."""
+        """Return for printing the gate's verdict ("may be armed" or not), all checks and the spectral radii."""
         verdict = Check("arming", Outcome.OK, "this wall may be armed")
         if not self.armable:
             verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")

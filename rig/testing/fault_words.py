@@ -75,7 +75,7 @@ class FaultWords:
         self.add(frames=(struck,))
 
     def device(self, fault: str, *, tick: int) -> None:
-        """Add a fault that the device detects at tick `tick`; `fault` is a name in PROTOCOL.md, like ``ENCODER``.
+        """Add to the script a fault that the device detects at tick `tick`; `fault` is its name, such as ``ENCODER``.
 
         ``EMERGENCY_STOP`` simulates that the emergency stop is pressed. Raise `ConfigError` for an unknown name.
         """

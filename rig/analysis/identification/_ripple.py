@@ -61,7 +61,7 @@ class Ripple:
 
     @reported
     def phase(self) -> tuple[Interval, ...]:
-        """Return the phase (rad) of each identified harmonic of the torque ripple: its crest is at phase/2π periods."""
+        """Return the phase (rad) of each identified harmonic of the ripple; its crest is phase/2π periods from zero."""
         return tuple(
             Interval(math.atan2(s.value, c.value), math.hypot(s.value * c.ci95, c.value * s.ci95) / size**2)
             for c, s, size in self._harmonics

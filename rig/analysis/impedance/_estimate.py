@@ -109,7 +109,7 @@ class Impedance:
         return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
-        """Return the impedance at the excited frequencies from band[0] to band[1] (Hz, ends included); None: at all.
+        """Return the impedance at the lines in a band (lowest, highest frequency in Hz), or for None at every line.
 
         Raise `ConfigError` if no excited frequency lies in the band.
         """

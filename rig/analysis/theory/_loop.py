@@ -96,7 +96,7 @@ class LinearLoop:
 
     @property
     def period_s(self) -> float:
-        """Return the velocity period T2 (s)."""
+        """Return the velocity period T2 of the loop (s)."""
         return self.tick_s * self.divider
 
     @property

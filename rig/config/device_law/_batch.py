@@ -42,7 +42,7 @@ def batch_layout(experiment: Experiment) -> int:
         raise refusal(
             "rig.limits.speed",
             experiment.rig.limits.speed,
-            f"the handle may move by {counts:.0f} counts in a tick, more than a BATCH can carry",
+            f"the handle may move by {counts:.0f} counts in a tick, more than a BATCH frame can contain",
             "lower rig.limits.speed, or raise controller.position_rate",
         )
     if counts > _I8_GREATEST:
