@@ -24,11 +24,30 @@ from rig.devices.fault_script import Direction, Faults
 
 
 @dataclass(frozen=True, slots=True)
+class Rendering:
+    """Wall that was rendered in the trial phase of a hit, and the error of the estimated velocity in it.
+
+    Attributes
+    ----------
+    stiffness, damping
+        Least-squares fit of the wall's sent effort, without a constant push, to the true penetration and its rate, over
+        the ticks with a true penetration above zero (N·m/rad or N/m; N·m·s/rad or N·s/m). NaN if they determine none.
+    velocity_error
+        Estimated minus true velocity at the encoder (rad/s or m/s), rms.
+    """
+
+    stiffness: float
+    damping: float
+    velocity_error: float
+
+
+@dataclass(frozen=True, slots=True)
 class SimulatedHit:
     """Result of one simulated hit, measured twice: from signals as a rig records them, and from the true signals."""
 
     recorded: Measured
     true: Measured
+    rendering: Rendering
     ticks: int  # of the whole run, homing included
 
 
@@ -38,6 +57,7 @@ class SimulatedRig(Protocol):
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
         """Simulate one trial from rest at position `start` (rad or m) with a new controller; use the controller once.
 
+        The controller may have another effort constant or encoder resolution than the rig: it is then wrong by these.
         Raise `rig.core.errors.LawError` if estimator or law return a value that is not finite.
         """
         ...

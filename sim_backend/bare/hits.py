@@ -5,6 +5,8 @@ The result equals that of `rig.control.judging.judge` for a recording of the sam
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,20 +20,42 @@ from rig.control.verdict import Measured, Thresholds
 from rig.core.errors import LawError
 from rig.core.model import RigModel
 from rig.core.sample import Phase, RowFlag
-from rig.devices.simulated import SimulatedHit
+from rig.devices.simulated import Rendering, SimulatedHit
 from rig.realtime.kernel import kernel
 from sim_backend.bare.trial import RUN_TYPES, Trace, run_arguments, run_ticks
+from sim_backend.mechanics.inner import EFFORT_LIMIT
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant, PlantArguments
 
 _NONFINITE = int(RowFlag.NONFINITE)
 
 # Rows of the derived signals.
-POSITION, PENETRATION, EFFORT, PENETRATION_TRUE = range(4)
-SIGNALS = 4
+POSITION, PENETRATION, EFFORT, PENETRATION_TRUE, REACTION, RATE_TRUE = range(6)
+SIGNALS = 6
+SINGULAR = (
+    1e-12  # share of the product of both sums of squares below which penetration and rate are proportional
+)
+STIFFNESS, DAMPING, VELOCITY_ERROR = range(3)  # of a `Rendering`
 
 
-@kernel(types.int64(*RUN_TYPES, types.float64[:, ::1], METER_TYPE, NUMBERS_TYPE, NUMBERS_TYPE))
+@kernel("void(f8[:], f8[:], f8[:], f8[::1])")
+def render(effort: Any, penetration: Any, rate: Any, rendering: Any) -> None:
+    """Write stiffness and damping of the fit of `Rendering` for a trial's signals; NaN if the sums are singular."""
+    xx = xv = vv = xf = vf = 0.0
+    for k in range(len(effort)):
+        x, v, f = penetration[k], rate[k], effort[k]
+        if x > 0.0:
+            xx, xv, vv, xf, vf = xx + x * x, xv + x * v, vv + v * v, xf + x * f, vf + v * f
+    determinant = xx * vv - xv * xv
+    rendering[STIFFNESS] = rendering[DAMPING] = np.nan
+    if determinant > SINGULAR * xx * vv:
+        rendering[STIFFNESS] = (xf * vv - vf * xv) / determinant
+        rendering[DAMPING] = (vf * xx - xf * xv) / determinant
+
+
+@kernel(
+    types.int64(*RUN_TYPES, types.float64[:, ::1], METER_TYPE, NUMBERS_TYPE, NUMBERS_TYPE, types.float64[::1])
+)
 def hit(
     controller: ControllerArguments,
     plant: PlantArguments,
@@ -45,12 +69,14 @@ def hit(
     meter: MeterArguments,
     recorded: Any,
     true: Any,
+    rendering: Any,
 ) -> int:
     """Run one trial and measure its trial phase; return the number of ticks of the whole run.
 
     The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
     rows. `meter` contains the filters of the measurement. The measured numbers are written to `recorded` (from the
-    values that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`.
+    values that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`, and
+    the values of a `Rendering` to `rendering`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.
@@ -61,7 +87,7 @@ def hit(
     first = 0 if phases[ticks - 1] == DONE else ticks
     while first < ticks and phases[first] != TRIAL:
         first += 1
-    last = first
+    last, squares = first, 0.0
     while last < ticks and phases[last] == TRIAL:
         position = c["resolution"] * (counts[last] - c["reference_count"])
         signals[POSITION, last] = position
@@ -70,8 +96,14 @@ def hit(
         signals[PENETRATION_TRUE, last] = c["wall_side"] * (
             states[last, plant.sensed_position] - c["wall_position"]
         )
+        velocity = states[last, plant.sensed_position + 1]
+        signals[RATE_TRUE, last] = c["wall_side"] * velocity
+        signals[REACTION, last] = c["wall_side"] * (c["constant_effort"] - signals[EFFORT, last])
+        squares += (trace.velocities[last] - velocity) ** 2
         last += 1
+    rendering[VELOCITY_ERROR] = math.sqrt(squares / max(1, last - first))
     shown, moved = signals[:, first:last], states[first:last]
+    render(shown[REACTION], shown[PENETRATION_TRUE], shown[RATE_TRUE], rendering)
     measure(
         shown[POSITION],
         shown[POSITION, :0],  # the velocity is that of the counts
@@ -114,10 +146,17 @@ class RigOfHits:
         Raise `LawError` if the estimator or the law gave a value that is not finite.
         """
         plant, meter, trace = self._plant, self._meter, self._trace
-        recorded, true = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS)
+        ratio = self._model.amplifier.effort_quantum / controller.control[0]["effort_quantum"]
+        # The controller is wrong about the effort of a quantum: the same currents move the plant by another effort.
+        if ratio != 1.0:
+            gamma, parameters = plant.gamma.copy(), plant.parameters.copy()
+            gamma[:, 0] *= ratio
+            parameters[EFFORT_LIMIT] /= ratio
+            plant = replace(plant, gamma=gamma, parameters=parameters)
+        recorded, true, rendering = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS), np.zeros(3)
         state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)
         arguments = run_arguments(controller, plant, state, 0.0, OLDEST_EDGE, script)
-        ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true)
+        ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true, rendering)
         ended = int(trace.flags[ticks - 1])
         if ended & _NONFINITE:
             raise LawError(
@@ -131,5 +170,6 @@ class RigOfHits:
         return SimulatedHit(
             Measured(recorded[0], self._thresholds, thrown_out),
             Measured(true[0], self._thresholds, thrown_out),
+            Rendering(*rendering.tolist()),
             ticks,
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from firmware_protocol.messages import OLDEST_EDGE, TIME_UNIT_NS
 from rig.control.step import CONTROLLER_TYPE, DONE, ControllerArguments, ControllerState, step
 from rig.core.sample import RowFlag
-from rig.realtime.groups import FloatRows, Ints, group, type_of
+from rig.realtime.groups import FloatRows, Floats, Ints, group, type_of
 from rig.realtime.kernel import kernel
 from sim_backend.board.safety import UNITS_PER_SECOND
 from sim_backend.mechanics.coupled_hand import want
@@ -33,11 +33,13 @@ _LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 class Trace(NamedTuple):
     """Recording of a trial, one row for each tick.
 
-    A row has the plant's state, encoder count, phase, active and commanded current (quanta) and row flags. If the law
-    did not process a sample, the phase of its row is `UNSEEN` and its flags are 0.
+    A row has the plant's state, estimated velocity (rad/s or m/s), encoder count, phase, active and commanded current
+    (quanta) and row flags. If the law did not process a sample, the phase of its row is `UNSEEN`, and its velocity and
+    flags are 0.
     """
 
     states: FloatRows
+    velocities: Floats
     counts: Ints
     phases: Ints
     active: Ints
@@ -48,7 +50,8 @@ class Trace(NamedTuple):
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
         """Return a trace of zeros with room for `ticks` ticks of a plant."""
         states = np.zeros((ticks, len(plant.at_rest(0.0))))
-        return cls(states=states, **{name: np.zeros(ticks, np.int64) for name in cls._fields[1:]})
+        integers = {name: np.zeros(ticks, np.int64) for name in cls._fields[2:]}
+        return cls(states=states, velocities=np.zeros(ticks), **integers)
 
     def first(self, ticks: int) -> Trace:
         """Return the trace cut to its first `ticks` ticks."""
@@ -89,7 +92,7 @@ def run_ticks(
             trace.states[k, i] = state[i]
         trace.counts[k] = count
         trace.active[k] = m["current_sent"]  # as the STATE of this sample shows it: of the command before
-        trace.phases[k], trace.flags[k] = UNSEEN, 0
+        trace.phases[k], trace.flags[k], trace.velocities[k] = UNSEEN, 0, 0.0
         age = ages[k] if k < len(ages) else 0
         sample = k - age
         # No newer sample has come: the law computes no command, and the device holds the last one.
@@ -109,6 +112,7 @@ def run_ticks(
             )
             ends = m["phase"] == DONE
             trace.phases[sample] = m["phase"]
+            trace.velocities[sample] = m["velocity"]
             # With DONE the loop sends STOP in place of the law's current.
             trace.currents[sample] = 0 if ends else current
             trace.flags[sample] = m["flags"] | (_LATE if age > 1 else 0) | (_GAP if elapsed > 1 else 0)

@@ -13,6 +13,7 @@ import numpy as np
 from rig import config, devices
 from rig.config import Experiment, controller
 from rig.control.laws import Law
+from rig.core.model import RigModel
 from rig.devices.simulated import SimulatedHit
 
 HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start
@@ -28,6 +29,8 @@ class HitSimulator:
         the start of the handle within homing's tolerance, and the tremor of a simulated hand.
     law
         Control law to run instead of the law that the experiment names.
+    rig
+        Rig to simulate instead of the experiment's; the controller keeps the experiment's values, which are then wrong.
 
     Attributes
     ----------
@@ -37,7 +40,9 @@ class HitSimulator:
         Position at which the handle rests before each hit (rad or m).
     """
 
-    def __init__(self, experiment: Experiment, *, law: Law | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, *, law: Law | None = None, rig: RigModel | None = None
+    ) -> None:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
@@ -49,10 +54,11 @@ class HitSimulator:
             experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a, law=law
         )
         self.limits = config.verdict_thresholds(experiment)
-        self._rig = devices.simulated_rig()(
-            config.rig_model(experiment), tick_s, self.limits, round(longest_s / tick_s)
-        )
-        self.start = start_of(experiment)
+        model = rig or config.rig_model(experiment)
+        self._rig = devices.simulated_rig()(model, tick_s, self.limits, round(longest_s / tick_s))
+        # A controller that is wrong about the encoder homes to another position.
+        scale = model.encoder.resolution / experiment.rig.encoder.resolution
+        self.start = start_of(experiment) * scale
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
         """Simulate one hit; return the numbers measured from the sampled signals and from the simulated truth.

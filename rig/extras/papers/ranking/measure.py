@@ -1,0 +1,288 @@
+"""Measure the areas of a ranking as tasks of a sweep: tune each estimator, then judge every pair on every rig."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig import config
+from rig.config import Experiment
+from rig.core.errors import ConfigError, LawError
+from rig.experiments import sweep
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.experiments.mapping.interface import StiffnessSearch
+from rig.extras.papers.ranking import rule
+from rig.extras.papers.ranking.rule import ESTIMATORS, Ground, Pair, Settings, Tuned
+
+
+def find_edge(passes: Callable[[int], bool], start: int, length: int) -> int:
+    """Return the highest index that passes below the first that fails, searched from `start`; -1 if none passes.
+
+    Steps away from `start` double until the outcome changes; a bisection follows.
+    """
+    low, high, step = -1, length, 1
+    if passes(start):
+        low = start
+        while low + step < length:
+            if not passes(low + step):
+                high = low + step
+                break
+            low, step = low + step, 2 * step
+    else:
+        high = start
+        while high - step >= 0:
+            if passes(high - step):
+                low = high - step
+                break
+            high, step = high - step, 2 * step
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if passes(middle) else (low, middle)
+    return low
+
+
+def trace_limits(
+    passes: Callable[[float, float], bool], dampings: Sequence[float], rungs: Sequence[float]
+) -> list[float]:
+    """Return the limit of the stiffness at each damping, 0 where no wall counts, up to the end of the series."""
+    limits: list[float] = []
+    start = len(rungs) // 2
+    for damping in dampings:
+        edge = find_edge(lambda index, b=damping: passes(rungs[index], b), start, len(rungs))  # type: ignore[misc]
+        limits.append(rungs[edge] if edge >= 0 else 0.0)
+        start = edge if edge >= 0 else start
+        begun = any(limits) or len(limits) >= rule.FEWEST_COLUMNS
+        if begun and len(limits) > rule.EMPTY_COLUMNS and not any(limits[-rule.EMPTY_COLUMNS :]):
+            break
+    return limits
+
+
+def area_under(limits: Sequence[float], dampings: Sequence[float], lowest: float) -> float:
+    """Return the area below limits, at least that of the wall of stiffness `lowest` at half of the first damping."""
+    inside = [*limits, *[0.0] * (len(dampings) - len(limits))]
+    return max(float(np.trapezoid(inside, dampings)), 0.5 * lowest * dampings[1])
+
+
+@cache
+def _search(rig: str, grip: str) -> StiffnessSearch:
+    return Ground.of(rig).search(grip)
+
+
+def series(experiment: Experiment, number: int, offset: float, rig: str, grip: str) -> dict[str, Any]:
+    """Return limits, number of hits and velocity error of one series on variation `number` of a rig."""
+    model = config.rig_model(experiment)
+    model = rule.vary(replace(model, encoder=replace(model.encoder, offset=offset)), number)
+    simulator = HitSimulator(experiment, rig=model)
+    hits = 0
+
+    def passes(stiffness: float, damping: float) -> bool:
+        nonlocal hits
+        hits += 1
+        try:
+            return rule.counts(simulator.hit(stiffness, damping), stiffness, damping)
+        except LawError:  # a velocity that is not finite
+            return False
+
+    limits = trace_limits(passes, Ground.of(rig).dampings(), _search(rig, grip).rungs)
+    try:
+        error = simulator.hit(experiment.wall.stiffness, experiment.wall.damping).rendering.velocity_error
+    except LawError:
+        error = sys.float_info.max
+    return {"limits": limits, "hits": hits, "error": error}
+
+
+def tune(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the index of the best settings of a grid, and the logarithms of all products of areas that were tried.
+
+    The grid is searched at every `rule.COARSE`-th value, then at the neighbours of the best.
+    """
+    rig, grid = payload["rig"], payload["grid"]
+    ground, pair = Ground.of(rig), Pair(payload["estimator"], payload["dual"])
+    if len(grid) == 1:
+        return {"best": 0, "tried": []}
+    products: dict[int, float] = {}
+
+    def product(index: int) -> float:
+        if index not in products:
+            products[index] = 0.0
+            for grip in rule.TUNING_CONDITIONS:
+                try:
+                    x = ground.experiment(pair, grid[index], grip, 0)
+                except ConfigError:  # the filter cannot be realised at this rate
+                    products[index] = -math.inf
+                    break
+                limits = series(x, 0, rule.TUNING_OFFSET, rig, grip)["limits"]
+                area = area_under(limits, ground.dampings(), _search(rig, grip).lowest)
+                products[index] += math.log(area)
+        return products[index]
+
+    best = max([*range(0, len(grid), rule.COARSE), len(grid) - 1], key=product)
+    step = rule.COARSE // 2
+    while step:
+        best = max((n for n in (best, best - step, best + step) if 0 <= n < len(grid)), key=product)
+        step //= 2
+    tried = [[index, products[index]] for index in sorted(products) if math.isfinite(products[index])]
+    return {"best": best, "tried": tried}
+
+
+def judge(payload: Mapping[str, Any]) -> dict[str, Any]:
+    """Return areas, undamped limits and velocity errors at the judged offsets, for one pair on one rig."""
+    rig, grip, number = payload["rig"], payload["grip"], payload["number"]
+    ground, pair = Ground.of(rig), Pair(*payload["pair"])
+    x = ground.experiment(pair, payload["settings"], grip, payload["delay"])
+    x = config.override(x, {"trial.seed": rule.JUDGED_SEED + number}, "the ranking")
+    rungs, dampings = _search(rig, grip).rungs, ground.dampings()
+    found = [series(x, number, offset, rig, grip) for offset in rule.OFFSETS]
+    return {
+        "areas": [area_under(one["limits"], dampings, rungs[0]) for one in found],
+        "undamped": [one["limits"][0] for one in found],
+        "errors": [one["error"] for one in found],
+        "capped": sum(limit == rungs[-1] for one in found for limit in one["limits"]),
+        "hits": sum(one["hits"] for one in found),
+    }
+
+
+def judging_tasks(
+    ground: Ground,
+    pairs: Sequence[Pair],
+    tuned: Mapping[str, Settings],
+    *,
+    grips: Sequence[str] = rule.CONDITIONS,
+    delays: Sequence[int] = rule.DELAYS,
+    variations: int = rule.VARIATIONS,
+) -> list[sweep.Task]:
+    """Return the tasks of a rig, a condition after the other; `tuned` has the settings by the name of `Pair.plain`."""
+    return [
+        sweep.Task(
+            f"{pair.name}/{grip}/{delay}/{number}",
+            judge,
+            {
+                "rig": ground.name,
+                "pair": [pair.estimator, pair.dual, pair.law],
+                "settings": tuned[pair.plain.name],
+                "grip": grip,
+                "delay": delay,
+                "number": number,
+            },
+        )
+        for delay in delays
+        for grip in grips
+        for pair in pairs
+        for number in range(variations + 1)
+    ]
+
+
+def measure_rig(
+    rig: str,
+    *,
+    pairs: Sequence[Pair] | None = None,
+    entries: Sequence[Tuned] = (),
+    directory: Path | None = None,
+    workers: int | None = 1,
+    watch: Callable[[sweep.Progress], None] | None = None,
+    **matrix: Any,
+) -> dict[str, Any]:
+    """Measure all pairs on one rig and return the compact results, as plain values for JSON.
+
+    Parameters
+    ----------
+    rig
+        One of `rule.RIGS`.
+    pairs
+        Pairs to measure; if None, all that the rig can run.
+    entries
+        Further estimators, each measured with the plain wall.
+    directory
+        Place of the two journals, from which an interrupted measurement resumes. None: not stored.
+    workers, watch
+        As in `rig.experiments.sweep.run`.
+    matrix
+        Smaller `grips`, `delays` and `variations` of `judging_tasks`.
+
+    Raises
+    ------
+    ConfigError
+        The rig or an estimator is unknown, or a journal is of another plan.
+    SweepStoppedError
+        Ctrl-C was pressed; what is finished stays in the journals.
+    """
+    ground = Ground.of(rig)
+    known = {**ESTIMATORS, **{one.estimator: one for one in entries}}
+    chosen = [*(ground.pairs if pairs is None else pairs), *(Pair(one.estimator) for one in entries)]
+    grids = {one.plain: known[one.estimator].grid(ground.velocity_rate(one)) for one in chosen}
+
+    def run(stage: str, tasks: Sequence[sweep.Task]) -> dict[str, Any]:
+        journal = None if directory is None else directory / f"{rig.replace(' ', '-')}-{stage}.journal"
+        found = sweep.run(tasks, journal=journal, workers=workers, watch=watch)
+        return dict(zip([task.key for task in tasks], found, strict=True))
+
+    best = run(
+        "tuning",
+        [
+            sweep.Task(
+                one.name, tune, {"rig": rig, "estimator": one.estimator, "dual": one.dual, "grid": grid}
+            )
+            for one, grid in grids.items()
+        ],
+    )
+    tuned = {one.name: grid[best[one.name]["best"]] for one, grid in grids.items()}
+    ends = [
+        one.name
+        for one, grid in grids.items()
+        if len(grid) > 1 and best[one.name]["best"] in (0, len(grid) - 1)
+    ]
+    judged = run("judging", judging_tasks(ground, chosen, tuned, **matrix))
+    return {"rig": rig, "tuned": tuned, "ends": ends, "conditions": compact(judged)}
+
+
+def estimate_s(rig: str) -> float:
+    """Return the estimated time of `measure_rig` on one core (s), from one task of fdm-butterworth after compiling."""
+    ground = Ground.of(rig)
+    pair = Pair("fdm-butterworth")
+    settings: Settings = {"cutoff_hz": 0.05 * ground.velocity_rate(pair)}
+    spent = []
+    for grip in rule.TUNING_CONDITIONS:
+        (task,) = judging_tasks(ground, [pair], {pair.name: settings}, grips=[grip], delays=[0], variations=0)
+        judge(task.payload)  # compiles, and fills caches
+        began = time.process_time()
+        judge(task.payload)
+        spent.append(time.process_time() - began)
+    tasks = len(ground.pairs) * len(rule.CONDITIONS) * len(rule.DELAYS) * (rule.VARIATIONS + 1)
+    return tasks * float(np.mean(spent))
+
+
+def compact(judged: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the results by pair, then by condition (grip/delay): a list of `Cell`'s values.
+
+    The area on each rig is the geometric mean over the offsets; undamped limit and velocity error are mean and median
+    over rigs and offsets.
+    """
+    gathered: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
+    for key, found in judged.items():
+        pair, grip, delay, _ = key.split("/")
+        gathered.setdefault(pair, {}).setdefault(f"{grip}/{delay}", []).append(found)
+    return {
+        pair: {name: _cell(rigs) for name, rigs in conditions.items()}
+        for pair, conditions in gathered.items()
+    }
+
+
+def _cell(rigs: Sequence[Mapping[str, Any]]) -> list[Any]:
+    return [
+        [_digits(math.exp(np.mean(np.log(one["areas"])))) for one in rigs],
+        _digits(float(np.mean([one["undamped"] for one in rigs]))),
+        _digits(float(np.median([one["errors"] for one in rigs]))),
+        sum(one["capped"] for one in rigs),
+    ]
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.3g}")

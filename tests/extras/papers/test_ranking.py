@@ -1,0 +1,195 @@
+"""The ranking of estimators and laws: rendered walls, areas, win and tie, resumption, and a small ranking whole."""
+
+import json
+import math
+from dataclasses import astuple, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig import config
+from rig.config import presets
+from rig.core.errors import ConfigError
+from rig.experiments.hits.hit_simulator import HitSimulator
+from rig.extras.papers.ranking import compare, measure, rule
+from rig.extras.papers.ranking.compare import RigResults, compare_areas
+from rig.extras.papers.ranking.rule import Ground, Pair, Tuned
+from sim_backend.bare.hits import render
+
+FINE: dict[str, Any] = {"rig.encoder.quantum": 1e-9, "rig.amplifier.current_quantum_a": 4e-4}
+
+
+def test_the_fit_is_that_of_least_squares_over_the_contact() -> None:
+    random = np.random.default_rng(3)
+    penetration, rate = random.normal(0.0, 1e-3, 500), random.normal(0.0, 0.1, 500)
+    effort = 2e4 * penetration + 70.0 * rate + random.normal(0.0, 1.0, 500)
+    found = np.zeros(3)
+    render(effort, penetration, rate, found)
+    inside = penetration > 0.0
+    columns = np.column_stack([penetration, rate])[inside]
+    np.testing.assert_allclose(found[:2], np.linalg.lstsq(columns, effort[inside], rcond=None)[0], rtol=1e-9)
+    render(effort, penetration, 2.0 * penetration, found)
+    assert np.isnan(found[:2]).all()  # a rate in proportion to the penetration determines nothing
+
+
+def test_a_fine_encoder_renders_the_commanded_wall_and_a_wrong_effort_constant_does_not_change_the_fit() -> (
+    None
+):
+    x = config.override(
+        presets.load("chawda-linear"),
+        {**FINE, "controller.position_rate": 20_000, "controller.velocity_rate": 20_000,
+         "controller.parameters": {"cutoff_hz": 8000.0}, "rig.limits.slew": 1e7},
+    )  # fmt: skip
+    model = config.rig_model(x)
+    stronger = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=12.0))
+    lighter = replace(model, mechanics=replace(model.mechanics, motor_inertia=0.52 / 1.2, motor_damping=13.2 / 1.2,
+                                               motor_coulomb=0.19 / 1.2))  # fmt: skip
+    for rig in (model, stronger):
+        found = HitSimulator(x, rig=rig).hit(20_000.0, 60.0).rendering
+        assert found.stiffness == pytest.approx(20_000.0, rel=0.01)
+        assert found.damping == pytest.approx(60.0, rel=0.05)
+    # 1.2 times the effort on a mass is the same motion as the effort on the mass over 1.2.
+    hits = [HitSimulator(x, rig=rig).hit(20_000.0, 60.0) for rig in (stronger, lighter)]
+    assert hits[0].true.numbers["impact_velocity"] == pytest.approx(
+        float(hits[1].true.numbers["impact_velocity"]), rel=1e-6
+    )
+
+
+def test_a_late_estimator_renders_less_damping_and_has_a_larger_error() -> None:
+    x = presets.load("chawda-linear")
+    early, late = (config.override(x, {"controller.parameters": {"cutoff_hz": hz}}) for hz in (400.0, 20.0))
+    found = [HitSimulator(one).hit(8_000.0, 40.0).rendering for one in (early, late)]
+    assert found[0].damping > 2.0 * found[1].damping
+    assert found[0].velocity_error < found[1].velocity_error
+
+
+@pytest.mark.parametrize(("stiffness", "damping", "fits"), [
+    (0.71, 0.51, True), (1.39, 1.99, True), (0.69, 1.0, False), (1.41, 1.0, False), (1.0, 0.49, False),
+    (1.0, 2.01, False), (math.nan, 1.0, False), (1.0, math.nan, False),
+])  # fmt: skip
+def test_a_wall_counts_within_the_limits_of_the_rule(stiffness: float, damping: float, fits: bool) -> None:
+    hit = HitSimulator(presets.load("chawda-linear")).hit(20_000.0, 60.0)
+    assert hit.recorded.passes("heard")
+    rendering = replace(hit.rendering, stiffness=20_000.0 * stiffness, damping=60.0 * damping)
+    assert rule.counts(replace(hit, rendering=rendering), 20_000.0, 60.0) is fits
+    undamped = replace(hit.rendering, stiffness=20_000.0, damping=math.nan)
+    assert rule.counts(replace(hit, rendering=undamped), 20_000.0, 0.0)
+
+
+@pytest.mark.parametrize("length", [1, 2, 7, 33])
+def test_the_edge_is_found_from_any_start_in_few_tests(length: int) -> None:
+    for edge in range(-1, length):
+        for start in range(length):
+            tried: list[int] = []
+
+            def passes(index: int, edge: int = edge, tried: list[int] = tried) -> bool:
+                tried.append(index)
+                return index <= edge
+
+            assert measure.find_edge(passes, start, length) == edge
+            assert len(tried) == len(set(tried)) <= 2 * math.log2(length) + 3
+
+
+def test_the_area_is_that_of_a_triangle_and_ends_after_two_empty_dampings() -> None:
+    dampings, rungs = [0.1 * n for n in range(24)], [1.005**n for n in range(1000)]
+    limits = measure.trace_limits(lambda k, b: k <= 100.0 * (1.0 - b), dampings, rungs)
+    assert len(limits) == 12  # the limit at 1.0 is 0, and that at 1.1
+    assert measure.area_under(limits, dampings, rungs[0]) == pytest.approx(50.0, rel=0.02)
+    assert measure.area_under([0.0] * 3, dampings, 1.0) == pytest.approx(0.05)
+
+
+def test_win_and_tie() -> None:
+    rigs = np.random.default_rng(1).lognormal(0.0, 1.0, 9)
+    assert astuple(compare_areas(1.3 * rigs, rigs)) == pytest.approx((1.3, 1.3, 1.3))
+    assert compare_areas(1.3 * rigs, rigs).outcome == "wins"
+    assert compare_areas(rigs, 1.3 * rigs).outcome == "loses"
+    assert compare_areas(1.2 * rigs, rigs).outcome == "ties"  # clear, but too small
+    assert compare_areas(1.2 * rigs, rigs).low > 1.0
+    uneven = rigs * np.array([10.0, *[0.95] * 8])
+    found = compare_areas(uneven, rigs)  # large, but of a single rig
+    assert found.low < 1.0 < found.mean
+    assert found.outcome == "ties"
+    # Against the normal interval of a mean, which the bootstrap approaches for logarithms without outliers.
+    logs = np.random.default_rng(2).normal(0.5, 0.2, 9)
+    found = compare_areas(np.exp(logs), np.ones(9))
+    half = 1.96 * logs.std() / 3.0
+    assert math.log(found.low) == pytest.approx(logs.mean() - half, abs=0.02)
+    assert math.log(found.high) == pytest.approx(logs.mean() + half, abs=0.02)
+
+
+def made(rig: str, **areas: float) -> RigResults:
+    """Return results in which each pair has the same area under all conditions."""
+    keys = [f"{grip}/{delay}" for grip in rule.CONDITIONS for delay in rule.DELAYS]
+    return RigResults(
+        rig, {}, [], {pair: {key: [[area] * 9, 1.0, 0.0, 0] for key in keys} for pair, area in areas.items()}
+    )
+
+
+def test_the_best_pair_is_recommended_and_ties_are_not() -> None:
+    found = made("a", x=2.0, y=1.0, z=0.5)
+    assert found.recommended("0") == ["x"]
+    assert made("a", x=2.0, y=1.9).recommended("0") == []
+    assert made("a", x=2.0, y=1.9).never_lose("0") == ["x", "y"]
+    assert found.against_best("y", "0")["firm"][0] == "x"
+
+
+def test_the_stability_is_the_tau_of_the_rankings() -> None:
+    same, other = made("a", x=3.0, y=2.0, z=1.0), made("b", x=1.0, y=2.0, z=30.0)
+    assert compare.stability([same, same, same], "0")["a"] == pytest.approx(1.0)
+    taus = compare.stability([same, other], "0")  # both: z, y, x; b alone z, y, x; a alone x, y, z
+    assert taus == {"a": pytest.approx(1.0), "b": pytest.approx(-1.0)}
+
+
+def test_variations_stay_within_a_fifth_and_the_controller_keeps_its_values() -> None:
+    model = config.rig_model(presets.load("koul-compliant"))
+    assert rule.vary(model, 0) == model
+    factors = []
+    for number in range(1, 9):
+        varied = rule.vary(model, number)
+        assert varied == rule.vary(model, number)
+        factors += [varied.mechanics.motor_inertia / model.mechanics.motor_inertia,
+                    varied.amplifier.effort_per_ampere / model.amplifier.effort_per_ampere,
+                    varied.encoder.resolution / model.encoder.resolution]  # fmt: skip
+    assert len(set(factors)) == len(factors)
+    assert 0.8 <= min(factors) < 0.9
+    assert 1.1 < max(factors) <= 1.2
+
+
+def test_an_unknown_rig_is_refused() -> None:
+    with pytest.raises(ConfigError, match="no-rig is not ranked"):
+        Ground.of("no-rig")
+
+
+PAIRS = (Pair("fdm"), Pair("disturbance"), Pair("disturbance", law=rule.ESTIMATED))
+SMALL: dict[str, Any] = {"pairs": PAIRS, "grips": ("none",), "delays": (0,), "variations": 1}
+
+
+def test_a_small_ranking_resumes_from_its_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL)
+    assert list(whole["conditions"]) == [pair.name for pair in PAIRS]
+    assert all(len(cells["none/0"][0]) == 2 for cells in whole["conditions"].values())
+    assert whole["tuned"]["disturbance"].keys() == {"frequency_hz"}
+    assert json.loads(json.dumps(whole)) == whole
+    journal = tmp_path / "chawda-linear-judging.journal"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:-2]))  # stopped before the last two tasks
+    again: list[float] = []
+    original = measure.series
+
+    def series(*given: Any) -> dict[str, Any]:
+        again.append(given[2])
+        return original(*given)
+
+    monkeypatch.setattr(measure, "series", series)
+    assert measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL) == whole
+    assert again == [*rule.OFFSETS, *rule.OFFSETS]
+
+
+def test_an_own_entry_is_measured_beside_the_others() -> None:
+    entry = Tuned(estimator="period-frequency", parameter="window_s", low=1e-3, high=2e-3, per_rate=False)
+    found = measure.measure_rig(
+        "chawda-linear", entries=[entry], **{**SMALL, "pairs": (Pair("fdm"),), "variations": 0}
+    )
+    assert list(found["conditions"]) == ["fdm", "period-frequency"]
