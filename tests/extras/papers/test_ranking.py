@@ -123,7 +123,11 @@ def made(rig: str, **areas: float) -> RigResults:
     """Return results in which each pair has the same area under all conditions."""
     keys = [f"{grip}/{delay}" for grip in rule.CONDITIONS for delay in rule.DELAYS]
     return RigResults(
-        rig, {}, [], {pair: {key: [[area] * 9, 1.0, 0.0, 0] for key in keys} for pair, area in areas.items()}
+        rig,
+        {},
+        [],
+        {},
+        {pair: {key: [[area] * 9, 1.0, 0.0, 0] for key in keys} for pair, area in areas.items()},
     )
 
 

@@ -63,12 +63,24 @@ class Cell(NamedTuple):
 class RigResults:
     """Compact results of one rig, as `rig.extras.papers.ranking.measure.measure_rig` returns them.
 
-    `ends` names the estimators whose best value is at an end of its grid.
+    Attributes
+    ----------
+    rig
+        Name in `rule.RIGS`.
+    tuned
+        Settings of each estimator.
+    ends
+        Estimators whose best value is at an end of its grid.
+    noise
+        Velocity of a toggling count at rest by estimator, rms (rad/s or m/s).
+    conditions
+        Values of a `Cell` by pair and by condition (grip/delay).
     """
 
     rig: str
     tuned: Mapping[str, Mapping[str, float | str]]
     ends: Sequence[str]
+    noise: Mapping[str, float]
     conditions: Mapping[str, Mapping[str, Any]]
 
     @property

@@ -15,8 +15,10 @@ import numpy as np
 
 from rig import config
 from rig.config import Experiment
+from rig.control import estimators
 from rig.core.errors import ConfigError, LawError
 from rig.experiments import sweep
+from rig.experiments.estimation.estimators import Variant, rest_noise
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.mapping.interface import StiffnessSearch
 from rig.extras.papers.ranking import rule
@@ -220,7 +222,7 @@ def measure_rig(
     grids = {one.plain: known[one.estimator].grid(ground.velocity_rate(one)) for one in chosen}
 
     def run(stage: str, tasks: Sequence[sweep.Task]) -> dict[str, Any]:
-        journal = None if directory is None else directory / f"{rig.replace(' ', '-')}-{stage}.journal"
+        journal = None if directory is None else directory / f"{rig}-{stage}.journal"
         found = sweep.run(tasks, journal=journal, workers=workers, watch=watch)
         return dict(zip([task.key for task in tasks], found, strict=True))
 
@@ -240,7 +242,16 @@ def measure_rig(
         if len(grid) > 1 and best[one.name]["best"] in (0, len(grid) - 1)
     ]
     judged = run("judging", judging_tasks(ground, chosen, tuned, **matrix))
-    return {"rig": rig, "tuned": tuned, "ends": ends, "conditions": compact(judged)}
+    noise = {one.name: rest_velocity(ground, one, tuned[one.name]) for one in grids}
+    return {"rig": rig, "tuned": tuned, "ends": ends, "noise": noise, "conditions": compact(judged)}
+
+
+def rest_velocity(ground: Ground, pair: Pair, settings: Settings) -> float:
+    """Return the rms velocity of a toggling count at rest (rad/s or m/s)."""
+    own = estimators.get(pair.estimator).settings_of(config.settings_of_rig(ground.preset))
+    variant = Variant(pair.estimator, {**own, **settings})
+    period_s = 1.0 / ground.velocity_rate(pair)
+    return _digits(rest_noise(variant, period_s, ground.preset.rig.encoder.resolution)[1])
 
 
 def estimate_s(rig: str) -> float:

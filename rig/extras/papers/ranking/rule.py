@@ -39,7 +39,7 @@ DUAL_HZ = 2000
 # Rigs in the order in which they are measured: the five that differ most first.
 RIGS: dict[str, tuple[str, int | None]] = {
     "koul-rigid": ("koul-rigid", None),
-    "chawda-linear at 10 kHz": ("chawda-linear", 10_000),
+    "chawda-linear-10k": ("chawda-linear", 10_000),
     "chawda-linear": ("chawda-linear", None),
     "hapkit": ("hapkit", None),
     "koul-compliant": ("koul-compliant", None),
