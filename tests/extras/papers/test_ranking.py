@@ -2,19 +2,22 @@
 
 import json
 import math
-from dataclasses import astuple, replace
+from dataclasses import asdict, astuple, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.extras.papers.ranking import compare, measure, rule
 from rig.extras.papers.ranking.compare import RigResults, compare_areas
+from rig.extras.papers.ranking.page import page
 from rig.extras.papers.ranking.rule import Ground, Pair, Tuned
 from sim_backend.bare.hits import render
 
@@ -46,12 +49,12 @@ def test_a_fine_encoder_renders_the_commanded_wall_and_a_wrong_effort_constant_d
     stronger = replace(model, amplifier=replace(model.amplifier, effort_per_ampere=12.0))
     lighter = replace(model, mechanics=replace(model.mechanics, motor_inertia=0.52 / 1.2, motor_damping=13.2 / 1.2,
                                                motor_coulomb=0.19 / 1.2))  # fmt: skip
-    for rig in (model, stronger):
-        found = HitSimulator(x, rig=rig).hit(20_000.0, 60.0).rendering
+    for one in (model, stronger):
+        found = HitSimulator(x, rig=one).hit(20_000.0, 60.0).rendering
         assert found.stiffness == pytest.approx(20_000.0, rel=0.01)
         assert found.damping == pytest.approx(60.0, rel=0.05)
     # 1.2 times the effort on a mass is the same motion as the effort on the mass over 1.2.
-    hits = [HitSimulator(x, rig=rig).hit(20_000.0, 60.0) for rig in (stronger, lighter)]
+    hits = [HitSimulator(x, rig=one).hit(20_000.0, 60.0) for one in (stronger, lighter)]
     assert hits[0].true.numbers["impact_velocity"] == pytest.approx(
         float(hits[1].true.numbers["impact_velocity"]), rel=1e-6
     )
@@ -136,7 +139,7 @@ def test_the_best_pair_is_recommended_and_ties_are_not() -> None:
     assert found.recommended("0") == ["x"]
     assert made("a", x=2.0, y=1.9).recommended("0") == []
     assert made("a", x=2.0, y=1.9).never_lose("0") == ["x", "y"]
-    assert found.against_best("y", "0")["firm"][0] == "x"
+    assert found.best("firm", "0", ["y", "z"]) == "y"
 
 
 def test_the_stability_is_the_tau_of_the_rankings() -> None:
@@ -197,3 +200,32 @@ def test_an_own_entry_is_measured_beside_the_others() -> None:
         "chawda-linear", entries=[entry], **{**SMALL, "pairs": (Pair("fdm"),), "variations": 0}
     )
     assert list(found["conditions"]) == ["fdm", "period-frequency"]
+
+
+def test_the_command_writes_results_and_the_page_that_follows_from_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    areas = {pair.name: 2.0**n for n, pair in enumerate(Ground.of("hapkit").pairs)}
+    found = asdict(made("hapkit", **areas))
+    asked: list[Any] = []
+
+    def measure_rig(rig: str, **given: Any) -> dict[str, Any]:
+        asked.append((rig, given["entries"]))
+        return found
+
+    monkeypatch.setattr(measure, "measure_rig", measure_rig)
+    monkeypatch.setattr(measure, "estimate_s", lambda rig: 60.0)
+    words = ["estimators", "rank", "hapkit", "--entry", "mine:gain=0.1:10", "-o", str(tmp_path)]
+    result = CliRunner().invoke(rig.cli.rig, words)
+    assert result.exit_code == 0, result.output
+    assert asked == [
+        ("hapkit", [Tuned(estimator="mine", parameter="gain", low=0.1, high=10.0, per_rate=False)])
+    ]
+    text = (tmp_path / "ranking.md").read_text(encoding="utf-8")
+    assert text == page(compare.read_results(tmp_path / "results.json"))
+    assert "| hapkit | **disturbance, estimated position** |" in text
+    assert "not measured: koul-rigid" in text
+    for entry in ("mine", "mine:gain", "mine:gain=1", "mine:gain=1:x", "mine:gain=2:1"):
+        assert (
+            CliRunner().invoke(rig.cli.rig, ["estimators", "rank", "hapkit", "--entry", entry]).exit_code != 0
+        )

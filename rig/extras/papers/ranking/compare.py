@@ -110,29 +110,19 @@ class RigResults:
         """Return the ratio of a pair's areas to another's."""
         return compare_areas(self.areas(pair, grip, delay), self.areas(other, grip, delay))
 
-    def against_best(self, pair: str, delay: str) -> dict[str, tuple[str, Ratio]]:
-        """Return, for each grip and for no hand, the best other pair and the ratio to it."""
-        found = {}
-        for grip in self.axis(0):
-            other = self.best(grip, delay, [one for one in self.pairs if one != pair])
-            found[grip] = other, self.ratio(pair, other, grip, delay)
-        return found
+    def never_lose(self, delay: str) -> list[str]:
+        """Return the pairs that win or tie against the best other one without a hand and in all grips."""
+        return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay)]
 
     def recommended(self, delay: str) -> list[str]:
-        """Return the pairs that win or tie against the best other in all conditions of a hand, and win in one."""
-        chosen = []
-        for pair in self.pairs:
-            outcomes = [ratio.outcome for _, ratio in self.against_best(pair, delay).values()]
-            if len(outcomes) == len(rule.CONDITIONS) and "loses" not in outcomes and "wins" in outcomes:
-                chosen.append(pair)
-        return chosen
+        """Return the pairs that never lose, and win at least once, if every condition of a hand was measured."""
+        complete = self.axis(0) == list(rule.CONDITIONS)
+        return [pair for pair in self.never_lose(delay) if complete and "wins" in self._outcomes(pair, delay)]
 
-    def never_lose(self, delay: str) -> list[str]:
-        """Return the pairs that win or tie against the best other in all conditions of a hand."""
+    def _outcomes(self, pair: str, delay: str) -> list[Outcome]:
+        others = [one for one in self.pairs if one != pair]
         return [
-            pair
-            for pair in self.pairs
-            if all(ratio.outcome != "loses" for _, ratio in self.against_best(pair, delay).values())
+            self.ratio(pair, self.best(grip, delay, others), grip, delay).outcome for grip in self.axis(0)
         ]
 
 

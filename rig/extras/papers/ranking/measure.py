@@ -192,29 +192,11 @@ def measure_rig(
     watch: Callable[[sweep.Progress], None] | None = None,
     **matrix: Any,
 ) -> dict[str, Any]:
-    """Measure all pairs on one rig and return the compact results, as plain values for JSON.
+    """Measure pairs (all that the rig can run, if None) and own entries on one rig; return values for JSON.
 
-    Parameters
-    ----------
-    rig
-        One of `rule.RIGS`.
-    pairs
-        Pairs to measure; if None, all that the rig can run.
-    entries
-        Further estimators, each measured with the plain wall.
-    directory
-        Place of the two journals, from which an interrupted measurement resumes. None: not stored.
-    workers, watch
-        As in `rig.experiments.sweep.run`.
-    matrix
-        Smaller `grips`, `delays` and `variations` of `judging_tasks`.
-
-    Raises
-    ------
-    ConfigError
-        The rig or an estimator is unknown, or a journal is of another plan.
-    SweepStoppedError
-        Ctrl-C was pressed; what is finished stays in the journals.
+    An interrupted measurement resumes from the two journals in `directory`. `workers` and `watch` are those of
+    `rig.experiments.sweep.run`, as the errors are; `matrix` may have smaller `grips`, `delays` and `variations` than
+    `judging_tasks`. Raise `ConfigError` for an unknown rig or estimator.
     """
     ground = Ground.of(rig)
     known = {**ESTIMATORS, **{one.estimator: one for one in entries}}
@@ -226,21 +208,13 @@ def measure_rig(
         found = sweep.run(tasks, journal=journal, workers=workers, watch=watch)
         return dict(zip([task.key for task in tasks], found, strict=True))
 
-    best = run(
-        "tuning",
-        [
-            sweep.Task(
-                one.name, tune, {"rig": rig, "estimator": one.estimator, "dual": one.dual, "grid": grid}
-            )
-            for one, grid in grids.items()
-        ],
-    )
-    tuned = {one.name: grid[best[one.name]["best"]] for one, grid in grids.items()}
-    ends = [
-        one.name
+    tuning_tasks = [
+        sweep.Task(one.name, tune, {"rig": rig, "estimator": one.estimator, "dual": one.dual, "grid": grid})
         for one, grid in grids.items()
-        if len(grid) > 1 and best[one.name]["best"] in (0, len(grid) - 1)
     ]
+    best = {name: found["best"] for name, found in run("tuning", tuning_tasks).items()}
+    tuned = {one.name: grid[best[one.name]] for one, grid in grids.items()}
+    ends = [one.name for one, grid in grids.items() if len(grid) > 1 and best[one.name] in (0, len(grid) - 1)]
     judged = run("judging", judging_tasks(ground, chosen, tuned, **matrix))
     noise = {one.name: rest_velocity(ground, one, tuned[one.name]) for one in grids}
     return {"rig": rig, "tuned": tuned, "ends": ends, "noise": noise, "conditions": compact(judged)}

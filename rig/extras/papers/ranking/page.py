@@ -12,7 +12,7 @@ from rig.config import presets
 from rig.core.sample import unit_of
 from rig.extras.papers.ranking import rule
 from rig.extras.papers.ranking.compare import Ratio, RigResults, scores, stability
-from rig.extras.papers.ranking.rule import Pair
+from rig.extras.papers.ranking.rule import PLAIN, Pair
 from rig.firmware.tick_budget import TICKS
 
 COMMAND = "rig estimators rank"
@@ -73,6 +73,14 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         ([one.rig, *(_answer(one, n) for n in delays)] for one in found),
     )
     yield from _dual(found, delays)
+    yield _wrap(
+        "The disturbance observer, uniform and with a plain wall, over the best pair of an estimator of counts alone "
+        "and a plain wall (area, geometric mean and 95 % interval; bold where it wins):"
+    )
+    yield _table(
+        ["rig", "delay", *(HANDS[grip] for grip in found[0].axis(0))],
+        ([one.rig, n, *(_observer(one, grip, n) for grip in one.axis(0))] for one in found for n in delays),
+    )
     yield "## Tuned values, noise and cost"
     yield _wrap(
         "Value of the tuned parameter, with * if the optimum is at the end of its grid; in brackets the rms velocity "
@@ -130,6 +138,15 @@ def _answer(one: RigResults, delay: str) -> str:
         return "**" + ", ".join(chosen) + "**"
     equal = one.never_lose(delay)
     return "none; never lose: " + ", ".join(equal) if equal else "none: the best differs with the hand"
+
+
+def _observer(one: RigResults, grip: str, delay: str) -> str:
+    """Return the ratio of the disturbance observer to the best pair that does not know the effort."""
+    plain = [pair.name for pair in rule.PAIRS if pair.law == PLAIN and pair.estimator != "disturbance"]
+    best = one.best(grip, delay, [name for name in plain if name in one.pairs])
+    ratio = one.ratio("disturbance", best, grip, delay)
+    text = f"{_ratio(ratio)} over {best}"
+    return f"**{text}**" if ratio.outcome == "wins" else text
 
 
 def _dual(found: Sequence[RigResults], delays: Sequence[str]) -> Iterator[str]:
