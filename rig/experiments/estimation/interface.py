@@ -14,6 +14,7 @@ from rig.experiments.estimation.estimators import (
     compare_estimators,
     delay,
     estimates,
+    rest_noise,
     score,
 )
 from rig.experiments.estimation.lipschitz import (
@@ -40,6 +41,7 @@ __all__ = [
     "identify_lipschitz",
     "lipschitz_of",
     "recording_case",
+    "rest_noise",
     "score",
     "shown_range",
     "signal_case",

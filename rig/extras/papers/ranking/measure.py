@@ -18,7 +18,7 @@ from rig.config import Experiment
 from rig.control import estimators
 from rig.core.errors import ConfigError, LawError
 from rig.experiments import sweep
-from rig.experiments.estimation.estimators import Variant, rest_noise
+from rig.experiments.estimation.interface import Variant, rest_noise
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.mapping.interface import StiffnessSearch
 from rig.extras.papers.ranking import rule
