@@ -98,9 +98,9 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield "## Each rig"
     yield _wrap(
         f"Area relative to uniform `{USUAL}` with a plain wall (geometric mean, 95 % interval); the largest in bold, "
-        "± marks those that tie with it. Then, without delay: limit without damping; number of dampings, over all "
-        "rigs and offsets, at which even the stiffest wall counts, in which the push rests two counts deep (the area is "
-        "then a lower bound); and rms error of the velocity in hits of the preset's own wall."
+        "± marks those that tie with it. Then, without delay: limit without damping; at how many dampings, over all "
+        "rigs and offsets, even the stiffest wall counts, in which the push rests two counts deep (the area is then a "
+        "lower bound); and rms error of the velocity in hits of the preset's own wall."
     )
     for one in found:
         yield f"### {one.rig}"
@@ -172,9 +172,8 @@ def _dual(found: Sequence[RigResults], delays: Sequence[str]) -> Iterator[str]:
 def _areas(one: RigResults, grip: str, delays: Sequence[str]) -> str:
     motion = presets.load(rule.RIGS[one.rig][0]).rig.motion
     unit = {name: unit_of(name, motion) for name in ("stiffness", "velocity")}
-    head = [
-        "pair", *(f"delay {n}" for n in delays), f"K at B = 0 ({unit['stiffness']})", "stiffest", f"error ({unit['velocity']})"
-    ]  # fmt: skip
+    ends = (f"K at B = 0 ({unit['stiffness']})", "stiffest", f"error ({unit['velocity']})")
+    head = ["pair", *(f"delay {n}" for n in delays), *ends]
     best = {n: one.best(grip, n) for n in delays}
     rows = []
     for pair in one.pairs:
