@@ -4,9 +4,10 @@ The session engine runs in the job's process, with a *desk*, which exchanges que
 The server (`rig.extras.console.sessions`) renders the pages and interprets keys. Besides the messages of every job
 (`rig.extras.console.worker`) the two processes exchange:
 
-======  =========================================================================== server  ``setup`` process, keys,
-hand; ``view``; ``ask`` number, question job     ``reply`` number, action, value, shown_s; ``stop`` ======
-===========================================================================
+======  ===========================================================================
+server  ``setup`` process, keys, hand; ``view``; ``ask`` number, question
+job     ``reply`` number, action, value, shown_s; ``stop``
+======  ===========================================================================
 """
 
 from __future__ import annotations

@@ -4,12 +4,15 @@
 a question of the job, or an empty line, the heartbeat. The end of input means that the console has ended, and 2 s of
 silence that the console hangs. Each line of standard output is one message:
 
-=========  ======================================================================================= say        content
-=========  ======================================================================================= compiling  true while
-machine code is being compiled progress   state of the job while it runs asks       a question to the operator; the next
-line of input answers it done       result of the job; the process ends failed     why the job ended early
-(`RigError.as_mapping`); the process ends =========
-=======================================================================================
+=========  =======================================================================================
+say        content
+=========  =======================================================================================
+compiling  true while machine code is being compiled
+progress   state of the job while it runs
+asks       a question to the operator; the next line of input answers it
+done       result of the job; the process ends
+failed     why the job ended early (`RigError.as_mapping`); the process ends
+=========  =======================================================================================
 
 If its console has ended, a job ends as after a STOP, unless it was started as detached.
 """

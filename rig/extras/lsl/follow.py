@@ -2,14 +2,15 @@
 
 Markers are mappings with `mark`, the kind of event, and with `device_time` (ns) and `tick`:
 
-=======  ================================================================================================== begin    a
-loop runs: rig, motion; unless blinded the position rate, the rate of the samples, and its wall clock    the clocks were
-compared: `bound_s`, the error bound of time stamps; null: not compared, stamps are receipts phase    the phase changed
-(`rig.core.sample.Phase`): wait, homing, settle, trial, release, done contact  the handle enters the wall in the trial;
-`contact` is the number of this contact, from 1 sync     a rising edge of the device's sync input wall     another
-parameter set is active: its number; unless blinded its wall, if the loop still stores it end      the loop has ended:
-the reason, the rows read, and those overwritten before they were read (`lost`) =======
-==================================================================================================
+=======  ==================================================================================================
+begin    a loop runs: rig, motion; unless blinded the position rate, the rate of the samples, and its wall
+clock    the clocks were compared: `bound_s`, the error bound of time stamps; null: not compared, stamps are receipts
+phase    the phase changed (`rig.core.sample.Phase`): wait, homing, settle, trial, release, done
+contact  the handle enters the wall in the trial; `contact` is the number of this contact, from 1
+sync     a rising edge of the device's sync input
+wall     another parameter set is active: its number; unless blinded its wall, if the loop still stores it
+end      the loop has ended: the reason, the rows read, and those overwritten before they were read (`lost`)
+=======  ==================================================================================================
 
 Blinded markers contain no value of a wall, a condition or a scheme, from any source (`without_secrets`). Rates are left
 out, too: if conditions differ in their rates, a rate reveals the condition.
