@@ -1,8 +1,9 @@
 """Estimate K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
 
-By the rule, K_max is the mean over repeats; K50 is estimated from all verdicts together. A limit beyond the searched
-stiffnesses (levels) is *censored*: it is replaced by the nearest level and counted, so a mean that contains censored
-limits is a bound. ``rig/session/README.md`` states how often these intervals contain the true value.
+With the measure "rule", K_max is the mean over repeats of the limits by the search rule; K50 is estimated from all
+verdicts together. A limit beyond the searched stiffnesses (levels) is *censored*: it is replaced by the nearest level
+and counted, so a mean that contains censored limits is a bound. ``rig/session/README.md`` states how often these
+intervals contain the true value.
 """
 
 from __future__ import annotations
@@ -147,9 +148,9 @@ class Paired:
     """Difference of two conditions within participants: Student's paired test of their means over repeats.
 
     With `damping` None it is the difference of the means over the dampings that both conditions have. `holm` is p after
-    Holm's correction for all differences of the same measure. `beyond` counts the limits used. Censored limits make the
-    difference a bound: `bound` is "least", "most", or "unknown" if they do both. Interval and p are NaN if `problem` is
-    not empty; `withheld` is True if the reason is that most limits of a condition and damping are censored.
+    Holm's correction for all differences of the same measure. `beyond` counts the limits used, and those censored.
+    Censored limits make the difference a bound: `bound` is "least", "most", or "unknown" if they do both. Interval and
+    p are NaN if `problem` is not empty; `withheld` is True if most limits of a condition and damping are censored.
     """
 
     measure: Measure

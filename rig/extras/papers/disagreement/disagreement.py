@@ -208,7 +208,7 @@ class Shares:
     beyond
         Walls that theory calls unstable, as a share of the walls that are stable by hits.
     sets
-        Walls with several cures, as a share of the differing area, by combination of cures.
+        Walls with several cures (removals that end the difference), as a share of the differing area, by combination.
     differ_without
         Walls that differ on the rig without all four non-linearities, as a share of the plane.
     stable, holding

@@ -1,4 +1,4 @@
-"""Map each idea that Koul et al. leave open, on a rig in the normal hand, and rank the ideas by their gain.
+"""Map each idea that Koul et al. leave open, on a rig with the normal hand, and rank the ideas by their gain.
 
 The paper's ideas are an adaptive T2, other values of T2 (the velocity period), and finer encoders. This project adds
 first-order extrapolation, other cut-offs, and all other velocity estimators in the dual-rate scheme. Estimators have
