@@ -70,7 +70,7 @@ CRC_BYTES = _BLOCK_CRC.size
 
 
 class BlockHead(NamedTuple):
-    """Head of a block of a capture: the six 64-bit words before the rows.
+    """Head of a block of a ``.rigcap`` file: the six 64-bit words before the rows.
 
     `size` is the size of the rows in bytes, `checksum` the CRC-32 of the five words before it.
     """
@@ -87,26 +87,26 @@ class BlockHead(NamedTuple):
 
 
 def pack_header(header: dict[str, Any]) -> bytes:
-    """Return the bytes of a capture file before its first block: magic, version, header as JSON, and CRC."""
+    """Return the bytes of a ``.rigcap`` file before its first block: magic, version, header as JSON, and CRC."""
     text = _pad(canonical_json(header), _FILE_HEAD.size + _CRC.size)
     start = _FILE_HEAD.pack(MAGIC, VERSION, len(text)) + text
     return start + _CRC.pack(zlib.crc32(start))
 
 
 def pack_block(magic: bytes, number: int, first_row: int, count: int, payload: bytes) -> bytes:
-    """Return the bytes of one block of a capture: head (magic, number, rows, size, CRC), payload, and CRC."""
+    """Return the bytes of one block of a ``.rigcap`` file: head (magic, number, rows, size, CRC), payload, and CRC."""
     head = _BLOCK_HEAD.pack(magic, number, first_row, count, len(payload), 0)[:-8]
     start = head + _BLOCK_CRC.pack(zlib.crc32(head)) + payload
     return start + _BLOCK_CRC.pack(zlib.crc32(start))
 
 
 def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
-    """Return the bytes of the end block, which contains the trailer and follows `number` blocks with `rows` rows."""
+    """Return the bytes of a ``.rigcap`` file's last block, with the trailer, after `number` blocks with `rows` rows."""
     return pack_block(END_MAGIC, number, rows, 0, _pad(canonical_json(trailer), 0))
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
-    """Write a recording to `file` as a capture; raise `RecordingError` if parts of the recording are lost."""
+    """Write a recording as a ``.rigcap`` file; raise `RecordingError` if parts of the recording are lost."""
     if recording.lost:
         raise RecordingError(
             "a recording with lost parts (damaged or missing rows) cannot be written as a capture",
@@ -131,9 +131,10 @@ def _pad(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """Valid blocks, lost parts and trailer that were found so far in a capture."""
+    """Valid blocks, lost parts and trailer that were found so far in a ``.rigcap`` file."""
 
-    blocks: list[tuple[int, int]] = field(default_factory=list)  # place of the rows, their count
+    # Byte offset and number of rows of each block.
+    blocks: list[tuple[int, int]] = field(default_factory=list)
     lost: list[Loss] = field(default_factory=list)
     next_row: int = 0
     trailer: dict[str, Any] | None = None
@@ -222,7 +223,7 @@ def _read_header(path: Path, data: mmap.mmap) -> tuple[dict[str, Any], int]:
 
 
 def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
-    """Return valid blocks, lost parts and trailer of a capture, starting at byte `place`."""
+    """Return valid blocks, lost parts and trailer of a ``.rigcap`` file, starting at byte `place`."""
     found = _Findings()
     while place < len(data):
         head = _block_head(data, place)

@@ -166,7 +166,7 @@ _reserving = threading.Lock()
 
 @contextmanager
 def reserved_name(directory: Path, stem: str) -> Iterator[Path]:
-    """Yield a path from `free_name` that no other thread gets until the ``with`` block ends."""
+    """Yield an unused path STEM.rigcap, which no other thread of this process gets until the ``with`` block ends."""
     with _reserving:
         capture = free_name(directory, stem)
         _reserved.add(capture)

@@ -69,7 +69,8 @@ _PHASES: Mapping[int, str] = {
     Phase.RELEASE: "release",
     Phase.DONE: "release",
 }
-ASKED_FOR = "requested by the operator"  # why a session pauses, where the machine is not the cause
+# Reason of a pause that is not caused by rig or computer: its text needs no remedy.
+ASKED_FOR = "requested by the operator"
 ASKED_FOR_BEFORE = "the operator asked for it"  # the same in logs written until 2026-11
 REMEDY_OF_COMPUTER = "close other programs; `rig doctor` shows what delays this computer and the link"
 AS_DESCRIBED, NOT_AS_DESCRIBED = (
@@ -240,7 +241,8 @@ class _Engine:
         self._last = ""
         self._lines: list[str] = []
         self._expected = 0
-        self._pulsed: int | None = None  # block before which the rig moved as described
+        # Block before which a torque pulse has shown that the rig moves as described; None: not yet.
+        self._pulsed: int | None = None
         desk.attend(session)
 
     @property

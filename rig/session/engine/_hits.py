@@ -94,7 +94,8 @@ class DeviceRunner:
     # A real device stays open from the first trial to the last, so that its zero is read once; so does a simulated one
     # in real time, as long as conditions do not change the machine itself.
     _open: FramedDevice | None = None
-    _served: tuple[RigModel, Path | None] | None = None  # model and hand of the open device
+    # Model of the rig, and file of the simulated hand, with which the open device was made.
+    _served: tuple[RigModel, Path | None] | None = None
     _zero: int = 0
     _refused: tuple[RefusedWalls, ...] = ()
     _pace: Pace | None = None
@@ -111,7 +112,10 @@ class DeviceRunner:
         return (self.url or "sim://").startswith("sim:")
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return facts about the device, its clock and this computer, which the log stores."""
+        """Return facts about the device, its clock and this computer, which the log stores.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
             "url": url,
@@ -181,7 +185,10 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check that device and link can run an experiment, without motion; raise `RigError` if it cannot be opened."""
+        """Check that device and link can run an experiment with its settings `changes` unchanged; nothing moves.
+
+        Return the results of the checks. Raise `RigError` if the device cannot be opened.
+        """
         device = self._device(experiment, changes)
         if device is not None:
             return _fits(in_effect(experiment, device, changes), device)

@@ -171,7 +171,8 @@ class RehearsalDesk(Desk):
         self.person = person
         self.day = day
         self.looks = looks
-        self.state: SessionState | None = None  # of the session, as it is now
+        # State of the running session, which the engine updates.
+        self.state: SessionState | None = None
 
     def attend(self, session: Session) -> None:
         """Store the state and the clock of a session, and adapt the simulated person to the participant's code."""

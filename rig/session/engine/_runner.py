@@ -78,7 +78,10 @@ class TrialRunner(Protocol):
         ...
 
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Return facts about the device, its clock and this computer, which the log stores."""
+        """Return facts about the device, its clock and this computer, which the log stores.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
@@ -90,11 +93,14 @@ class TrialRunner(Protocol):
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:
-        """Check that the device and its link can run an experiment; return the results. Nothing moves."""
+        """Check that device and link can run an experiment with its settings `changes` unchanged; nothing moves."""
         ...
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
-        """Apply a torque pulse with no hand on the handle, recorded as `name`, to check the rig's description."""
+        """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
+
+        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
+        """
         ...
 
     def hit(

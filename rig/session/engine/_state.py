@@ -191,8 +191,10 @@ class SessionState:
     _last_at: float = 0.0
     _rested: dict[str, int] = field(default_factory=dict)  # newest trial at the last rest, by reason
     _continued: int = 0  # newest trial when the operator continued after a pause
-    _retried: dict[int, int] = field(default_factory=dict)  # newest trial when a run was tried again
-    _owed: dict[int, int] = field(default_factory=dict)  # redone trials that have not come again, by run
+    # Newest trial when the operator continued a search after too many invalid trials.
+    _retried: dict[int, int] = field(default_factory=dict)
+    # Number of discarded trials of each search that have not been repeated yet.
+    _owed: dict[int, int] = field(default_factory=dict)
     _asked: dict[int, tuple[tuple[JudgedProbe, ...], Probe | None]] = field(default_factory=dict)
 
     @classmethod
@@ -246,7 +248,7 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """The block that was begun last; None if that block is finished, or no block was begun."""
+        """The block of searches that was begun last; None if it is finished, or no block was begun."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])

@@ -162,7 +162,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check that the rig's limits end a hit in which the motor gives too much energy (J) to the hand."""
+    """Check that the rig's energy limit (J) ends a hit in which an unstable wall gives energy to the hand."""
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in by_condition for one in of]

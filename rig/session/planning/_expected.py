@@ -28,8 +28,10 @@ USUALLY_RAISES = 1.2
 ENCODER_LEAVES = 0.35
 SPREAD = 0.05  # s / K50 of an observer: verdicts turn from stable to unstable within some 20 % of stiffness
 LAPSE_RATE = 0.02
-OBSERVERS = 5  # simulated for each expected limit
-MOST_TRIALS = 500  # of one simulated search: more than a participant can endure
+# Number of simulated searches for each expected limit.
+OBSERVERS = 5
+# A simulated search ends after this number of trials, more than a participant can endure.
+MOST_TRIALS = 500
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ from itertools import groupby
 
 from rig.core.errors import ConfigError
 
-LONGEST_DIRECTORY = 200  # bytes in UTF-8; file systems take 255
+# Bytes in UTF-8; file systems allow 255.
+LONGEST_DIRECTORY = 200
 _HASH_DIGITS = 8
 
 

@@ -19,7 +19,8 @@ Setting = bool | int | float | str
 
 RuleName = Literal["ascending", "staircase", "interleaved", "psi", "grid"]
 
-BLINDED = ("both", "operator")  # of `study.blind`: the operator sees no wall
+# Values of `study.blind` with which the operator must not see the wall.
+BLINDED = ("both", "operator")
 
 Band = tuple[float, ...]  # least and most; empty: anything
 

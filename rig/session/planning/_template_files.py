@@ -12,8 +12,10 @@ from rig.core.errors import ConfigError, RecordingError
 from rig.recording.files import plain_errors
 from rig.session.planning._load import json_schema
 
-DEFAULT = "first-steps"  # some minutes, at a rate that a simulated rig does in real time
-SCHEMA = "haptic-rig-protocol.schema.json"  # beside a protocol, which names it in its first line
+# A session of some minutes at a rate that a simulated rig reaches in real time.
+DEFAULT = "first-steps"
+# Name of the JSON schema beside a protocol; the protocol's first line refers to it.
+SCHEMA = "haptic-rig-protocol.schema.json"
 
 
 @cache

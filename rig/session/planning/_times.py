@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 
 from rig.config import Experiment, push_at_rest
 
-QUESTION_S = 10.0  # chosen: a question that is read out and answered
-BETWEEN_RUNS_S = 5.0  # chosen: to sit down and to look at the next one
+# Chosen: time for a question that is read out and answered.
+QUESTION_S = 10.0
+# Chosen: time between two searches, to sit down and to look at the next one.
+BETWEEN_RUNS_S = 5.0
 # A cooling pause begins above the heat `rest.heat` and ends at this fraction of it, so that pauses are rare.
 COOL_TO = 0.5
 # Computing time of one tick of a rehearsal in virtual time: 85 to 130 µs were measured.

@@ -16,7 +16,8 @@ from rig.core.errors import ConfigError
 from rig.session.search._rule import Censored, Estimate, JudgedProbe, Probe, Rule, verdicts_of
 
 MOST_SHARE = 0.5
-TRACK = -1  # of a catch trial
+# Number of the track in catch trials, which belong to no series or staircase.
+TRACK = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

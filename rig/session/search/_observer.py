@@ -98,8 +98,8 @@ def study(
 ) -> list[Performance]:
     """Simulate `sessions` sessions of each observer with each search rule; return the performance of each pair.
 
-    `rules` contains for each name a function that creates the rule from the argument `seed`. `off_lattice` is the
-    largest random shift of K50 (stiffness; see `performance`).
+    `rules` contains for each name a function that creates the rule from the argument `seed`. In each session the
+    observer's threshold K50 is shifted at random by at most ± `off_lattice` (unit of stiffness).
     """
     return [
         performance(name, make, observer, sessions, seed=seed, off_lattice=off_lattice)

@@ -72,7 +72,8 @@ class Psi:
         grid = psychometric.of_levels(tuple(self.levels))
         posterior = grid.posterior(verdicts)
 
-        stable = np.einsum("ltsg,tsg->lt", grid.shares, posterior)  # jointly with K50, for each level
+        # For each level, the joint probability of "stable" and each K50; the next wall has the least expected entropy.
+        stable = np.einsum("ltsg,tsg->lt", grid.shares, posterior)
         other = posterior.sum(axis=(1, 2)) - stable
         expected = _entropy(stable) + _entropy(other)
         return Probe(self.levels[int(np.argmin(expected))])

@@ -103,7 +103,8 @@ class PsychometricGrid:
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
         """Return the posterior probability of each grid point, shape (thresholds, spreads, lapse rates)."""
         known, log = self._latest[0]
-        if tuple(verdicts[: len(known)]) != known:  # other verdicts than in the cache
+        # A correction changed earlier verdicts, so the cached log likelihood is not valid.
+        if tuple(verdicts[: len(known)]) != known:
             known, log = (), np.zeros(self.shares.shape[1:])
         stable, other = self.logs
         for level, verdict in verdicts[len(known) :]:
@@ -121,7 +122,8 @@ class PsychometricGrid:
         shifts = self.spreads * math.log((1.0 - share) / share)
         # The probability of each K50 is spread over its cell: after some dozens of verdicts a cell is not small
         # compared with the uncertainty, and intervals between grid points would be too narrow.
-        at = np.unique(self.edges + shifts[:, None])  # the distribution function is straight between these
+        # The distribution function is linear between these points.
+        at = np.unique(self.edges + shifts[:, None])
         below = np.zeros(len(at))
         for shift, weights in zip(shifts, posterior.sum(axis=2).T, strict=True):
             below += np.interp(at, self.edges + shift, np.concatenate(([0.0], np.cumsum(weights))))

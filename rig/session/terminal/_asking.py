@@ -115,7 +115,8 @@ class AskingDesk(Desk):
         over = action == "go" and question.kind == "rest" and took_s > question.seconds - POLL_S
         if (action not in question.actions and not over) or (action == "judge" and value not in VERDICTS):
             return None
-        shown_s = message.get("shown_s")  # since the question was on the screen, if the console reports it
+        # Time (s) since the question was on the screen, if the user interface reports it.
+        shown_s = message.get("shown_s")
         if shown_s is not None and question.kind != "rest":
             took_s = min(took_s, max(0.0, float(shown_s)))
         return Reply(action=cast("Action", action), value=value, took_s=took_s)

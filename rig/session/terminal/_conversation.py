@@ -246,7 +246,8 @@ class Conversation:
         if entry.purpose == "note":
             if text:
                 return self._answer(Answer("note", text))
-            self.entry = None  # an empty note is not stored
+            # The log stores no empty notes.
+            self.entry = None
             return []
         value = self._answer_of(text)
         if value is None:

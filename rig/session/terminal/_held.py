@@ -13,7 +13,8 @@ class HeldKeys:
     """Key presses of the last second, to detect keys that are held down; all times are on one monotonic clock (s)."""
 
     def __init__(self) -> None:
-        self._presses: dict[str, tuple[float, float]] = {}  # by key: begin, and last arrival
+        # Begin and last arrival (s) of the current press of each key.
+        self._presses: dict[str, tuple[float, float]] = {}
         self._asked_s = -math.inf
 
     def ask(self, now_s: float) -> None:
