@@ -151,7 +151,7 @@ def _write(found: Identification, path: Path) -> Path:
 
 
 def _print(found: Identification, picture: str | None, written: Path | None) -> None:
-    title = f"{found.experiment.rig.name}, identified (± 95 %: scatter, and doubt about friction)"
+    title = f"{found.experiment.rig.name}, identified (± 95 %: scatter and uncertainty of friction)"
     click.echo(click.style(title, bold=True))
     output.print_pairs(
         [

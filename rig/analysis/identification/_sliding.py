@@ -65,6 +65,8 @@ class Sliding:
         Points of the fit: mean velocity (rad/s or m/s) and effort (N·m or N) of each piece of a stroke, shape (n,).
     scatter
         Rms distance of the points from the fitted line (N·m or N).
+    correlation
+        Correlation of the errors of `coulomb` and `damping`, −1 to 1: a steeper line starts lower.
     """
 
     up: Interval
@@ -75,6 +77,7 @@ class Sliding:
     velocity: Floats = field(repr=False)
     effort: Floats = field(repr=False)
     scatter: float
+    correlation: float = 0.0
 
     @reported
     def points(self) -> int:
@@ -132,6 +135,9 @@ def fit_sliding(
     freedom = len(level) - matrix.shape[1]
     covariance = PIECES * float(residual @ residual) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
     factor = quantile(freedom)
+    level_variance = 0.25 * float(covariance[:2, :2].sum())
+    together = 0.5 * float(covariance[:2, 2].sum())
+    scale = float(np.sqrt(level_variance * covariance[2, 2]))
 
     def interval(weights: Sequence[float]) -> Interval:
         w = np.asarray(weights)
@@ -146,6 +152,7 @@ def fit_sliding(
         velocity=velocity,
         effort=level,
         scatter=float(np.sqrt(np.mean(residual**2))),
+        correlation=together / scale if scale > 0.0 else 0.0,
     )
     largest = float(np.abs(level).max())
     if fit.scatter > LARGEST_SCATTER * largest:

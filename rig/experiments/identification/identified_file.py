@@ -19,8 +19,8 @@ def format_identification(found: Identification) -> str:
     where = "its simulation" if found.simulated else "the rig itself"
     lines = [
         f"# {x.rig.name}, identified on {where}.",
-        "# Keys marked [identified] have their 95 % interval and the names of their recordings; the interval covers",
-        "# scatter, not bias. All other keys are unchanged.",
+        "# Keys marked [identified] have their 95 % interval (scatter and uncertainty of friction) and the names of",
+        "# their recordings. All other keys are unchanged.",
         "",
     ]
     lines += [f"# {warning}" for warning in found.warnings]

@@ -80,7 +80,9 @@ EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion w
 CENTRING_HZ = 2.5  # of the soft spring that keeps an excited handle near the middle
 # Shares of the limits that the excitation may use.
 EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = 0.6, 0.9, 0.5, 0.5
-HARD = 5.0  # rms effort of the excitation over Coulomb friction from which friction biases by below half a per cent
+# Rms effort of the excitation over Coulomb friction from which friction widens the inertia's interval by 0.1 % at most,
+# with two masses by 1 %.
+HARD = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ def identification_plan(
             "excitation over friction",
             Outcome.OK if multisine.rms >= HARD * coulomb else Outcome.WARNING,
             f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
-            "the estimated inertia will be some per cent too large: raise rig.limits (effort, speed, positions)",
+            "the intervals of inertia and delay will be wide: raise rig.limits (effort, speed, positions)",
         ),
     )  # fmt: skip
     if cogging is not None:

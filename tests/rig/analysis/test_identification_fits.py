@@ -321,6 +321,74 @@ def test_an_excitation_recovers_mass_damping_and_delay_in_spite_of_friction(rubb
     assert found.unexplained < 0.03
 
 
+def random_rig(seed: int) -> dict[str, Any]:
+    random = np.random.default_rng(seed)
+    mass = random.uniform(0.3, 0.8)
+    return {
+        "mass": mass, "damping": mass / random.uniform(0.05, 1.0), "coulomb": random.uniform(0.05, 0.4),
+        "lag": random.uniform(2e-4, 2e-3), "late": int(random.integers(0, 9)), "step": random.choice([1e-3, 0.05]),
+        "count": random.choice([2e-7, 1e-6, 5e-6]),
+    }  # fmt: skip
+
+
+def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int = 20) -> list[list[Any]]:
+    """Records of rigs with Coulomb friction and effort in steps, integrated together in small steps."""
+    mass, damping, coulomb, lag = (
+        np.array([[one[key]] for one in rigs]) for key in ("mass", "damping", "coulomb", "lag")
+    )
+    played = [multisine(realisation) for realisation in range(realisations)]
+    n, dt = round(RATE * played[0].period_s), 1.0 / RATE / steps
+    decay = np.exp(-dt / lag)
+    asked = np.array([one.period(RATE) for one in played])
+    sent = np.array([one["step"] * np.rint(asked / one["step"]) for one in rigs])
+    acting = np.array([np.roll(effort, one["late"], axis=-1) for effort, one in zip(sent, rigs, strict=True)])
+    effort = velocity = position = np.zeros(sent.shape[:2])
+    seen = []
+    for tick in range(4 * n):
+        seen.append(position)
+        for _ in range(steps):
+            before, missing = velocity, (effort - acting[..., tick % n]) * decay
+            mean = 0.5 * (effort + acting[..., tick % n] + missing)
+            effort = acting[..., tick % n] + missing
+            free = velocity + dt / mass * (mean - damping * velocity)
+            velocity = free - np.clip(free, -dt / mass * coulomb, dt / mass * coulomb)
+            position = position + 0.5 * dt * (before + velocity)
+    positions = np.moveaxis(np.array(seen[-2 * n :]), 0, -1)
+    sent = np.tile(sent, 2)
+    return [
+        [
+            ExcitedRun(
+                RATE, n, 2, sent[i, j], sent[i, j], one["count"] * np.rint(positions[i, j] / one["count"]),
+                played[j].lines_hz, effort_hold_s=1.0 / RATE,
+            )
+            for j in range(realisations)
+        ]
+        for i, one in enumerate(rigs)
+    ]  # fmt: skip
+
+
+def test_the_intervals_of_ten_random_rigs_hold_inertia_delay_and_lag() -> None:
+    """More in `tests.benchmarks.identified_intervals`."""
+    rigs = [random_rig(seed) for seed in range(10)]
+    held, widths = np.zeros(3), []
+    for one, runs in zip(rigs, stuck_records(rigs), strict=True):
+        sliding = known_sliding(one["coulomb"], one["coulomb"], one["damping"])
+        found = fit_dynamics(
+            runs, resolution=one["count"], inertia=0.5, sliding=sliding, damping=sliding.damping
+        )
+        true = (one["mass"], one["late"] / RATE + one["lag"], one["lag"])
+        intervals = (found.inertia, found.delay_s, found.lag_s)
+        # The steps of these records are good to 0.6 µs of delay.
+        slack = (0.0, 1e-6, 1e-6)
+        held += [
+            abs(interval.value - value) <= interval.ci95 + more
+            for interval, value, more in zip(intervals, true, slack, strict=True)
+        ]
+        widths.append(found.inertia.ci95 / one["mass"])
+    assert held.min() >= 9, held
+    assert np.median(widths) < 0.002
+
+
 def test_back_emf_brakes_through_the_lag_that_is_fitted() -> None:
     """L/R·T′ = command − b_e·v − T, integrated."""
     back_emf, lag_s = 40.0, 2e-3
