@@ -200,7 +200,9 @@ def _inflate(packed: bytes) -> bytes:
     inflater = zlib.decompressobj()
     plain = inflater.decompress(packed, PLAIN_LIMIT)
     if not inflater.eof or inflater.unused_data:
-        raise ValueError(f"truncated, longer than {PLAIN_LIMIT} bytes, or followed by other bytes")
+        raise ValueError(
+            f"the compressed text is truncated, followed by other bytes, or longer than {PLAIN_LIMIT} bytes"
+        )
     return plain
 
 

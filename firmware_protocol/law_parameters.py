@@ -1,4 +1,4 @@
-"""List the parameters of the control law that runs on the device, in the device's integer units.
+"""List the parameters of the control law that runs on the device, in the device's own units.
 
 The host designs the law and its filters (`rig.config.device_law`); the device only computes with the resulting numbers.
 Lengths are encoder counts, velocities counts per velocity period, currents quanta, times ticks; see firmware/law/law.h.

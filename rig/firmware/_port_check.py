@@ -541,7 +541,7 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
     """Stop feeding the board's watchdog, whose time-out is `bite_us` (µs).
 
-    Return how long the board ran on (ms), and True if the watchdog reset it.
+    Return how long the board kept running (ms), and True if the watchdog reset it.
     """
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)

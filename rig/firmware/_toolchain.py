@@ -84,7 +84,7 @@ def _call(command: list[str], directory: Path | None) -> subprocess.CompletedPro
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise ToolchainError(f"{command[0]} cannot be run: {error}", remedy=INSTALL) from None
+        raise ToolchainError(f"the program {command[0]} cannot be run: {error}", remedy=INSTALL) from None
 
 
 def _remedy(complaint: str) -> str:

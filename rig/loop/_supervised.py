@@ -1,4 +1,4 @@
-"""Thread that runs the loop for a law on the device, encodes parameter updates and compares the two currents."""
+"""Run the loop for a law on the device in a thread: encode parameter updates, compare currents of device and host."""
 
 from __future__ import annotations
 

@@ -48,13 +48,13 @@ class Trace(NamedTuple):
 
     @classmethod
     def empty(cls, ticks: int, plant: DiscretePlant) -> Trace:
-        """Return a trace of zeros with room for `ticks` ticks of a plant."""
+        """Return a recording of zeros with room for `ticks` ticks of a plant."""
         states = np.zeros((ticks, len(plant.at_rest(0.0))))
         integers = {name: np.zeros(ticks, np.int64) for name in cls._fields[2:]}
         return cls(states=states, velocities=np.zeros(ticks), **integers)
 
     def first(self, ticks: int) -> Trace:
-        """Return the trace cut to its first `ticks` ticks."""
+        """Return the recording cut to its first `ticks` ticks."""
         return Trace._make(array[:ticks] for array in self)
 
 

@@ -268,13 +268,13 @@ class FirmwareDevice:
         return output, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of compiled ticks (`lockstep.run_ticks`) for the present state of device and rig."""
+        """Return the arguments of `lockstep.run_ticks` for the present state of firmware and rig."""
         world = self.hardware.world(self._truth)
         self._words[INPUTS], self._words[DUE], self._words[TIME] = self.inputs, self._seen.due, self.time
         return self._lockstep, world
 
     def passed(self, world: World) -> None:
-        """Update this object after compiled ticks have changed `world`, the arguments that `compiled` returned."""
+        """Update this object after `lockstep.run_ticks` has changed `world`, which `compiled` returned."""
         self.hardware.passed(self._lockstep, world, self._truth)
         self.time, self.inputs = self._words.item(TIME), self._words.item(INPUTS)
         self._seen = self.core.status

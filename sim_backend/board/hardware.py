@@ -148,11 +148,11 @@ class Hardware:
         _keep(self._handle, self._moving)
 
     def drive_hand(self, hand: DrivenHand) -> None:
-        """Replace the script by a hand that is driven interactively, from the next session on."""
+        """Replace the scripted motion of the hand by an interactive hand, from the next session on."""
         self._hand = hand
 
     def begin_session(self) -> None:
-        """Start the script of the person who holds the handle, if there is one: homing, then a reach into the wall."""
+        """Start the motion of the person who holds the handle, if there is one: homing, then a reach into the wall."""
         position = self._state.item(self._plant.handle_position)
         if self._hand is None:
             self._script = OperatorScript.of(self._model, self._plant.tick_s, position, self._sessions)
@@ -163,7 +163,7 @@ class Hardware:
         self._sessions += 1
 
     def _ask_hand(self) -> None:
-        """Request the next script block from a hand that is driven interactively, if the last block is used up."""
+        """Request the next block of motion from an interactive hand, if its last block is used up."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
             hand, handle = self._plant.hand_position, self._plant.handle_position
             assert hand is not None
@@ -194,8 +194,8 @@ class Hardware:
         """Run ticks with the currents that a compiled device requests; return the number of ticks.
 
         The arguments are those of `sim_backend.board.lockstep.run_ticks`, and the log for true states (None: no log).
-        The run stops early if noise, space for the true states or script of the hand are used up; call it again for
-        more ticks.
+        The run
+        stops early if noise, space for the true states or motion of the hand are used up; call it again for more ticks.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
@@ -205,12 +205,15 @@ class Hardware:
 
     @property
     def most_ticks(self) -> int:
-        """Return the number of ticks until a new script block of the hand or new noise values are needed."""
+        """Return the number of ticks until the hand's next block of motion or new noise values are needed."""
         hand = len(self._script.rows) - self._row if self._hand_driven else NO_END
         return min(hand, self._noise.left or NO_END)
 
     def world(self, truth: TruthLog | None) -> World:
-        """Return the rig's arguments for compiled ticks; noise and space for true states last for at least one tick."""
+        """Return the rig's arguments of `lockstep.run_ticks`: plant, script of the hand, signals and buffers.
+
+        The buffers for noise and true states (in the log, None: no log) last for at least one tick.
+        """
         self._ask_hand()
         noise = self._noise
         noise.refill()
@@ -244,7 +247,7 @@ class Hardware:
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
-        """Copy back the state that compiled ticks changed in `world`, the arguments that `self.world` returned."""
+        """Copy back what `lockstep.run_ticks` changed in `world`, the arguments that `self.world` returned."""
         places, words = world[-1].places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)

@@ -122,7 +122,7 @@ class Supplies(NamedTuple):
     noise
         Noise of the current sensor (A), used from its end; empty for a sensor without noise.
     places
-        Row of the script, number of unused noise values, number of rows of true states (`ROW` to `TRUTH_ROWS`).
+        Next row of the hand's scripted motion, number of unused noise values, number of rows of true states.
     indices, states
         Buffers for sample indices and true states of a session; empty to record none.
     """

@@ -44,11 +44,11 @@ class Shaft(NamedTuple):
     words
         Memory of the law.
     places
-        Encoder count, row of the hand's script, ticks left for that row, and slip, at the indices `COUNT` to `SLIP`.
+        Encoder count, row of the hand's scripted motion, ticks left for that row, and slip (counts).
     effort_per_torque
         Effort at the link (N·m) for 1 N·m at the shaft.
     row_ticks
-        Number of ticks of each row of the hand's script.
+        Number of ticks of each row of the hand's scripted motion.
     """
 
     law: Annotated[Any, types.FunctionType(LAW)]
@@ -166,7 +166,7 @@ class Motor:
         put(self._handle, self._moving)
 
     def begin_session(self) -> None:
-        """Start the script of the person who holds the handle, if there is one: homing, then a reach into the wall."""
+        """Start the motion of the person who holds the handle, if there is one: homing, then a reach into the wall."""
         position = self._state.item(self._plant.handle_position)
         self._play(OperatorScript.of(self._model, 1.0 / SCRIPT_HZ, position, self._sessions))
         self._sessions += 1

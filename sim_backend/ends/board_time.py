@@ -205,11 +205,11 @@ class TickedDevice(Protocol):
         ...
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of compiled ticks (`lockstep.run_ticks`) for the present state of device and rig."""
+        """Return the arguments of `lockstep.run_ticks` for the present state of device and rig."""
         ...
 
     def passed(self, world: World) -> None:
-        """Update this object after compiled ticks have changed `world`, the arguments that `compiled` returned."""
+        """Update this object after `lockstep.run_ticks` has changed `world`, which `compiled` returned."""
         ...
 
 
@@ -276,7 +276,7 @@ class BoardTime:
             self.device.passed(world)
 
     def _renew_supplies(self) -> tuple[Lockstep, World]:
-        """Refill the buffers that ticks use up; return the arguments of the next compiled ticks."""
+        """Refill the buffers that ticks use up; return the arguments of `lockstep.run_ticks` for the next ticks."""
         device, grid = self.device, self._grid
         software, world = device.compiled()
         boot_ns = device.elapsed_ns - device.time_ns  # of the simulated time; a reset moves it

@@ -101,7 +101,7 @@ def _push(
 ) -> float:
     """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
 
-    Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
+    Inputs are the commanded and external effort (N·m or N), and the hand's intended velocity and pressing effort.
     """
     hand = phi[row, 8] * velocity + phi[row, 9] * press
     return float(gamma[row, COMMAND] * command + gamma[row, EXTERNAL] * external + hand)

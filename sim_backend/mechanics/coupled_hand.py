@@ -1,7 +1,8 @@
 """Simulate a rig in a person's hand exactly: the plant of `sim_backend.mechanics.plant`, a hand mass and its intention.
 
-States: those of the rig, hand position and velocity, then intended position, intended velocity and press. The last
-three keep their values until a script (`sim_backend.mechanics.operator`) writes others.
+States: those of the rig, hand position and velocity, then the person's intended position, intended velocity and
+pressing effort. The last three keep their values until the hand's scripted motion (`sim_backend.mechanics.operator`)
+writes others.
 """
 
 from __future__ import annotations
@@ -35,10 +36,9 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Copy row `row` of a hand's script to the hand's intended motion in `state`; return the number of the next row.
+    """Copy row `row` of a hand's scripted motion (`script`) to its part of `state`; return the number of the next row.
 
-    The intended motion lies before the index `edge_age`. Row `again` follows the last row. An empty script changes
-    nothing.
+    This part ends before the index `edge_age`. Row `again` follows the last row. An empty script changes nothing.
     """
     if script.shape[0] == 0:
         return 0
@@ -59,7 +59,7 @@ def _push(
 ) -> float:
     """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
 
-    Inputs are the commanded and the external effort (N·m or N), and the hand's intended velocity and press.
+    Inputs are the commanded and external effort (N·m or N), and the hand's intended velocity and pressing effort.
     """
     order = phi.shape[0]
     hand = phi[row, order - 2] * wanted_velocity + phi[row, order - 1] * press

@@ -1,7 +1,8 @@
 """Simulate a hand that is driven interactively during a run: with a mouse, with keys, by a program.
 
 `sim_backend.board.hardware` requests short blocks of intended motion from the hand and plays them like a script. The
-hand must not follow wishes before the trial begins, and must stay within the travel and the force of a person.
+hand must not follow the mouse or program before the trial begins, and must stay within the travel and the force of a
+person.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ PRESS_N = 10.0  # more than a firm grip's press
 
 
 class DrivenHand:
-    """A simulated hand at a rig's handle that follows wishes: target positions and presses from outside.
+    """A simulated hand at a rig's handle that follows target positions and pressing forces from outside (a wish).
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class DrivenHand:
         self._leads = False
 
     def next(self, hand: float) -> OperatorScript:
-        """Return the script for the next block of ticks; `hand` is the present position of the hand (rad or m)."""
+        """Return the hand's intended motion for the next block of ticks; `hand` is its present position (rad or m)."""
         if not self._leads:
             self._leads = True
             # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
@@ -114,7 +115,7 @@ class DrivenHand:
         return OperatorScript(rows=rows)
 
     def _follow_homing(self) -> Rows:
-        """Return rows of a script that follows the handle while the rig homes, then rests until the trial begins."""
+        """Return rows of intended motion that follow the handle while the rig homes, then rest until the trial."""
         reach = self._reach
         along_s = abs(reach.start - self._from) / reach.pace
         ticks = max(1, math.ceil((along_s + reach.wait_s - reach.free_s) / self._tick_s))
@@ -126,7 +127,7 @@ class DrivenHand:
         return rows
 
     def _read_wish(self, hand: float) -> tuple[float, float]:
-        """Return the hand's target position (rad or m) and press (N), both limited to what a person can do.
+        """Return the hand's target position (rad or m) and pressing force (N), limited to what a person can do.
 
         Without a new wish for `SILENT_S` (s), the hand stays where it was (`hand`, rad or m) and does not press.
         """

@@ -66,10 +66,10 @@ def rub_both(
     coulomb_motor: float,
     coulomb_link: float,
 ) -> tuple[float, float, float, float]:
-    """Return the friction on motor and on link (N·m or N), then the velocities of both after a step (rad/s or m/s).
+    """Return the friction on motor and on link (N·m or N), then the velocities of motor and link after a step.
 
-    The arguments are those of `rub_one` for each of two coupled masses; `gain_cross` is the change of one velocity for
-    1 N·m (or N) on the other mass.
+    The arguments are those of `rub_one` for two coupled masses; `gain_cross` is the change of one mass's velocity for
+    1 N·m (or N) on the other mass. Velocities are in rad/s or m/s.
     """
     # The two efforts solve a box-constrained linear complementarity problem. Its gain matrix is symmetric and positive
     # definite (`plant._check_friction`), so there is exactly one solution.

@@ -28,10 +28,11 @@ REPEAT_S = 2.0  # all of these frequencies have a whole number of periods in it
 
 @group
 class OperatorScript(NamedTuple):
-    """The intended motion of a simulated hand: in each row the position, velocity and press for one tick, at the link.
+    """The intended motion of a simulated hand: a row per tick with position, velocity and pressing effort at the link.
 
     Units are rad, rad/s and N·m (rotary) or m, m/s and N. After the last row the script continues at row `again`. With
-    an empty script the hand holds still.
+    an
+    empty script the hand holds still.
     """
 
     rows: FloatRows
@@ -39,12 +40,12 @@ class OperatorScript(NamedTuple):
 
     @classmethod
     def silent(cls) -> OperatorScript:
-        """Return a script without rows, for a rig without a hand."""
+        """Return a script without rows (no intended motion), for a rig without a hand."""
         return cls(rows=np.zeros((0, INTENTIONS)))
 
     @classmethod
     def of(cls, model: RigModel, tick_s: float, position: float, session: int = 0) -> OperatorScript:
-        """Return the script of the hand for one session.
+        """Return the script (intended motion) of the hand for one session.
 
         Parameters
         ----------

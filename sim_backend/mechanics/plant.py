@@ -143,7 +143,7 @@ class DiscretePlant:
 
     @property
     def intentions(self) -> slice:
-        """Return the slice of the state with the hand's intended position, velocity and press; empty without a hand."""
+        """Return the slice of the state with the hand's intended position, velocity and pressing effort, if any."""
         return slice(self.edge_age - (0 if self.hand_position is None else INTENTIONS), self.edge_age)
 
     @property
