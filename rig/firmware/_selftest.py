@@ -1,6 +1,6 @@
 """Test a device and its link without moving the handle: the checks of `rig firmware selftest`.
 
-The tests use the same link as a loop.
+The tests use the same link as the control loop.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
 
 @kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
-    """Take the newest update from the mailbox (an address), unless `SETS_KEPT` sets, the most for a replay, exist."""
+    """Take the newest update from the mailbox, unless the memory for replays is full (`SETS_KEPT` parameter sets)."""
     v, p, values = supervised.supervision[0], buffers.progress[0], supervised.update_values
     if p["sets"] == len(buffers.sets) or take(mailbox, supervised.update) == 0:
         return

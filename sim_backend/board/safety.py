@@ -448,7 +448,7 @@ def _gravest(faults: int) -> Fault:
 
 
 def large_effort(model: RigModel, limit: int) -> int:
-    """Return `LARGEST_SHARE` times the current above which a rig must move (quanta).
+    """Return the current (quanta) above which a rig must show motion, times `LARGEST_SHARE`, so that it stays whole.
 
     `limit` is the parameter `current_limit` (quanta).
     """

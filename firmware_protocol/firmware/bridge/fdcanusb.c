@@ -49,7 +49,7 @@ size_t fdcanusb_make(const struct fdcanusb *port, const struct can_frame_bytes *
 
 /* ------------------------------------------------------------------ from the adapter */
 
-/* Value of a digit, or 16. */
+/* Return the value of a hexadecimal digit, 16 for another character. */
 static unsigned digit(char character)
 {
     if (character >= '0' && character <= '9')

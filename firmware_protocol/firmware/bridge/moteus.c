@@ -159,7 +159,7 @@ static float number(const uint8_t **at, enum number type)
     return value;
 }
 
-/* Take a register; returns 1 for one that is wanted, in the type that was asked for. */
+/* Store the value of a register; returns 1 if the register was requested, and with this type. */
 static unsigned take(struct drive_sample *reply, uint8_t switches, unsigned at, enum number type, float value)
 {
     if (type == FLOAT) {

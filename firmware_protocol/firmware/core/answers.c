@@ -421,7 +421,7 @@ static bool send_reply(struct device *device, const uint8_t *raw)
     }
 }
 
-/* One request at a time: if the host does not wait for a reply, this poll takes longer. */
+/* One request at a time: only if the host does not wait for a reply does this poll take longer. */
 void answer(struct device *device, const uint8_t *raw, size_t count, const struct verdict *verdict)
 {
     while (device_is_changing(device))

@@ -43,7 +43,7 @@ static uint32_t size_of(int32_t value)
     return value < 0 ? (uint32_t)-value : (uint32_t)value;
 }
 
-/* How far two currents (1/16384 quantum) are apart, to the nearest quantum. */
+/* Return the distance between two currents (1/16384 quantum), rounded to quanta. */
 static uint32_t distance_of(int32_t a, int32_t b)
 {
     const uint32_t size = a > b ? (uint32_t)a - (uint32_t)b : (uint32_t)b - (uint32_t)a;
@@ -60,7 +60,7 @@ static int32_t most(int32_t a, int32_t b)
     return a > b ? a : b;
 }
 
-/* How far a current is from zero beyond the further of two others on its side. */
+/* Return by how much a current exceeds, away from zero, the larger of two others on the same side of zero. */
 static uint32_t excess_of(int32_t current, int32_t low, int32_t other_low, int32_t high, int32_t other_high)
 {
     if (current > 0)
@@ -68,14 +68,14 @@ static uint32_t excess_of(int32_t current, int32_t low, int32_t other_low, int32
     return current < low && current < other_low ? distance_of(current, least(0, least(low, other_low))) : 0;
 }
 
-/* To the nearest whole number, halves away from zero. */
+/* Round to the nearest whole number, halves away from zero. */
 static int32_t whole(int32_t value, int32_t unit)
 {
     const int32_t size = (int32_t)((size_of(value) + (uint32_t)unit / 2u) / (uint32_t)unit);
     return value < 0 ? -size : size;
 }
 
-/* Begin behind each lag with a current. */
+/* Set the output of each lag to a current. */
 static void begin_at(struct current_check *check, int16_t current)
 {
     check->expected = check->quick_low = check->quick_high = check->slow_low = check->slow_high = current * CURRENT_UNIT;
@@ -150,7 +150,7 @@ static int32_t follow(int32_t *behind, int32_t before, uint32_t share)
     return *behind;
 }
 
-/* Current that the motion takes off under voltage drive. */
+/* Return the current that back-EMF subtracts under voltage drive. */
 static int32_t back_emf(struct current_check *check, int32_t count)
 {
     const int64_t counts = (int64_t)count - check->count;

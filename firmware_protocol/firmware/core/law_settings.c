@@ -15,7 +15,7 @@ static float real(const uint32_t *values, enum hr_parameter_index index)
     return value_as_float(values[index]);
 }
 
-/* Two halves of a number of 64 bits. */
+/* Join two halves to a number of 64 bits. */
 static int64_t wide(const uint32_t *values, enum hr_parameter_index high, enum hr_parameter_index low)
 {
     return whole(values, high) * (INT64_C(1) << 32) + (int64_t)values[low];
@@ -37,7 +37,7 @@ static law_biquad read_biquad(const uint32_t *values)
     return biquad;
 }
 
-/* Sections of second order, and one of first behind them when the order is odd. */
+/* Copy the sections of the low pass: of second order, and a last one of first order if the order is odd. */
 static law_low_pass read_low_pass(const uint32_t *values)
 {
     const int32_t order = whole(values, HR_PARAMETER_LOW_PASS_ORDER);

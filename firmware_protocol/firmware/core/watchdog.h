@@ -15,16 +15,16 @@ struct watchdog {
     bool lost;    /* the ramp has ended: latch LINK_LOST */
 };
 
-/* Set zero current and wait for the host's next command: after ARM, after STOP. */
+/* Set the current to zero and wait for the host's next command, after ARM and after STOP. */
 void watchdog_idle(struct watchdog *watchdog, uint64_t now);
 
-/* Take a valid command; times in device time. */
+/* Store a valid command; times are device times. */
 void watchdog_feed(struct watchdog *watchdog, uint64_t now, int16_t current, uint32_t lifetime, uint32_t ramp);
 
-/* The current for a tick that ends at `until`, when `active` flowed in the last one. */
+/* Return the current for a tick that ends at `until`; `active` is the current of the last tick. */
 int16_t watchdog_choose(struct watchdog *watchdog, uint64_t until, int16_t active);
 
-/* The same for a law that the command supervises and that wants `current` now. */
+/* Return the current for a tick of a law that the command supervises; `current` is the law's result for the tick. */
 int16_t watchdog_fade(struct watchdog *watchdog, uint64_t until, int16_t current);
 
 #endif

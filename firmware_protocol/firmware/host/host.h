@@ -22,7 +22,7 @@ struct host {
     struct narrower narrower[HR_HOST_NARROWER];
     int16_t excitation[HR_HOST_EXCITATION];
 
-    /* The world. */
+    /* Encoder, current sensor and inputs, as the simulation sets them. */
     uint64_t time, edge_time;
     uint64_t time_step; /* by which each look at the clock moves it on: work takes time */
     int32_t count;
@@ -33,7 +33,7 @@ struct host {
     int32_t index_count;
     uint32_t refused_rate; /* that the timer cannot do */
 
-    /* What the device did to it. */
+    /* Effects of the device on the hardware. */
     int16_t current;
     bool enabled, driving, left;
     uint8_t sync; /* bits of enum hr_sync */

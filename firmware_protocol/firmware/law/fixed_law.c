@@ -70,7 +70,7 @@ static int64_t servo(law_state *s, const law_parameters *p, int32_t travel, uint
     return law_at_most(total, w->home_effort);
 }
 
-/* What the wall gives inside of it, or on both sides; `flags` gets LAW_CLAMPED. */
+/* Return the wall's effort, inside the wall or on both sides (bilateral); sets LAW_CLAMPED in `flags`. */
 static int64_t reaction(const law_parameters *p, int32_t depth, int32_t velocity, uint32_t *flags)
 {
     const law_fixed_wall *w = &p->fixed_wall;

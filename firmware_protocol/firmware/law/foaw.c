@@ -10,7 +10,7 @@ enum {
     MOST_RISE = 1 << 20 /* counts in a window: products of longer ones would leave 64 bits */
 };
 
-/* Store a sample and return how many others are kept. */
+/* Store a sample and return the number of other stored samples. */
 static int32_t remember(law_foaw_state *s, int32_t count, uint32_t elapsed)
 {
     const uint32_t others = s->samples;
@@ -24,7 +24,7 @@ static int32_t remember(law_foaw_state *s, int32_t count, uint32_t elapsed)
     return (int32_t)(others < LAW_RING ? others : LAW_RING - 1);
 }
 
-/* Counts and periods from the n-th sample before the newest to the newest. */
+/* Return the counts, and set `*span` to the periods, from the n-th sample before the newest to the newest. */
 static int32_t rise_from(const law_foaw_state *s, int32_t n, uint32_t *span)
 {
     const uint32_t slot = (s->newest - (uint32_t)n) % LAW_RING;

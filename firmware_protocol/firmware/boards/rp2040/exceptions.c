@@ -1,4 +1,4 @@
-/* What interrupts the processor (2.3.2 "Interrupts"; Armv6-M Architecture Reference Manual, B1.5). */
+/* Exceptions and interrupts of the processor (2.3.2 "Interrupts"; Armv6-M Architecture Reference Manual, B1.5). */
 #include <stdint.h>
 
 #include "board_config.h"

@@ -5,8 +5,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Of the linker script: the start in flash, up to what is copied; the copy; and behind all of it what the build has put
- * there, the CRC-32 of both. */
+/* Addresses from the linker script: start code in flash, program copied to RAM, and after both the CRC-32 that the
+ * build has stored. */
 extern const uint8_t start_begins[], ram_image[], ram_begins[], ram_ends[];
 extern const uint32_t image_crc;
 
