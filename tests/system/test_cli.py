@@ -39,7 +39,6 @@ def recording(hit: Path, tmp_path: Path) -> str:
     return str(shutil.copy(hit, tmp_path))
 
 
-@pytest.mark.exhaustive("::test_the_default_hit_is_the_one_of_the_reference_study")
 @pytest.mark.usefixtures("undrawn")
 def test_a_picture_has_the_format_of_its_option(run: Any) -> None:
     code, out, err = run("hit", "--json", "--format", "svg", *QUICK)
@@ -50,6 +49,7 @@ def test_a_picture_has_the_format_of_its_option(run: Any) -> None:
     assert picture.exists()
 
 
+@pytest.mark.exhaustive("::test_the_default_hit_is_the_one_of_the_reference_study")
 def test_a_command_prints_its_numbers_also_without_a_picture(
     run: Any, recording: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

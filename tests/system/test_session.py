@@ -35,7 +35,6 @@ def rehearse(protocol: Path, study: Path, code: str = "P01", person: Person = PE
     return study / code
 
 
-@pytest.mark.exhaustive("::test_recordings_of_a_session_are_hashed_and_have_blind_names")
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     place = tmp_path_factory.mktemp("calm")
@@ -43,6 +42,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return protocol, rehearse(protocol, place / "study")
 
 
+@pytest.mark.exhaustive("::test_recordings_of_a_session_are_hashed_and_have_blind_names")
 def test_equal_seeds_give_equal_sessions(calm: tuple[Path, Path], tmp_path: Path) -> None:
     protocol, directory = calm
     again = rehearse(protocol, tmp_path)

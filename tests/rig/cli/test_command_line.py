@@ -162,7 +162,6 @@ def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of()
     assert not taken & set(dir(builtins)) & used
 
 
-@pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
 @cache
 def texts() -> list[tuple[str, str]]:
     """File and text of every string outside the commands that is no docstring."""
@@ -184,6 +183,7 @@ def texts() -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
 def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
     """Whole commands, as one would type them, are a remedy for everybody."""
     word = re.compile(r"(?<![\w-])--[a-z]")

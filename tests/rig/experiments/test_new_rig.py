@@ -113,7 +113,6 @@ def test_a_file_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     assert rig.load(path).rig.name == "mine"
 
 
-@pytest.mark.exhaustive("::test_a_motor_that_friction_holds_is_refused")
 @pytest.mark.parametrize(
     ("answers", "message"),
     [
@@ -134,6 +133,7 @@ def test_an_impossible_answer_is_refused_with_the_allowed_ones(answers: dict[str
     assert refused.value.remedy
 
 
+@pytest.mark.exhaustive("::test_a_motor_that_friction_holds_is_refused")
 def test_assumed_friction_that_holds_the_carriage_is_refused_with_the_value_to_measure() -> None:
     strong = {
         "mechanism": "linear-motor", "nominal_current": 9.12, "force_constant": 13.6, "encoder_resolution": 2.66e-7,
