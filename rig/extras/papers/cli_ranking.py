@@ -1,4 +1,4 @@
-"""``rig estimators rank``."""
+"""Command ``rig estimators rank``: rank estimators and laws by the areas of rendered walls."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def rank(
 ) -> None:
     """Rank estimators and laws on RIGS (or all) by the areas of rendered walls, and write a page of tables.
 
-    Hits of each rig and of eight variations, without a hand and in three grips, with 0, 1 and 2 ticks of delay. It
-    takes an hour of one core in all; the same command resumes a stopped ranking.
+    Each rig and eight variations are hit without a hand and in three grips, with 0, 1 and 2 ticks of delay. All rigs
+    take an hour of one core; the same command resumes an interrupted ranking.
     """
     own = [_entry(text) for text in entries]
     make_directory(directory)

@@ -244,6 +244,6 @@ def _estimators() -> list[Idea]:
 
 
 def rank_ideas(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
-    """Return the ideas that use the reference's rig, sorted by the area of their Z-width, largest first."""
+    """Return the ideas on the reference's rig, largest area of stable walls (judged by `criterion`) first."""
     on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
     return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

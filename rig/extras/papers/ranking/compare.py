@@ -1,4 +1,4 @@
-"""Compare pairs by their measured areas: win or tie, the best pair of a condition, and the stability of the ranking."""
+"""Compare pairs (estimator, sampling, law) by their areas: who wins, which is best, and how stable the ranking is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Outcome = Literal["wins", "ties", "loses"]
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """Geometric mean of the ratio of two pairs' areas over the rigs, with its bootstrap interval."""
+    """Geometric mean of the ratio of two pairs' areas over a rig's variations, with its bootstrap interval."""
 
     mean: float
     low: float
@@ -30,14 +30,14 @@ class Ratio:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the first pair against the second."""
+        """Result of the first pair against the second: "wins", "ties" or "loses"."""
         if self.mean > rule.WIN and self.low > 1.0:
             return "wins"
         return "loses" if self.mean < 1.0 / rule.WIN and self.high < 1.0 else "ties"
 
 
 def compare_areas(first: ArrayLike, second: ArrayLike) -> Ratio:
-    """Return the ratio of areas that were measured on the same rigs, in the same order."""
+    """Return the ratio of two pairs' areas, which were measured on the same variations in the same order."""
     logs = np.log(first) - np.log(second)
     means = logs[_draws(len(logs))].mean(axis=1)
     edge = 50.0 * (1.0 - rule.CONFIDENCE)
@@ -51,7 +51,7 @@ def _draws(rigs: int) -> NDArray[np.int64]:
 
 
 class Cell(NamedTuple):
-    """Results of a pair on a rig under one condition; see `rig.extras.papers.ranking.measure.compact`."""
+    """Results of a pair (estimator, sampling, law) on a rig under one condition (grip and delay)."""
 
     areas: list[float]  # on the rig and its variations
     undamped: float  # N·m/rad or N/m
@@ -89,7 +89,7 @@ class RigResults:
         return list(self.conditions)
 
     def axis(self, place: int) -> list[str]:
-        """Return the measured grips (0) or delays (1)."""
+        """Return the names of the measured grips (`place` 0) or delays (1)."""
         return list(dict.fromkeys(key.split("/")[place] for key in next(iter(self.conditions.values()))))
 
     def cell(self, pair: str, grip: str, delay: str) -> Cell:
@@ -97,7 +97,7 @@ class RigResults:
         return Cell(*self.conditions[pair][f"{grip}/{delay}"])
 
     def areas(self, pair: str, grip: str, delay: str) -> list[float]:
-        """Return the areas of a pair on all variations."""
+        """Return the areas of a pair on the rig and its variations."""
         return self.cell(pair, grip, delay).areas
 
     def best(self, grip: str, delay: str, among: Iterable[str] | None = None) -> str:
@@ -111,11 +111,11 @@ class RigResults:
         return compare_areas(self.areas(pair, grip, delay), self.areas(other, grip, delay))
 
     def never_lose(self, delay: str) -> list[str]:
-        """Return the pairs that win or tie against the best other one without a hand and in all grips."""
+        """Return the pairs that win or tie against the best other pair in each grip and without a hand."""
         return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay)]
 
     def recommended(self, delay: str) -> list[str]:
-        """Return the pairs that never lose, and win at least once, if every condition of a hand was measured."""
+        """Return the pairs that never lose and win at least once; none if a condition of the hand is not measured."""
         complete = self.axis(0) == list(rule.CONDITIONS)
         return [pair for pair in self.never_lose(delay) if complete and "wins" in self._outcomes(pair, delay)]
 
@@ -144,7 +144,7 @@ def scores(found: Sequence[RigResults], delay: str) -> dict[str, float]:
 
 
 def stability(found: Sequence[RigResults], delay: str) -> dict[str, float]:
-    """Return Kendall's τ between the ranking of all rigs and that without each one, by the left-out rig's name."""
+    """Return Kendall's τ between the ranking by all rigs and the one without a rig, by that rig's name."""
     if len(found) < 2:
         return {}
     whole = scores(found, delay)
@@ -157,7 +157,7 @@ def stability(found: Sequence[RigResults], delay: str) -> dict[str, float]:
 
 
 def write_results(found: Sequence[Mapping[str, Any]], path: Path = RESULTS) -> None:
-    """Write results, a condition on each line, so that a change reads well in a diff."""
+    """Write results as JSON with one condition on each line, so that the diff of a change is short."""
     text = json.dumps(found, ensure_ascii=False, separators=(",", ":"))
     path.write_text(text.replace('],"', '],\n"') + "\n", encoding="utf-8")
 

@@ -26,9 +26,9 @@ from rig.extras.papers.ranking.rule import ESTIMATORS, Ground, Pair, Settings, T
 
 
 def find_edge(passes: Callable[[int], bool], start: int, length: int) -> int:
-    """Return the highest index that passes below the first that fails, searched from `start`; -1 if none passes.
+    """Return the largest index that passes, below the first that fails; -1 if none passes.
 
-    Steps away from `start` double until the outcome changes; a bisection follows.
+    The search begins at `start`: its steps double until the outcome changes; a bisection follows.
     """
     low, high, step = -1, length, 1
     if passes(start):
@@ -54,7 +54,7 @@ def find_edge(passes: Callable[[int], bool], start: int, length: int) -> int:
 def trace_limits(
     passes: Callable[[float, float], bool], dampings: Sequence[float], rungs: Sequence[float]
 ) -> list[float]:
-    """Return the limit of the stiffness at each damping, 0 where no wall counts, up to the end of the series."""
+    """Return the stiffness limit at each damping (0: no wall passes), until `rule.EMPTY_COLUMNS` dampings have none."""
     limits: list[float] = []
     start = len(rungs) // 2
     for damping in dampings:
@@ -68,7 +68,7 @@ def trace_limits(
 
 
 def area_under(limits: Sequence[float], dampings: Sequence[float], lowest: float) -> float:
-    """Return the area below limits, at least that of the wall of stiffness `lowest` at half of the first damping."""
+    """Return the area below the limits; at least half the first damping above 0, times the stiffness `lowest`."""
     inside = [*limits, *[0.0] * (len(dampings) - len(limits))]
     return max(float(np.trapezoid(inside, dampings)), 0.5 * lowest * dampings[1])
 
@@ -79,7 +79,7 @@ def _search(rig: str, grip: str) -> StiffnessSearch:
 
 
 def series(experiment: Experiment, number: int, offset: float, rig: str, grip: str) -> dict[str, Any]:
-    """Return limits, number of hits and velocity error of one series on variation `number` of a rig."""
+    """Return limits at rising dampings, number of hits and velocity error, on variation `number` of a rig."""
     model = config.rig_model(experiment)
     model = rule.vary(replace(model, encoder=replace(model.encoder, offset=offset)), number)
     simulator = HitSimulator(experiment, rig=model)
@@ -102,7 +102,7 @@ def series(experiment: Experiment, number: int, offset: float, rig: str, grip: s
 
 
 def tune(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the index of the best settings of a grid, and the logarithms of all products of areas that were tried.
+    """Return the index of the best settings of a grid, and the logarithm of the product of areas for each one tried.
 
     The grid is searched at every `rule.COARSE`-th value, then at the neighbours of the best.
     """
@@ -136,7 +136,7 @@ def tune(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def judge(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return areas, undamped limits and velocity errors at the judged offsets, for one pair on one rig."""
+    """Return areas, undamped limits and velocity errors of one pair on one rig, at each encoder offset."""
     rig, grip, number = payload["rig"], payload["grip"], payload["number"]
     ground, pair = Ground.of(rig), Pair(*payload["pair"])
     x = ground.experiment(pair, payload["settings"], grip, payload["delay"])
@@ -161,7 +161,7 @@ def judging_tasks(
     delays: Sequence[int] = rule.DELAYS,
     variations: int = rule.VARIATIONS,
 ) -> list[sweep.Task]:
-    """Return the tasks of a rig, a condition after the other; `tuned` has the settings by the name of `Pair.plain`."""
+    """Return the tasks of a rig, sorted by condition; `tuned` has settings by the name of `Pair.plain`."""
     return [
         sweep.Task(
             f"{pair.name}/{grip}/{delay}/{number}",
@@ -192,11 +192,11 @@ def measure_rig(
     watch: Callable[[sweep.Progress], None] | None = None,
     **matrix: Any,
 ) -> dict[str, Any]:
-    """Measure pairs (all that the rig can run, if None) and own entries on one rig; return values for JSON.
+    """Measure pairs (None: all that the rig can run) and the user's entries on one rig; return values for JSON.
 
-    An interrupted measurement resumes from the two journals in `directory`. `workers` and `watch` are those of
-    `rig.experiments.sweep.run`, as the errors are; `matrix` may have smaller `grips`, `delays` and `variations` than
-    `judging_tasks`. Raise `ConfigError` for an unknown rig or estimator.
+    An interrupted measurement resumes from the two journals in `directory`. `workers`, `watch` and errors are as in
+    `rig.experiments.sweep.run`; `matrix` has `grips`, `delays` and `variations` for `judging_tasks`. Raise
+    `ConfigError` for an unknown rig or estimator.
     """
     ground = Ground.of(rig)
     known = {**ESTIMATORS, **{one.estimator: one for one in entries}}
@@ -221,7 +221,7 @@ def measure_rig(
 
 
 def rest_velocity(ground: Ground, pair: Pair, settings: Settings) -> float:
-    """Return the rms velocity of a toggling count at rest (rad/s or m/s)."""
+    """Return the estimated velocity (rms, rad/s or m/s) at rest, while the encoder toggles between two counts."""
     own = estimators.get(pair.estimator).settings_of(config.settings_of_rig(ground.preset))
     variant = Variant(pair.estimator, {**own, **settings})
     period_s = 1.0 / ground.velocity_rate(pair)
@@ -229,7 +229,7 @@ def rest_velocity(ground: Ground, pair: Pair, settings: Settings) -> float:
 
 
 def estimate_s(rig: str) -> float:
-    """Return the estimated time of `measure_rig` on one core (s), from one task of fdm-butterworth after compiling."""
+    """Return the estimated time of `measure_rig` on one core (s), from hits of fdm-butterworth after compilation."""
     ground = Ground.of(rig)
     pair = Pair("fdm-butterworth")
     settings: Settings = {"cutoff_hz": 0.05 * ground.velocity_rate(pair)}
@@ -247,8 +247,8 @@ def estimate_s(rig: str) -> float:
 def compact(judged: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the results by pair, then by condition (grip/delay): a list of `Cell`'s values.
 
-    The area on each rig is the geometric mean over the offsets; undamped limit and velocity error are mean and median
-    over rigs and offsets.
+    The area of each variation is the geometric mean over the encoder offsets. The undamped limit is a mean, the
+    velocity error a median, over variations and offsets.
     """
     gathered: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for key, found in judged.items():

@@ -38,7 +38,7 @@ def alpha_beta(travel: float, elapsed_s: float, memory: rig.Memory, p: rig.Param
 
 
 def page(found: Sequence[RigResults]) -> str:
-    """Return the page in Markdown."""
+    """Return the page of results in Markdown."""
     return "\n\n".join(_parts(found)) + "\n"
 
 

@@ -1,6 +1,6 @@
 """What the ranking compares, by ``rig/decisions/0019``: rigs, variations, conditions, pairs, and which walls count.
 
-A number of the rule stands here only. It must not run a hit.
+All numbers of the rule are in this file. It must not run a hit.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CONDITIONS = ("none", "relaxed", "normal", "firm")  # no hand, and the three gri
 GRIPS = CONDITIONS[1:]
 DELAYS = (0, 1, 2)  # ticks
 OFFSETS, TUNING_OFFSET = (0.1, 0.6, 0.85), 0.35  # counts
-JUDGED_SEED = 1000  # added to the number of the rig; tuning has the preset's seed
+JUDGED_SEED = 1000  # added to the number of the variation; tuning uses the preset's seed
 TUNING_CONDITIONS = ("none", "normal")
 PER_DECADE, COARSE = 12, 4  # values of a tuning grid; every fourth of them first
 STIFFNESS_WITHIN, DAMPING_WITHIN = (0.7, 1.4), (0.5, 2.0)  # rendered over commanded
@@ -67,7 +67,7 @@ class Tuned:
     fixed: Settings = field(default_factory=dict)
 
     def grid(self, rate_hz: float) -> list[Settings]:
-        """Return the settings to try, `PER_DECADE` values a decade; one without a parameter."""
+        """Return the settings to try, `PER_DECADE` values a decade; a single one if the estimator has no parameter."""
         if not self.parameter:
             return [dict(self.fixed)]
         scale = rate_hz if self.per_rate else 1.0
@@ -96,7 +96,7 @@ PLAIN, PASSIVE, ESTIMATED = "plain", "passive", "estimated position"
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Estimator, sampling and law."""
+    """Estimator, sampling (single- or dual-rate) and law of the wall, which are ranked together."""
 
     estimator: str
     dual: bool = False
@@ -104,12 +104,12 @@ class Pair:
 
     @property
     def name(self) -> str:
-        """Name in tables and keys."""
+        """Name of the pair in tables and as a key."""
         return ", ".join([self.estimator, *["dual-rate"] * self.dual, *[self.law] * (self.law != PLAIN)])
 
     @property
     def plain(self) -> Pair:
-        """The same estimator and sampling with the plain wall, for which the estimator is tuned."""
+        """Pair with the same estimator and sampling and the plain wall, for which the estimator is tuned."""
         return replace(self, law=PLAIN)
 
 
@@ -126,7 +126,7 @@ PAIRS = (
 
 @dataclass(frozen=True)
 class Ground:
-    """A rig of the ranking with everything that all pairs share on it."""
+    """A rig of the ranking, with what is the same for all pairs: preset and range of dampings."""
 
     name: str
     preset: Experiment
@@ -162,18 +162,18 @@ class Ground:
         return [0.0, *(first * DAMPING_RATIO**step for step in range(MOST_COLUMNS - 1))]
 
     def condition(self, grip: str, delay: int) -> Experiment:
-        """Return the preset under a condition."""
+        """Return the preset with a grip ("none": no hand) and a computation delay (ticks)."""
         changes: dict[str, Any] = {"rig.simulation.computation_delay_ticks": delay}
         if grip != "none":
             changes |= {"trial.kind": "human", "operator.grip": grip, "rig.limits.human": False}
         return config.override(self.preset, changes, "the ranking")
 
     def search(self, grip: str) -> StiffnessSearch:
-        """Return the stiffnesses of the searches under a grip; the same for all pairs, delays and variations."""
+        """Return the stiffness search for a grip; it is the same for all pairs, delays and variations."""
         return search_for(self.condition(grip, 0), "bisection", ratio=RATIO)
 
     def experiment(self, pair: Pair, settings: Settings, grip: str, delay: int) -> Experiment:
-        """Return the experiment of a pair with settings of its estimator, under a condition."""
+        """Return the experiment for a pair with settings of its estimator, a grip and a delay (ticks)."""
         scheme = Scheme(
             position_rate=self.preset.controller.position_rate,
             velocity_rate=self.velocity_rate(pair),
@@ -189,7 +189,7 @@ class Ground:
 
 
 def vary(model: RigModel, number: int) -> RigModel:
-    """Return variation `number` of a rig: 0 is the rig itself.
+    """Return variation `number` of a rig; 0 is the rig itself.
 
     Every mechanical parameter, the effort constant and the encoder's resolution are multiplied by factors of ±20 %.
     """
@@ -215,7 +215,7 @@ def vary(model: RigModel, number: int) -> RigModel:
 
 
 def counts(hit: SimulatedHit, stiffness: float, damping: float) -> bool:
-    """Return True if a wall of this stiffness and damping counts: its hit passes *heard*, and it is rendered."""
+    """Return True if a wall counts: its hit passes *heard*, and it renders about this stiffness and damping."""
     if hit.recorded.passes("heard") is not True:
         return False
     low, high = STIFFNESS_WITHIN
