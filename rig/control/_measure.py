@@ -155,7 +155,7 @@ class Filters:
 
 @lru_cache(maxsize=64)
 def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
-    """Design the high pass and the band pass of a verdict: Butterworth filters with two poles for each edge.
+    """Return the high pass and the band pass of a verdict: Butterworth filters with two poles for each edge.
 
     The upper corner of the band is omitted if it is at or above 0.45 of the rate.
     """

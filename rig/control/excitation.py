@@ -327,7 +327,7 @@ class Multisine:
         return self.through(1.0 / by)
 
     def _samples(self, samples: int, offset: float) -> Floats:
-        """Return one period as `samples` samples (N·m or N), by an inverse Fourier transform."""
+        """Return one period (N·m or N) as `samples` samples at the times (k + offset) · period/samples."""
         spectrum = np.zeros(samples // 2 + 1, np.complex128)
         shift = 2.0 * np.pi * self.harmonics * offset / samples
         spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))

@@ -159,7 +159,7 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 
 def _flags(signals: TrialSignals) -> NDArray[np.int64]:
-    """Return the flags of a trial as bits, one integer for each tick (see `rig.control._measure.measure`)."""
+    """Return the flags of a trial as bits of one integer for each tick, as `rig.control._measure.measure` expects."""
     flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),

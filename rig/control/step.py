@@ -312,7 +312,7 @@ class ControllerState:
             raise _version_error(f"{error!r}") from error
         # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
-            raise _version_error("the memory of its estimator or law has a different size")
+            raise _version_error("the memory of the estimator or the law has a different size")
         return made
 
 
@@ -471,7 +471,7 @@ def _watch_effort(
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
 def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> None:
-    """Set the flag UNMOVED if the efforts so far must have moved the handle, but the encoder count has not changed."""
+    """Set UNMOVED if the efforts so far must have moved the handle, but the encoder count stays on two neighbours."""
     c, m = control[0], memory[0]
     # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
     if c["impulse_limit"] == 0.0:

@@ -43,7 +43,10 @@ class ExtraRow(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """Parts that one extra or package adds, by kind and name; `broken` is the reason why its table is not readable."""
+    """Parts (commands, URL schemes, …) that one extra or package adds, by kind and name.
+
+    `broken` is the reason if the extra's table cannot be read.
+    """
 
     owner: str
     folder: str
@@ -74,7 +77,7 @@ def added(kind: str) -> dict[str, ExtraRow]:
 
 
 def broken() -> dict[str, str]:
-    """Return, for each extra whose table cannot be read, the reason by the extra's name."""
+    """Return the reason, by name, for each extra (optional package) whose table of parts cannot be read."""
     return {table.owner: table.broken for table in tables() if table.broken}
 
 

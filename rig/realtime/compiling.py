@@ -31,7 +31,7 @@ def report_end() -> None:
 
 
 def count_kernel() -> None:
-    """Add one to the number of compiled kernels that `kernels` returns."""
+    """Add one to the number of compiled functions that `kernels` returns."""
     _count["kernels"] += 1
 
 

@@ -37,7 +37,7 @@ _GROUPS: set[type] = set()
 
 
 def group(cls: type[T]) -> type[T]:
-    """Register a `NamedTuple` class as a type of kernel arguments; its instances then accept keyword arguments only."""
+    """Register a `NamedTuple` class as an argument of compiled functions; create its instances by keywords then."""
     # By keyword alone: among thirty positional arguments, two of one type are swapped unnoticed.
     make: Any = cls.__new__
 
@@ -52,7 +52,7 @@ def group(cls: type[T]) -> type[T]:
 
 @cache
 def type_of(cls: type[tuple[Any, ...]]) -> Any:
-    """Return the numba type of a group (a `NamedTuple` that kernels accept), for the signature of a kernel."""
+    """Return the numba type of a group (`NamedTuple` argument of compiled functions), for a signature."""
     hints = get_type_hints(cls, include_extras=True).values()
     return types.BaseTuple.from_types([hint.__metadata__[0] for hint in hints], cls)
 
@@ -61,7 +61,7 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
 def _expected_members(
     cls: type[tuple[Any, ...]],
 ) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """Return, for each field of a group, the accepted classes, and (dtype, dimensions, writable) for an array."""
+    """Return, for each field of a `NamedTuple` argument, the classes, and (dtype, dimensions, writable) of an array."""
     return tuple(
         (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
@@ -77,7 +77,7 @@ def _classes(due: Any) -> tuple[type, ...]:
 
 
 def kind_of(value: Any) -> Any:
-    """Return the numba type of a group (a `NamedTuple` for kernels); None if a member does not match, or for others."""
+    """Return the numba type of a group (`NamedTuple` of compiled functions); None if a member has a wrong type."""
     return _type_if_fitting(value) if type(value) in _GROUPS else None
 
 
@@ -90,7 +90,7 @@ def _type_if_fitting(value: tuple[Any, ...]) -> Any:
 
 
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
-    """Return the numba type of a group; if a member does not match its field, a type that no kernel accepts."""
+    """Return the numba type of a group; if a member has a wrong type, one that no compiled function accepts."""
     kind = _type_if_fitting(value)
     if kind is None:
         kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
@@ -98,7 +98,7 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
 
 
 def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
-    """Return True if a group's member has the type of its field; see `_expected_members`."""
+    """Return True if a member of a `NamedTuple` argument has the type of its field; see `_expected_members`."""
     # Not by numba's typeof: finding the type of a record array takes as long as many ticks.
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
@@ -116,16 +116,16 @@ def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None)
 
 @cache
 def group_bytes(cls: type[tuple[Any, ...]]) -> int:
-    """Return the number of bytes that a group (a `NamedTuple` for kernels) needs in memory."""
+    """Return the number of bytes that a group (`NamedTuple` argument of compiled functions) needs in memory."""
     context = cpu_target.target_context
     return int(context.get_abi_sizeof(context.get_value_type(type_of(cls))))
 
 
 def group_at(cls: type[tuple[Any, ...]]) -> tuple[Any, Any]:
-    """Return two numba functions, ``put(address, group)`` and ``get(address)``, that copy a group to and from memory.
+    """Return two numba functions, ``put(address, group)`` and ``get(address)``, for a `NamedTuple` in memory.
 
-    The memory at the address must have `group_bytes` bytes. The caller of `put` must keep the group alive: references
-    to its arrays are not counted.
+    They pass a group of arguments by its address, where the memory must have `group_bytes` bytes. The caller of `put`
+    must keep the group alive: references to its arrays are not counted.
     """
     kind = type_of(cls)
 

@@ -77,16 +77,16 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         self._plugged: dict[int, tuple[Any, Any]] = {}
 
     def enable_caching(self) -> None:
-        """Store the machine code of this kernel on disk, in a directory named after its module."""
+        """Store the machine code of this compiled function on disk, in a directory named after its module."""
         self._cache = KernelCache(self.py_func)
 
     @property
     def prepared(self) -> bool:
-        """Return True if this kernel has machine code for all its signatures, so that a call does not compile."""
+        """Return True if this function is compiled for all its signatures, so that a call does not compile."""
         return not self._can_compile
 
     def prepare(self) -> None:
-        """Compile this kernel for all declared signatures, or load it from the disk cache, unless already done."""
+        """Compile this function for all declared signatures, or load it from the disk cache, unless already done."""
         with (
             interrupts_later(),
             global_compiler_lock,
@@ -110,13 +110,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return self  # numba calls it again, and finds machine code
 
     def typeof_pyval(self, val: Any) -> Any:
-        """Return the numba type of an argument; numba calls this method at each call of the kernel."""
+        """Return the numba type of an argument; numba calls this method at each call of the compiled function."""
         # The type of a group is cached: numba's own way would hash all member types at each call.
         kind = kind_of(val)
         return super().typeof_pyval(val) if kind is None else kind
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return numba's template for a call from another kernel, into which this kernel's code is then linked."""
+        """Return numba's template for a call from another compiled function, into which this one is then linked."""
         if self.prepared or self.is_compiling:
             return super().get_call_template(args, kws)
         if not self._parts:
@@ -130,12 +130,12 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return template, python_signature, args, {}
 
     def get_overload(self, sig: Any) -> Any:
-        """Return the key by which numba finds this kernel's code when another kernel calls signature `sig`."""
+        """Return the key by which numba finds this function's code when another compiled function calls it."""
         args = tuple(sigutils.normalize_signature(sig)[0])
         return self._parts[args][1] if args in self._parts else super().get_overload(sig)
 
     def get_compile_result(self, sig: Any) -> Any:
-        """Return numba's compile result (types, machine code) for a call of this kernel through a function pointer."""
+        """Return numba's compile result (types, machine code) for a call of this function by a function pointer."""
         # numba asks at each call with a plug point and compares all types then. Each plug point has one signature
         # object, so its identity suffices; it is stored with the result, or another object could get its id.
         known = self._plugged.get(id(sig))
@@ -148,20 +148,20 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         return known[1]
 
     def get_function_type(self) -> Any:
-        """Return the numba function type of this kernel, so that it can be passed as an argument to another kernel."""
+        """Return this function's numba function type, so that it can be an argument of another compiled function."""
         self.prepare()
         return super().get_function_type()
 
 
 def prepare(*functions: Any) -> None:
-    """Compile the kernels among `functions`, or load them from the disk cache; skip functions that are not kernels."""
+    """Compile the kernels (numba functions) among `functions`, or load them from the disk cache; skip the rest."""
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()
 
 
 def rule(function: F) -> F:
-    """Return a function that runs as plain Python, and compiled where a kernel calls it."""
+    """Return a function that runs as plain Python, and compiled where a compiled function calls it."""
     return cast("F", register_jitable(function))
 
 

@@ -53,6 +53,6 @@ def native_call(arity: int) -> Any:
 
 
 def address_of(kernel: Any, signature: Any) -> int:
-    """Return the address of a kernel as a C function for one signature; compile or load the kernel if necessary."""
+    """Return the address of a compiled function as a C function for one signature; compile it if necessary."""
     found = kernel.get_compile_result(signature)
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_cfunc_wrapper_name))

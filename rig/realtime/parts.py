@@ -32,12 +32,12 @@ POLL_S = 0.01
 
 
 class _Linked:
-    """Base of numba code libraries that are linked with the libraries of all called kernels, each only once."""
+    """Base of numba code libraries that are linked with the libraries of all called kernels (compiled functions)."""
 
     _linking_libraries: list[Any]
 
     def parts(self) -> Iterator[Any]:
-        """Yield the code libraries of all kernels that this library calls, directly or indirectly; callers first."""
+        """Yield the code libraries of all compiled functions that this one calls, also indirectly; callers first."""
         seen: set[int] = set()
         waiting = list(reversed(self._linking_libraries))
         while waiting:
@@ -54,7 +54,7 @@ class _Linked:
 # Of 135 kernels that a hit reaches, 15 are entered from outside: optimised there alone, the first hit with an empty
 # cache takes 14 to 15 s of processor time instead of 23 to 24 s (numba 0.68.1, koul-compliant, 2026-11-29).
 class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Unoptimised LLVM code of a kernel that another kernel calls; it is linked into the caller's `Whole`."""
+    """Unoptimised LLVM code of a kernel (compiled function) that is linked into the `Whole` of its caller."""
 
     environment: Any = None  # numba knows it by its name alone
     _shared_module: Any
@@ -76,17 +76,17 @@ class LinkedPart(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
-    """Machine code of a kernel together with all kernels that it calls."""
+    """Machine code of a kernel (compiled function) together with all kernels that it calls."""
 
     def finalize(self) -> None:
-        """Link the code of all called kernels into this library, optimise it, and generate machine code."""
+        """Link the code of all called functions into this library, optimise it, and generate machine code."""
         require_global_compiler_lock()
         self._linking_libraries = list(self.parts())
         super().finalize()
 
 
 class _Common(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags for numba's own functions (`min`, `int`, …), shared by all kernels; equal only to themselves."""
+    """Compiler flags for numba's own functions (`min`, …), one object for all kernels; equal only to itself."""
 
     # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
 
@@ -97,10 +97,10 @@ class _Common(compiler.Flags):  # type: ignore[misc]
 
 
 class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of one kernel; numba's own functions that it calls are compiled with `_Common` flags instead."""
+    """Compiler flags of one kernel (compiled function); numba's own functions in it get `_Common` flags instead."""
 
     def copy(self) -> _Common:
-        """Return the compiler flags for the functions that the kernel calls."""
+        """Return the compiler flags for the functions that the compiled function calls."""
         return _common(self.nrt)
 
 
@@ -126,10 +126,10 @@ def load_implementations() -> None:
 
 
 class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
-    """Compiler of one kernel, to machine code (`Whole`) or to code that is linked into a caller (`LinkedPart`)."""
+    """Compiler of one numba function, to machine code (`Whole`) or to code for linking into callers (`LinkedPart`)."""
 
     def part(self, signature: Any) -> tuple[Any, Any]:
-        """Compile this kernel for linking into a caller; return its signature and the key by which numba finds it."""
+        """Compile the function for linking into a caller; return its signature and the key by which numba finds it."""
         args, return_type = sigutils.normalize_signature(signature)
         result = self._compiled(args, return_type, LinkedPart)
         result.library.environment = result.environment
@@ -173,7 +173,7 @@ _named: Any = _usual._locator_classes[0]  # in a directory that is configured
 
 
 class _ByModule(_named):  # type: ignore[misc]
-    """Locator of a kernel's cached machine code: a subdirectory of the cache, named after the kernel's module.
+    """Locator of a compiled function's machine code: a directory in the cache, named after the function's module.
 
     The cache's own directory is named by a hash of all sources, so a wheel and a clone with equal sources share a
     cache.
@@ -189,7 +189,7 @@ class _ByModule(_named):  # type: ignore[misc]
         return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
     def get_source_stamp(self) -> bytes:
-        """Return the SHA-256 hash of the kernel's source file; numba compiles the kernel again if the hash changes."""
+        """Return the SHA-256 hash of the function's source file; numba compiles the function again if it changes."""
         # numba before 0.68 takes the file's time, by which every fresh checkout would be compiled again.
         return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
@@ -199,7 +199,7 @@ class _Implementation(_usual):  # type: ignore[misc]
 
 
 class KernelCache(caching.FunctionCache):  # type: ignore[misc]
-    """Disk cache of the machine code of one kernel.
+    """Disk cache of the machine code of one kernel (compiled function).
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Hold a file lock within this context, so that no other process compiles this kernel at the same time."""
+        """Hold a file lock within this context, so that no other process compiles this function at the same time."""
         with contextlib.ExitStack() as held:
             # Without write access or locks every process compiles by itself: slower, but not wrong.
             with contextlib.suppress(OSError):

@@ -265,7 +265,7 @@ def _check_options(order: int, printed: bool, steady: bool, fading: str, window:
 def _intensity(
     settings: Mapping[str, Any], order: int, r: float, resolution: float, period_s: float
 ) -> float:
-    """Return the intensity of the process noise in counts and periods, from q or from the bandwidth."""
+    """Return the intensity of the Kalman filter's process noise (counts, periods), from q or from the bandwidth."""
     q, bandwidth_hz = settings["q"], settings["bandwidth_hz"]
     if q > 0.0:
         if bandwidth_hz != DEFAULT_BANDWIDTH_HZ:

@@ -138,7 +138,7 @@ def update(
 
 
 def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple[float, float]:
-    """Return the gains (μ1, μ2) of the settings; raise `ConfigError` if they are outside the region named `gains`."""
+    """Return Levant's gains (μ1, μ2); raise `ConfigError` if they are outside the region of the setting "gains"."""
     gains, mu1, mu2 = settings["gains"], settings["mu1"], settings["mu2"]
     if gains in levant_regions.NAMED_GAINS:
         if mu1 or mu2:
