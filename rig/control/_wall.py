@@ -2,9 +2,6 @@
 
 τ = K·θ + B·ω inside, zero outside (Koul et al., equation (1)). In dual-rate rendering θ is the position of this tick
 and ω the velocity held since the last velocity sample; `rig.control.step` selects both.
-
-The papers do not define whether the wall may pull a handle that leaves it faster than K·θ/B; an option selects it.
-Another option limits damping to inward motion.
 """
 
 from __future__ import annotations
@@ -45,6 +42,8 @@ def spring_damper(
     if penetration <= 0.0:
         return 0.0
     velocity = penetration_velocity
+    # Options, because the papers do not define them: whether damping acts on the way out, and whether the wall may pull
+    # a handle that leaves it faster than K·θ/B.
     if parameters[ENTRY_ONLY] != 0.0 and velocity < 0.0:
         velocity = 0.0
     reaction = parameters[STIFFNESS] * penetration + parameters[DAMPING] * velocity

@@ -186,6 +186,7 @@ class Multisine:
         crest = (value >= before) & (value >= after) & (value > 0.0)
         if not crest.any():
             return 0.0
+        # Each crest on the grid is refined by a parabola through its neighbours.
         top, left, right = value[crest], before[crest], after[crest]
         bend = 2.0 * top - left - right
         lift = np.divide((left - right) ** 2, 8.0 * bend, out=np.zeros_like(top), where=bend > 0.0)

@@ -86,6 +86,7 @@ def recorded_signals(
     lost_before = np.maximum(rows["elapsed_ticks"].astype(np.int64) - 1, 0)
     lost, flags = lost_before[trial], rows["flags"][trial]
     if len(places) and places[-1] + 1 < len(rows):
+        # Samples lost between the last tick of the trial and the release.
         lost[-1] += lost_before[places[-1] + 1]
 
     def flagged(flag: RowFlag) -> Bools:

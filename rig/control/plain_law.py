@@ -112,6 +112,7 @@ def law(
 
     def decorate(function: Callable[..., float]) -> PlainLaw:
         made = compile_function(_form(everywhere), function, name, parameters, memory)
+        # Not cached: sources outside of this project are not part of the cache's key.
         declared = kernel(LAW_SIGNATURE, cache=False, no_refcount=True)(made.kernel)
         prepare(declared)
         return PlainLaw(

@@ -143,12 +143,12 @@ def _version() -> tuple[int, int]:
 def unsuitable(device: usb.core.Device) -> str:
     """Return the reason why compiled code cannot use libusb's addresses of an open device; "" if it can."""
     if not _is_known():
-        return "the layout of a transfer is known for 64-bit Linux alone"
+        return "the memory layout of a USB transfer is known only for 64-bit Linux"
     if _version() not in TESTED:
         tested = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
         return f"pyusb {usb.__version__} is not among the tested ones ({tested})"
     if numba.config.DISABLE_JIT:
-        return "numba does not compile"
+        return "numba's compiler is switched off (NUMBA_DISABLE_JIT)"
     return _find_difference(device)
 
 
@@ -175,7 +175,7 @@ def _find_difference(device: usb.core.Device) -> str:
         return f"pyusb {usb.__version__} is built differently: {error}"
     for name in ("status", "length", "actual_length", "user_data", "buffer"):
         if getattr(theirs, name).offset != getattr(Transfer, name).offset:
-            return f"pyusb lays out {name} of a transfer differently"
+            return f"pyusb has the field {name} of a USB transfer at another offset"
     return ""
 
 

@@ -24,7 +24,7 @@ class PlainTransfers(ThreadedLine):
         self, device: usb.core.Device, endpoint_in: int, endpoint_out: int, packet: int, why: str
     ) -> None:
         super().__init__()
-        self.note = f"USB through Python calls, which share the interpreter with everything else: {why}"
+        self.note = f"USB transfers run in the Python interpreter, which may delay the loop: {why}"
         self._device = device
         self._in, self._out, self._packet = endpoint_in, endpoint_out, packet
         self._blocked_since: float | None = None

@@ -87,6 +87,7 @@ class DeviceUrl:
                 f"device URL {text!r} contains {rest[wrong.start() :][:3]!r}, which is not a byte of a name",
                 remedy="write %25 for the sign % itself, or % and two hexadecimal digits, not 00, for a byte",
             )
+        # Not by `urllib`, which would drop what follows a #, and line ends.
         place, mark, query = rest.partition("?")
         options: dict[str, str] = {}
         for part in query.split("&") if mark else ():
@@ -121,6 +122,7 @@ class DeviceUrl:
 
 
 def _encode(part: str) -> str:
+    # A path may have bytes that are not UTF-8.
     return quote(part, safe="/:@+,", errors="surrogateescape")
 
 

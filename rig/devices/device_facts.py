@@ -185,5 +185,5 @@ class DeviceFacts(FirmwareFacts):
             Row("url", self.url),
             *super().rows(),
             Row("state", self.state, note=self.fault or ""),
-            *(Row("not obtained", message) for message in self.messages),
+            *(Row("setting not made", message) for message in self.messages),
         ]

@@ -24,7 +24,7 @@ FTDI_VENDOR = "0403"
 # An FTDI adapter holds received bytes for its latency timer (16 ms by default) to pass on more at once.
 LONGEST_LATENCY_MS = 1
 NO_TIMER_DRIVERS = frozenset({"cdc_acm"})  # the board itself decides when a packet leaves
-WHY = "a port that holds bytes back delays every command; one that others can open loses some"
+WHY = "a port that delays bytes delays every command; a port that other programs can open loses bytes"
 _PSEUDO = ("/dev/pts/", "/dev/pty")
 
 
@@ -73,8 +73,8 @@ class PortFacts:
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(
                 self._problem(
-                    f"the FTDI adapter holds bytes back for up to {self.latency_timer_ms} ms",
-                    f"echo {LONGEST_LATENCY_MS} | sudo tee {quote(str(latency_timer_path(self.device)))}; for good: "
+                    f"the FTDI adapter delays received bytes by up to {self.latency_timer_ms} ms",
+                    f"echo {LONGEST_LATENCY_MS} | sudo tee {quote(str(latency_timer_path(self.device)))}; permanently: "
                     "rig doctor --print-udev",
                 )
             )
@@ -83,7 +83,9 @@ class PortFacts:
             found.append(self._problem(text, f"sudo setserial {quote(self.device)} low_latency"))
         if self.exclusive is False and not is_pseudo(self.device):
             text = "other programs can open the port and take bytes away"
-            found.append(self._problem(text, f"close those that this lists: fuser -v {quote(self.device)}"))
+            found.append(
+                self._problem(text, f"close the programs that this lists: fuser -v {quote(self.device)}")
+            )
         if self.hangs_up:
             text = "closing the port will drop DTR, which resets many boards"
             found.append(self._problem(text, f"stty -F {quote(self.device)} -hupcl"))

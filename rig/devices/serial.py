@@ -128,5 +128,5 @@ def _set_up(place: str, descriptor: int, *, dtr: bool) -> tuple[PortFacts, list[
     facts = port_facts(place, descriptor)
     messages = [problem.sentence for problem in facts.problems()]
     if asserted is not None and asserted != dtr:
-        messages.append(f"{place}: DTR is {'on' if asserted else 'off'} although it was set otherwise")
+        messages.append(f"{place}: DTR is {'on' if asserted else 'off'}, although it was set to the opposite")
     return facts, messages

@@ -151,7 +151,7 @@ def _choose_device(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, seria
         numbers = [_text(device, "serial") for device in found]
         matching = [device for device, number in zip(found, numbers, strict=True) if number == serial]
         if not matching:
-            there = ", ".join(number or "one without a number" for number in numbers)
+            there = ", ".join(number or "a device without a number" for number in numbers)
             raise DeviceNotFoundError(
                 f"no USB device {vendor:04x}:{product:04x} has the serial number {serial}",
                 remedy=f"choose the serial number of a connected device: {there}",

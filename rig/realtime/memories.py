@@ -60,6 +60,7 @@ class LoopMemory:
 
     def ask_to_stop(self) -> None:
         """Request this loop to stop: set its stop word to minus this process's number, unless it is set already."""
+        # 0: the memory is still being created, and no loop runs in it yet.
         if self.words[VERSION] != 0:
             self.ran = self.words[LOOP_DONE] == 0
             if self.words[STOP] == 0:
@@ -67,6 +68,7 @@ class LoopMemory:
 
     def made_by(self, pid: int) -> bool:
         """Return True if process `pid` created this loop's memory, which other processes may have open too."""
+        # In another layout the word CREATOR may be elsewhere.
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
         return place.is_process(pid, self.words[CREATOR])
@@ -91,6 +93,7 @@ def memories(pid: int | None = None) -> Iterator[LoopMemory]:
         try:
             there = os.stat(path)
             memory = LoopMemory(process, path)
+        # The loop has ended during the search.
         except OSError:
             continue
         if (there.st_dev, there.st_ino) not in known and _made_by(memory):

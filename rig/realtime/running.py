@@ -225,6 +225,7 @@ def open_loop(loop: RunningLoop) -> Iterator[Ring]:
 
 def _describe_loop(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
     version = ring.peek(VERSION)
+    # In other layouts only STOP and LOOP_DONE have the same index.
     ours = version == LAYOUT_VERSION
     phase = ring.peek(PHASE) if ours else -1
     return RunningLoop(

@@ -74,11 +74,13 @@ def update(
             boundary = state_i[PLACE] + 1 - upwards
             oldest, newest = state_i[OLDEST], state_i[NEWEST]  # edges oldest … newest − 1 are in memory
             turned = upwards != state_i[UPWARDS]
+            # An unchanged count with a new edge time: which boundary was crossed is unknown.
             if moved == 0 or state_i[KNOWN] == 0:
                 oldest = newest
             elif turned:
                 oldest = newest - 1
             began = now - int(parameters[GATE])
+            # The last edge before the window remains in memory: the slope begins there.
             while oldest < newest - 1 and state_i[SAMPLES + (oldest + 1) % SLOTS] <= began:
                 oldest += 1
             state_f[SPAN], state_f[SPEED] = 0.0, 0.0

@@ -82,6 +82,7 @@ def estimator(
 
     def decorate(function: Callable[..., float]) -> Estimator:
         made = compile_function(_FORM, function, name, parameters, memory)
+        # Not cached: sources outside of this project are not part of the cache's key.
         update = kernel(ESTIMATOR_SIGNATURE, cache=False, no_refcount=True)(made.kernel)
         prepare(update)
         return Estimator(

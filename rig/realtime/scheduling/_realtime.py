@@ -127,6 +127,7 @@ class Realtime:
         for array in arrays:
             if array.size:
                 spans = [step * (count - 1) for step, count in zip(array.strides, array.shape, strict=True)]
+                # An array with a negative stride begins above its lowest address.
                 low = sum(span for span in spans if span < 0)
                 high = sum(span for span in spans if span > 0) + array.itemsize
                 calls.touch(array.ctypes.data + low, high - low)
