@@ -114,7 +114,7 @@ def _share_of(lag_s: float, rate: int) -> int:
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """Return the part (in 1/65536) to subtract from a step, so that a lag ends the tick as after a ramp."""
+    """Return the part (in 1/65536) of a step to subtract so that a lag ends the tick as after a ramp of that height."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate

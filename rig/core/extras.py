@@ -43,10 +43,7 @@ class ExtraRow(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """Parts (commands, URL schemes, …) that one extra or package adds, by kind and name.
-
-    `broken` is the reason if the extra's table cannot be read.
-    """
+    """Parts that an extra or package adds, by kind and name; `broken` is the reason if they cannot be read."""
 
     owner: str
     folder: str

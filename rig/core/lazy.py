@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 
 
 def public_names(init: str) -> dict[str, tuple[str, str]]:
-    """Return (module, name in the module) by public name, from the stub of the package with this ``__init__.py``.
-
-    Names of an extra that is not installed are left out.
-    """
+    """Return (module, name) by public name, from a package's stub, without names of extras that are not installed."""
     table = {}
     with open(f"{init}i", encoding="utf-8") as stub:
         for line in stub:

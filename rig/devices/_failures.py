@@ -79,10 +79,7 @@ _OF_DESCRIPTORS = FAILURES | dict.fromkeys((errno.EIO, errno.EPIPE, errno.ECONNR
 
 
 def failure(number: int, url: str) -> Failure:
-    """Return error class, cause and remedy for a positive errno of the link at a URL.
-
-    For numbers that are not in the table, the cause is the text of the operating system.
-    """
+    """Return error class, cause (or the system's text) and remedy for a positive errno of the link at a URL."""
     table = _OF_DESCRIPTORS if url.startswith(_DESCRIPTORS) else FAILURES
     found = table.get(number)
     if found is not None:

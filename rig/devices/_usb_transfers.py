@@ -207,10 +207,7 @@ def _look(block: int) -> int:
 
 @kernel(TRANSFER_SIGNATURE)
 def usb_read(block: int, address: int, size: int) -> int:
-    """Read up to `size` bytes to memory at `address`, without waiting; return their number.
-
-    Return 0 if no bytes are available, or a negative errno.
-    """
+    """Read up to `size` bytes to memory at `address` without waiting; return their number or a negative errno."""
     total = 0
     fresh = False
     while total < size:

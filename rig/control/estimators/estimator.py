@@ -158,10 +158,7 @@ class Estimator(Shown):
 def check_below_nyquist(
     estimator: str, setting: str, frequency_hz: float, period_s: float, advice: str = ""
 ) -> None:
-    """Raise `ConfigError` if a setting is at or above the Nyquist frequency 0.5 / `period_s` (Hz).
-
-    `advice` is inserted into the remedy, for example a usual value.
-    """
+    """Raise `ConfigError`, with `advice`, if a setting is at or above the Nyquist frequency 0.5 / `period_s` (Hz)."""
     if frequency_hz >= 0.5 / period_s:
         raise ConfigError(
             f"estimator {estimator}: {setting} = {frequency_hz:g} Hz is not below the Nyquist frequency "

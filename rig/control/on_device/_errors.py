@@ -19,9 +19,6 @@ class NotOnDeviceError(PlanError):
 
 
 def refusal(key: str, value: object, why: str, remedy: str) -> NotOnDeviceError:
-    """Return the error for a key of the experiment whose value a law on the device does not support.
-
-    `why` is the reason, `remedy` the alternative setting.
-    """
+    """Return the error, with reason and remedy, for a key of the experiment that a law on the device cannot have."""
     shown = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else value
     return NotOnDeviceError(key, shown, why, remedy)

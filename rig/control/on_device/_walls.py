@@ -178,10 +178,7 @@ def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def fixed_guard(c: Control, velocity: Format) -> Values:
-    """Return the device parameters of limits and homing servo in integers.
-
-    Raises `PlanError` if the servo does not fit the integers of the device.
-    """
+    """Return the device parameters of limits and homing servo in integers; raise `PlanError` if they do not fit."""
     delta, quantum, period_s = _scales(c)
     lsb = delta * velocity.lsb / period_s  # of the velocity, in SI
     gains = {  # quanta per LSB

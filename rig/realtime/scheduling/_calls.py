@@ -1,7 +1,4 @@
-"""Call C library functions that Python does not offer: memory locks, timer slack, time slice, stack address.
-
-The functions do not raise; most return 0 or an errno.
-"""
+"""Call C library functions that Python does not offer: memory locks, timer slack, time slice, stack address."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Replace real-time scheduling on systems other than Linux: nothing is requested.
-
-On these systems a law in real time runs on the board, not on the computer.
-"""
+"""Replace real-time scheduling outside of Linux: nothing is requested, because real-time laws run on the board."""
 
 from __future__ import annotations
 

@@ -211,7 +211,7 @@ def test_the_papers_gains_are_those_of_c_6() -> None:
 def test_a_pair_outside_its_region_is_refused_with_the_one_that_is_needed() -> None:
     with pytest.raises(ConfigError, match=r"mu1 = 2, mu2 = 3 lie outside the region 'hba'.*mu1 ≥ 2\.6"):
         prepare(gains="hba", mu1=2.0, mu2=3.0)
-    with pytest.raises(ConfigError, match=r"outside the region 'hba'.*mu2 above 2"):
+    with pytest.raises(ConfigError, match=r"outside the region 'hba'.*choose a larger mu2 \(above 2\)"):
         prepare(gains="hba", mu1=50.0, mu2=2.0)
     with pytest.raises(ConfigError, match=r"outside the region 'lfba'.*mu1 > 3\.5"):
         prepare(gains="lfba", mu1=3.5, mu2=2.0)
