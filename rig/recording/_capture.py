@@ -167,7 +167,7 @@ def read_capture(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_capture_header(path: Path) -> Recording:
-    """Return the header of a ``.rigcap`` capture as a recording without rows; raise `RecordingError` if damaged."""
+    """Return the header of a ``.rigcap`` file as a recording without rows; raise `RecordingError` if it is damaged."""
     with _open_mapped(path) as data:
         header, _ = _read_header(path, data)
     return Recording(header, np.empty(0, dtype_of(header.get("schema", {}))), None, complete=False, path=path)

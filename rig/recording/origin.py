@@ -23,13 +23,13 @@ def cut_facts(recording: Recording) -> Mapping[str, Any] | None:
 
 
 def counts_facts(recording: Recording) -> Mapping[str, Any] | None:
-    """Return file, rate (Hz), resolution (rad or m per count) and lost samples of counts imported from CSV, or None."""
+    """Return file, rate (Hz), resolution and lost samples of counts imported from CSV; None for other recordings."""
     found = (recording.header.get("extra") or {}).get(COUNTS_FACTS)
     return found if isinstance(found, dict) else None
 
 
 def refuse_counts(recording: Recording) -> None:
-    """Raise `RecordingError` if the recording was imported from a CSV file, and so describes no rig, law and wall."""
+    """Raise `RecordingError` if the recording was imported from CSV: it then describes no rig, control law and wall."""
     if (facts := counts_facts(recording)) is not None:
         raise RecordingError(
             f"the recording was imported from {facts['file']}: it has encoder counts, but no rig, control law and wall",

@@ -295,7 +295,10 @@ def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
 
 
 def _set_aside(session: Session) -> list[dict[str, str]]:
-    """Move recordings that the log lacks to trials/abandoned; return file and SHA-256 of those not listed yet."""
+    """Move recordings that the log does not mention to trials/abandoned.
+
+    Return file and SHA-256 of all recordings in that directory that the log does not list yet.
+    """
     trials = session.directory / TRIALS
     aside = trials / ABANDONED
     logged = {Path(trial.recording).name for trial in session.state.trials if trial.recording}

@@ -62,7 +62,7 @@ NUMBERS = (
 
 @dataclass(slots=True, kw_only=True)
 class DeviceRunner:
-    """Runs the trials of a session on a device, real or simulated.
+    """Object that runs the trials of a session on a device, real or simulated.
 
     In virtual time each trial uses a new device; in real time all trials use the same device.
 
@@ -77,7 +77,7 @@ class DeviceRunner:
     arm_anyway
         True if the operator consents, for the whole session, to walls that the arming gate refuses.
     lossy_anyway
-        Begin although nearly every trial would be invalid because of lost samples.
+        True to begin although nearly every trial would be invalid because of lost samples.
     hand
         File through which a person moves the simulated hand (`rig.realtime.hand`); None if the hand follows its script.
     messages

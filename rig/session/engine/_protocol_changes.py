@@ -140,7 +140,7 @@ def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
 
 
 def refuse_changed(changes: Sequence[Difference], study: Path) -> None:
-    """Raise `ChangedProtocolError` if a difference to the sessions in `study` can affect a study's results."""
+    """Raise `ChangedProtocolError` if a difference between protocols can affect the results of the study."""
     found = deciding(changes, study)
     if found:
         raise ChangedProtocolError(_sentence(found, study), remedy=_remedy(found))

@@ -82,7 +82,10 @@ class Person:
 
 
 def thresholds_of(given: Iterable[str]) -> dict[str, float]:
-    """Return the stiffness threshold of each condition from texts like ``dual=430``; raise `ConfigError` if invalid."""
+    """Return the stiffness threshold of each condition from texts like ``dual=430``.
+
+    Raise `ConfigError` for a text of another form.
+    """
     found: dict[str, float] = {}
     for text in given:
         name, equals, value = text.rpartition("=")

@@ -78,7 +78,7 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """Return the simulated hand's setting with which its press is the middle of the required range; {} without one."""
+    """Return the setting of a simulated hand whose press is the middle of the required range; {} without a range."""
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 

@@ -30,7 +30,7 @@ _NAMES = {  # keys whose values are compared as names, by section
 
 
 def load_protocol(path: str | Path) -> Protocol:
-    """Return the protocol from a file, checked with experiment and all conditions; raise `ConfigError` if invalid."""
+    """Return the protocol from a file; raise `ConfigError` if it, its experiment or a condition is invalid."""
     return load_walls(path).protocol
 
 

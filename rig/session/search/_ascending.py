@@ -70,8 +70,7 @@ class Ascending:
         """Return the mean of the limits of the finished series, with a 95 % interval (Student's t).
 
         The interval is infinite for a single series, and for series that scatter no more than rounding to levels
-        explains. In the latter situation, a censored limit (beyond the levels) has an interval that ends at the last
-        level.
+        explains. If such series end beyond the levels (censored), the last level bounds the interval on one side.
         """
         series = self.series(answers)
         if not series:

@@ -134,8 +134,8 @@ class Catching:
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:
         """Return a catch trial or None at random; the result is reproducible for equal arguments.
 
-        `verdicts` is the number of verdicts of the rule so far, `caught` the number of catch trials since the last of
-        them.
+        `verdicts` is the number of verdicts of the rule so far, `caught` the number of catch trials since the latest
+        verdict of the rule.
         """
         drawn = np.random.default_rng([self.seed, verdicts, caught])
         if drawn.random() >= self.share:

@@ -218,7 +218,7 @@ def at_console(
 
 
 def _open_terminal(place: Path) -> tuple[int, list[Any]]:
-    """Open the terminal, return descriptor and settings; raise `ConfigError` if missing or used by another job."""
+    """Open the terminal and return its descriptor and settings; raise `ConfigError` if another job uses it."""
     with ExitStack() as opened:
         try:
             descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
