@@ -517,9 +517,9 @@ def test_the_number_in_a_code_is_the_row(code: str, row: int) -> None:
 
 
 def test_a_directory_without_a_session_is_neither_resumed_nor_corrected(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"no session\.log|has no"):
+    with pytest.raises(ConfigError, match=r"contains no file session\.log"):
         resume(tmp_path)
-    with pytest.raises(ConfigError, match="contains no session"):
+    with pytest.raises(ConfigError, match="contains no file session"):
         amend(tmp_path, 3, "buzz", "x")
     assert list(tmp_path.iterdir()) == []
 
