@@ -31,8 +31,7 @@ class FirmwareInfo(FirmwareFacts):
     facts
         Facts of the build; None for a connected device, which does not report them.
     checks
-        One check for each difference from this package; a refusing check means that this package cannot run the
-        firmware.
+        One check for each difference from this package; if one is refused, this package cannot run the firmware.
     """
 
     source: str
@@ -79,7 +78,7 @@ def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | N
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
     """Yield a check for each difference between a firmware and this package.
 
-    A check refuses if this package cannot use the firmware because of the difference; otherwise it is a warning.
+    The check is refused if this package cannot use the firmware because of the difference; otherwise it is a warning.
     """
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
     versions = f"the firmware uses protocol {theirs}, this package {ours}"

@@ -210,7 +210,7 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
     if changed.values != {**before, "ramp_us": other} or back.values != before:
         return refused("parameters read back differ from those set", "flash the device again")
     return ok(
-        f"{len(before)} active; a change was read back and undone",
+        f"{len(before)} parameters are active; a change was read back and undone",
     )
 
 

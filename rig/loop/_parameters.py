@@ -37,7 +37,7 @@ def activate(controller: ControllerArguments, values: Any) -> None:
 
 @kernel(types.void(CONTROLLER_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def begin_set(controller: ControllerArguments, buffers: Buffers, tick: int, words: int) -> None:
-    """Activate the waiting parameter set from tick `tick` on; store it for a replay, and its number in `words`."""
+    """Activate the waiting parameter set from tick `tick` on; store it for a replay, and its number in the ring."""
     p, waiting = buffers.progress[0], buffers.waiting
     activate(controller, waiting)
     row = buffers.sets[p["sets"]]

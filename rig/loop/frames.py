@@ -25,7 +25,7 @@ def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]
     Returns
     -------
     int
-        Bytes of header and payload in `raw`; a negative `firmware_protocol.framing.Defect`; or `NO_FRAME`.
+        Length of header and payload in `raw` (bytes); or a negative `firmware_protocol.framing.Defect`; or `NO_FRAME`.
     int
         Index of the first byte after the frame.
     """

@@ -152,7 +152,7 @@ class DrivenHand:
         return self._goal, min(max(self._newest_wish.press, 0.0), PRESS_N)
 
     def _tremor_scale(self) -> float:
-        """Return the hand's force divided by that of the scripted hand, at most 1; it scales the tremor."""
+        """Return the factor of the tremor: the hand's force divided by that of the scripted hand, at most 1."""
         operator = self._operator
         wall = self._reach.target - self._side * operator.depth / self._radius
         inside = max(0.0, self._side * (self._at - wall)) * self._radius
