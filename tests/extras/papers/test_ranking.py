@@ -14,13 +14,16 @@ import rig.cli
 from rig import config
 from rig.config import presets
 from rig.core.errors import ConfigError
+from rig.experiments.design import _listing
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.extras.papers.ranking import compare, measure, rule
 from rig.extras.papers.ranking.compare import RigResults, compare_areas
-from rig.extras.papers.ranking.page import page
+from rig.extras.papers.ranking.page import is_new, page
 from rig.extras.papers.ranking.rule import Ground, Pair, Tuned
 from sim_backend.bare.hits import render
+from tests.conformance.guides import ROOT
 
+PAGE = ROOT / "rig" / "docs" / "reference" / "ranking.md"
 FINE: dict[str, Any] = {"rig.encoder.quantum": 1e-9, "rig.amplifier.current_quantum_a": 4e-4}
 
 
@@ -162,6 +165,17 @@ def test_variations_stay_within_a_fifth_and_the_controller_keeps_its_values() ->
     assert len(set(factors)) == len(factors)
     assert 0.8 <= min(factors) < 0.9
     assert 1.1 < max(factors) <= 1.2
+
+
+def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme_without_a_win() -> None:
+    found = compare.read_results()
+    assert PAGE.read_text(encoding="utf-8") == page(found), (
+        "run: rig estimators rank, and copy results and page"
+    )
+    assert compare.RESULTS.stat().st_size <= 200_000
+    wins = {pair for one in found for n in one.axis(1) for pair in one.recommended(n) if is_new(pair)}
+    listed = {name for name, _ in _listing._estimators(presets.load("chawda-linear"), 1000)}
+    assert {pair.split(", ")[0] for pair in wins} == listed & {"tracking", "disturbance"}
 
 
 def test_an_unknown_rig_is_refused() -> None:

@@ -5,14 +5,15 @@ Every number of the page comes from the results, the rule, or the counted cycles
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 
-from rig.config import presets
+from rig import config
 from rig.core.sample import unit_of
 from rig.extras.papers.ranking import rule
 from rig.extras.papers.ranking.compare import Ratio, RigResults, scores, stability
-from rig.extras.papers.ranking.rule import PLAIN, Pair
+from rig.extras.papers.ranking.rule import ESTIMATED, PASSIVE, PLAIN, Ground, Pair
 from rig.firmware.tick_budget import TICKS
 
 COMMAND = "rig estimators rank"
@@ -47,6 +48,13 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield "# Which estimator and which law, on which rig?"
     yield f"<!-- made by `{COMMAND}`: do not edit -->"
     missing = [name for name in rule.RIGS if name not in {one.rig for one in found}]
+    new = {
+        f"{pair} on {one.rig}, delay {n}"
+        for one in found
+        for n in delays
+        for pair in one.recommended(n)
+        if is_new(pair)
+    }
     yield _wrap(
         "Simulated hits, judged by the rule of [decision 0019](../../decisions/0019-how-estimators-are-ranked.md), "
         "which was committed before any result. A wall counts if its commanded effort is not heard and its stiffness "
@@ -57,6 +65,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield _wrap(
         f"Measured: {', '.join(one.rig for one in found)}"
         + (f"; not measured: {', '.join(missing)}" if missing else "")
+        + ". Left out: smartknob, whose motor cannot hold the press of a relaxed and of a firm grip"
         + f". Pairs: {len(max((one.pairs for one in found), key=len))} of estimator and law. Delays: "
         f"{', '.join(delays)} ticks. The command, which resumes from its journal:"
     )
@@ -71,6 +80,15 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield _table(
         ["rig", *(f"delay {n}" for n in delays)],
         ([one.rig, *(_answer(one, n) for n in delays)] for one in found),
+    )
+    yield _wrap(
+        "`rig design` may recommend a tracking loop, a disturbance observer or another law only where this table does: "
+        + (
+            "; ".join(sorted(new))
+            if new
+            else "nowhere. Laws of one observer tie with each other, so none of them wins"
+        )
+        + "."
     )
     yield from _dual(found, delays)
     yield _wrap(
@@ -104,6 +122,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     )
     for one in found:
         yield f"### {one.rig}"
+        yield _impact(one)
         for grip in one.axis(0):
             yield f"{HANDS[grip][0].upper()}{HANDS[grip][1:]}:"
             yield _areas(one, grip, delays)
@@ -133,12 +152,30 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     )
 
 
+def is_new(pair: str) -> bool:
+    """Return True for a pair that `rig design` does not list: an observer, or a law other than the plain wall."""
+    name, *rest = pair.split(", ")
+    return name in ("tracking", "disturbance") or bool({PASSIVE, ESTIMATED} & set(rest))
+
+
+def _impact(one: RigResults) -> str:
+    """Return a sentence on the damping at which the effort limit is reached at the first contact without a hand."""
+    x = Ground.of(one.rig).preset
+    inertia = config.settings_of_rig(x)["inertia"]
+    speed = math.sqrt(2.0 * x.trial.effort * abs(x.trial.start) / inertia)
+    units = [unit_of(name, x.rig.motion) for name in ("velocity", "damping")]
+    return _wrap(
+        f"Without a hand a hit arrives at {speed:.2g} {units[0]} or less. There the effort limit allows a damping of "
+        f"{_number(x.rig.limits.effort / speed)} {units[1]}; of a larger one it cuts a part off, with any estimator."
+    )
+
+
 def _answer(one: RigResults, delay: str) -> str:
     chosen = one.recommended(delay)
     if chosen:
-        return "**" + ", ".join(chosen) + "**"
+        return "; ".join(f"**{pair}**" for pair in chosen)
     equal = one.never_lose(delay)
-    return "none; never lose: " + ", ".join(equal) if equal else "none: the best differs with the hand"
+    return f"none; never lose: {'; '.join(equal)}" if equal else "none: the best differs with the hand"
 
 
 def _observer(one: RigResults, grip: str, delay: str) -> str:
@@ -170,7 +207,7 @@ def _dual(found: Sequence[RigResults], delays: Sequence[str]) -> Iterator[str]:
 
 
 def _areas(one: RigResults, grip: str, delays: Sequence[str]) -> str:
-    motion = presets.load(rule.RIGS[one.rig][0]).rig.motion
+    motion = Ground.of(one.rig).preset.rig.motion
     unit = {name: unit_of(name, motion) for name in ("stiffness", "velocity")}
     ends = (f"K at B = 0 ({unit['stiffness']})", "stiffest", f"error ({unit['velocity']})")
     head = ["pair", *(f"delay {n}" for n in delays), *ends]
@@ -186,7 +223,7 @@ def _areas(one: RigResults, grip: str, delays: Sequence[str]) -> str:
                 text += " ±"
             cells.append(text)
         first = one.cell(pair, grip, delays[0])
-        rows.append([pair, *cells, f"{first.undamped:.3g}", str(first.capped), f"{first.error:.2g}"])
+        rows.append([pair, *cells, _number(first.undamped), str(first.capped), f"{first.error:.2g}"])
     return _table(head, rows)
 
 
@@ -209,11 +246,15 @@ def _tuned(found: Sequence[RigResults]) -> str:
 
 def _order(found: Sequence[RigResults], delay: str) -> str:
     ranking = scores(found, delay)
-    return ", ".join(sorted(ranking, key=lambda pair: -ranking[pair]))
+    return "; ".join(sorted(ranking, key=lambda pair: -ranking[pair]))
 
 
 def _ratio(ratio: Ratio) -> str:
     return f"{ratio.mean:.2f} ({ratio.low:.2f} to {ratio.high:.2f})"
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
