@@ -113,6 +113,22 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         "Cycles of a whole tick with the estimator in every tick, as `rig design` uses them "
         "(`rig/firmware/tick_budget.py`); counted in an emulator, not measured on a board."
     )
+    yield from _rigs(found, delays)
+    yield "## Your own entry"
+    yield _wrap(
+        "An estimator of your own needs a function and an entry point; see [your own "
+        "estimator](../tutorials/own-estimator.md). This one is whole:"
+    )
+    yield "<!-- not run: the tutorial runs one -->\n" + ENTRY
+    yield _wrap("With the name `alpha-beta` it is tuned from 10 to 400 Hz and measured beside the others:")
+    yield (
+        "<!-- not run: needs the entry point -->\n"
+        f'```sh\n{COMMAND} chawda-linear --entry "alpha-beta:bandwidth_hz=10:400"\n```'
+    )
+
+
+def _rigs(found: Sequence[RigResults], delays: Sequence[str]) -> Iterator[str]:
+    """Yield the tables of areas of each rig, and the stability of the ranking."""
     yield "## Each rig"
     yield _wrap(
         f"Area relative to uniform `{USUAL}` with a plain wall (geometric mean, 95 % interval); the largest in bold, "
@@ -139,17 +155,6 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         )
         yield _wrap("Order of the pairs over all rigs and grips:")
         yield "\n".join(f"* delay {n}: {_order(found, n)}" for n in delays)
-    yield "## Your own entry"
-    yield _wrap(
-        "An estimator of your own needs a function and an entry point; see [your own "
-        "estimator](../tutorials/own-estimator.md). This one is whole:"
-    )
-    yield "<!-- not run: the tutorial runs one -->\n" + ENTRY
-    yield _wrap("With the name `alpha-beta` it is tuned from 10 to 400 Hz and measured beside the others:")
-    yield (
-        "<!-- not run: needs the entry point -->\n"
-        f'```sh\n{COMMAND} chawda-linear --entry "alpha-beta:bandwidth_hz=10:400"\n```'
-    )
 
 
 def is_new(pair: str) -> bool:
