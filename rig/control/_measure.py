@@ -293,7 +293,7 @@ def _toggles(position: Floats, resolution: float) -> int:
 
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
-    """Return the rms velocity (rad/s or m/s) within the band that a count simulates if it toggles at `frequency_hz`.
+    """Return the rms velocity (rad/s or m/s), within the band, of an encoder count that toggles at `frequency_hz`.
 
     A square wave of height Δ at f Hz has odd harmonics. The velocity of each has the rms 2√2·f·Δ; the powers of those
     within the band are added.

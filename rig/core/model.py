@@ -161,8 +161,8 @@ class Cogging:
     """Cogging and torque ripple of the motor, as sums of harmonics over position, referred to the link.
 
     Cogging is an effort that depends only on position x: effort(x) = Σ cosine·cos(order·2π·x/period) +
-    sine·sin(order·2π·x/period). Slots against magnets cog like this, and any periodic map of effort over position can
-    be written so. Without orders there is no cogging.
+    sine·sin(order·2π·x/period). Any periodic effort has this form, for example between magnets and slots.
+    Without orders there is no cogging.
 
     Ripple is a variation of the torque constant: the motor's effort is (1 + r(x)) times the commanded effort, where r
     is a sum of harmonics of the same orders. Without ripple coefficients, r is 0.
@@ -473,7 +473,7 @@ class StateSpace:
 
     @property
     def operator_inputs(self) -> slice:
-        """Return the columns of ``b`` for a person's intended position, intended velocity and press; may be empty."""
+        """Return the columns of ``b`` for a person's intended position, velocity and press; empty without a person."""
         return slice(2 + len(self.friction), int(self.b.shape[1]))
 
 

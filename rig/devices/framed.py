@@ -54,7 +54,7 @@ _dictionaries: dict[int, dictionaries.Dictionary] = {}
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """Reply of the device to a change of parameters: all active values, their CRC, and the first sample with them."""
+    """Reply to a change of parameters: all active values, their CRC, and the first sample to which they apply."""
 
     values: dict[str, Value]
     crc: int
@@ -107,7 +107,7 @@ class FramedDevice:
         # host time of the last request's first frame, and of the last bytes read
         self._sent_ns = self._received_ns = 0
 
-    # ------------------------------------------------------------------ who is there
+    # ------------------------------------------------------------------ identification
 
     @property
     def dictionary(self) -> dictionaries.Dictionary:
@@ -150,7 +150,7 @@ class FramedDevice:
         self.dictionary  # noqa: B018
         return self._dictionary_hash
 
-    # ------------------------------------------------------------------ configuring
+    # ------------------------------------------------------------------ configuration
 
     def configure(self, values: Mapping[str, Value]) -> Echo:
         """Set parameters of the device, either all of `values` or none, and return all active parameters.
@@ -267,7 +267,7 @@ class FramedDevice:
                 )
             reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
-    # ------------------------------------------------------------------ running
+    # ------------------------------------------------------------------ armed operation
 
     def arm(self) -> int:
         """Arm the device and return the number of the new session; it then sends STATE messages, with zero effort.
@@ -363,7 +363,7 @@ class FramedDevice:
         self.dictionary  # noqa: B018  (a device in BOOT knows IDENTIFY alone)
         self._command(m.EnterBootloader(self._next_nonce()))
 
-    # ------------------------------------------------------------------ asking
+    # ------------------------------------------------------------------ clock and reports
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
         """Exchange time stamps with the device; return four stamps (ns) per exchange (`rig.core.clock_fit.EXCHANGE`).

@@ -67,7 +67,7 @@ class LoopMemory:
                 self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
-        """Return True if process `pid` created this loop's memory, which other processes may have open too."""
+        """Return True if process `pid` created this memory, or if its layout is another (the creator is unknown)."""
         # In another layout the word CREATOR may be elsewhere.
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0
