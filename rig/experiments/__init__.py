@@ -1,1 +1,1 @@
-"""Experiments on a rig, each a function with plain arguments and a typed result; sweeps of them."""
+"""Run experiments on a rig: each is a function with typed arguments and a typed result; sweeps run many of them."""

@@ -29,7 +29,7 @@ AMPERE = {"A": 1.0, "mA": 1e-3}
 METRE = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9}
 KILOGRAM = {"kg": 1.0, "g": 1e-3}
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*)", re.DOTALL)
-_SPELT = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2", "µ": "u", "μ": "u"})
+_UNIT_SPELLING = str.maketrans({"·": "", "*": "", " ": "", "⋅": "", "^": "", "²": "2", "µ": "u", "μ": "u"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,17 +79,19 @@ class DataSheetQuestion:
         return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
 
     def read(self, name: str, text: str) -> Any:
-        """Return the value (SI) of an answer's text such as ``38.5 mN·m/A``; raise `ConfigError` if it is not allowed.
+        """Return the value (SI) of an answer's text such as ``38.5 mN·m/A``; raise `ConfigError` if it is invalid.
 
         `name` is the name of the answer, used in the error message.
         """
         if self.choices:
             return self.checked(name, text.strip())
         found = _NUMBER.fullmatch(text.strip())
-        known = {_spelt(unit): factor for unit, factor in (self.units or {}).items()}
-        unit = _spelt(found[2]) if found else ""
+        known = {_normalise_unit(unit): factor for unit, factor in (self.units or {}).items()}
+        unit = _normalise_unit(found[2]) if found else ""
         if found is None or (unit and unit not in known):
-            raise ConfigError(f"{name} = {text!r} cannot be read", remedy=f"give {self.allowed}")
+            raise ConfigError(
+                f"{name} = {text!r} is not a number with a known unit", remedy=f"give {self.allowed}"
+            )
         value = float(f"{float(found[1]) * known.get(unit, 1.0):.12g}")
         return self.checked(name, int(value) if self.whole and value.is_integer() else value)
 
@@ -99,7 +101,7 @@ class DataSheetQuestion:
             if value in self.choices:
                 return value
             remedy = did_you_mean(str(value), self.choices, f"give {self.allowed}")
-            raise ConfigError(f"{name} = {value!r} is not known: must be {self.allowed}", remedy=remedy)
+            raise ConfigError(f"{name} = {value!r} is not known: it must be {self.allowed}", remedy=remedy)
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
@@ -111,9 +113,9 @@ class DataSheetQuestion:
         return value if self.whole else float(value)
 
 
-def _spelt(unit: str) -> str:
+def _normalise_unit(unit: str) -> str:
     """Return the name of a unit without spaces and multiplication signs, so that all spellings are equal."""
-    return unit.translate(_SPELT).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
+    return unit.translate(_UNIT_SPELLING).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
 
 
 class DataSheets(TypedDict, total=False):
@@ -287,13 +289,13 @@ class DataSheets(TypedDict, total=False):
 
 @cache
 def questions() -> Mapping[str, DataSheetQuestion]:
-    """Return all questions by the name of their answer, in the order in which the questions are asked."""
+    """Return all questions about a new rig by the name of the answer (like "travel"), in the order of asking."""
     hints = get_type_hints(DataSheets, include_extras=True)
     return {name: get_args(hint)[1] for name, hint in hints.items()}
 
 
 def questions_for(mechanism: str) -> Mapping[str, DataSheetQuestion]:
-    """Return the questions for a mechanism by the name of their answer, without the question for the mechanism."""
+    """Return the questions that apply to a mechanism like "lever", by the name of the answer."""
     return {
         name: question
         for name, question in questions().items()
@@ -324,7 +326,7 @@ def check_answers(answers: Mapping[str, Any]) -> DataSheets:
     if missing:
         lines = "\n".join(f"  `{name}`: {asked[name].text}; {asked[name].allowed}" for name in missing)
         raise ConfigError(
-            f"missing for a {mechanism}:\n{lines}\n",
-            remedy="take them from the data sheets of motor and encoder",
+            f"values are missing for a {mechanism}:\n{lines}\n",
+            remedy="take these values from the data sheets of motor and encoder",
         )
     return cast("DataSheets", {name: known[name].checked(name, value) for name, value in given.items()})

@@ -112,8 +112,8 @@ def hit(
     if repeats != 1:
         raise ConfigError(
             f"trial.repeats = {repeats!r}: this function returns a single result, so it must be 1",
-            remedy="give repeats=1, and call it in a loop; for several hits of one device, pass the "
-            "open device",
+            remedy="give repeats=1, and call this function in a loop; for several hits on one "
+            "device, pass the open device",
         )
     law, estimator = _take_own_parts(given, changes)
     own = {one.name: given[one.name] for one in fields(HitRequest) if one.name in given}
@@ -467,7 +467,7 @@ def _refuse_what_is_not_installed(law: Law | None, estimator: Estimator | None) 
         if part is not None and not known:
             raise ConfigError(
                 f"{part.name} is defined in this program only: other processes cannot run it, and a "
-                "later program cannot resume it",
+                "later program cannot resume the map",
                 remedy=f'install it in a package with the entry point {part.name} in the group "{group}", or leave '
                 "out scheduler and directory",
             )

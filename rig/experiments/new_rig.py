@@ -46,39 +46,41 @@ from rig.recording.files import whole_file
 
 __all__ = ["DataSheetQuestion", "NewRig", "new_rig", "questions", "questions_for"]
 
-# Assumed where nothing is known: friction as a share of the nominal effort, and viscous friction that brings a free
-# motion to rest in this time.
+# Assumptions for missing data: Coulomb friction as a fraction of the nominal effort, and viscous friction with which a
+# free motion decays within this time (s).
 FRICTION_SHARE, DECAY_S = 0.05, 1.0
 LAG_S, THERMAL_S = 1e-4, 10.0
 HALF_TRAVEL_RAD, HALF_TRAVEL_M = 0.5, 0.03
 PEAK_OVER_NOMINAL = 2.0
-# One step of a current, and so many up to the peak, which fit 16 bits.
+# Current quantum (A), and the largest number of quanta up to the peak current, which fits into 16 bits.
 QUANTUM_A, QUANTA = 1e-3, 30_000.0
 
-# Chosen for the first hit, speeds at the hand. The push: a share of the nominal effort and a multiple of friction; then
-# what it is above friction is halved, down to a tenth more than what `rig experiment plan` asks for.
+# First hit. The push is a fraction of the nominal effort, or a multiple of friction if that is more; then its excess
+# over friction is halved up to HALVINGS times, down to a tenth more than `rig experiment plan` requires. Speeds are
+# those of the hand (m/s).
 PUSH_SHARE, PUSH_FRICTIONS, HALVINGS = 0.25, 4.0, 8
 LEAST_FRICTIONS = 1.1 * homing.ABOVE_FRICTION
 ARRIVAL_M_S, HOMING_M_S, LIMIT_M_S = 0.1, 0.02, 1.5
-# Distance to the wall: at least so many counts and this multiple of where friction may hold the handle; of half the
-# travel usually at most, and at most.
+# Distance to the wall: at least START_COUNTS counts, and HELD_OF_WAY times the position error that friction may cause;
+# usually at most START_SHARE, and never more than LARGEST_SHARE of half the travel.
 START_COUNTS, HELD_OF_WAY = 8.0, 4.4
 START_SHARE, LARGEST_SHARE = 0.4, 0.9
-# The push rests so deep, twice trial.minimum_rest_counts, or deeper where friction is small; the wall stops the handle
-# in a share of half the travel.
+# Resting penetration of the push (counts): twice trial.minimum_rest_counts, or more where friction is small. The wall
+# must stop the handle within DEPTH_SHARE of half the travel.
 REST_COUNTS, MOST_REST_COUNTS, DEPTH_SHARE = 4.0, 16.0, 0.5
-# Time constants of the wall before its judged tail, and longest trial (s).
+# Time constants of the wall that pass before the judged end of the trial, and longest trial (s).
 SETTLES, LONGEST_S = 2.0, 20.0
-# Of what linear theory calls stable.
+# Stiffness and damping of the chosen wall, as fractions of the largest stable values of linear theory.
 OF_K_MAX, OF_B_MAX = 0.3, 0.25
-# Of the effort limit at impact; and of the push, by one count through the damping.
+# Largest effort at impact as a fraction of the effort limit; largest effort of the damper for one count, as a fraction
+# of the push.
 PEAK_SHARE, NOISE_SHARE = 0.8, 0.25
-# Travel that one toggling count may show without being a motion.
+# One toggling count may appear as this much motion (counts).
 TOGGLING_COUNTS = 1.5
-# Cut-off over the velocity rate. With a coarse encoder it is less, down to so much over the frequency of the handle on
-# the stiffest wall that the push shows.
+# Cut-off of the velocity filter over the velocity rate. With a coarse encoder the cut-off is lower, down to a multiple
+# of the handle's frequency on the stiffest wall into which the push moves REST_COUNTS deep.
 CUTOFF_SHARE, CUTOFF_OVER_WALL, LEAST_CUTOFF_HZ = 0.1, 4.0, 5.0
-# Rates of a law on a board, and of one on the computer behind a port, with its delay.
+# Position rates of a law on a board (Hz); rate (Hz) and delay (ticks) of a law on the computer behind a port.
 RATES = (20_000, 10_000, 4_000, 2_000, 1_000)
 PORT_RATE, PORT_TICKS = 1000, 2
 CORRECTIONS = 3
@@ -155,7 +157,7 @@ def new_rig(
     draft = _Draft("mine" if target is None else target.stem)
     _describe(draft, answers)
     _prepare_hit(draft)
-    # What the plan still refuses is changed as its checks state.
+    # Apply the changes that the plan's refused checks propose.
     _correct(draft, in_real_time=False)
     _correct(draft, in_real_time=True)
     text, experiment = draft.text(), draft.experiment()
@@ -307,13 +309,13 @@ def _friction(draft: _Draft, a: DataSheets, nominal: float, radius: float, inert
     force = a.get("friction")
     if force is None:
         source = f"[assumed] {FRICTION_SHARE:.0%} of the nominal effort"
-        draft.set(source, {"rig.mechanics.motor_coulomb": _digits(FRICTION_SHARE * nominal)})
+        draft.set(source, {"rig.mechanics.motor_coulomb": _round_digits(FRICTION_SHARE * nominal)})
     else:
         source = f"[computed] {force:g} N at the hand, measured"
         draft.set(source, {"rig.mechanics.motor_coulomb": force * radius})
     draft.set(
         f"[assumed] a free motion decays within {DECAY_S:g} s",
-        {"rig.mechanics.motor_damping": _digits(inertia / DECAY_S)},
+        {"rig.mechanics.motor_damping": _round_digits(inertia / DECAY_S)},
     )
 
 
@@ -358,7 +360,7 @@ def _amplifier(draft: _Draft, a: DataSheets, peak_a: float, ratio: float) -> Non
     step = 2.0 * peak_a / profile.steps if profile.steps else 0.0
     draft.set(
         f"[computed] one of {profile.steps} steps of {profile.name}" if step > QUANTUM_A else "[chosen]",
-        {"rig.amplifier.current_quantum_a": _digits(max(QUANTUM_A, peak_a / QUANTA, step), math.ceil)},
+        {"rig.amplifier.current_quantum_a": _round_digits(max(QUANTUM_A, peak_a / QUANTA, step), math.ceil)},
     )
     draft.set(
         "[data sheet]" if "amplifier" in a else "[assumed] a current amplifier",
@@ -424,7 +426,7 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
         source = f"[chosen] {board} can run it: rig hit FILE --loop device --estimator {INTEGERS}"
         draft.set(
             "[computed] A; set the same in the amplifier",
-            {"rig.board.full_scale": _digits(peak_a, math.ceil)},
+            {"rig.board.full_scale": _round_digits(peak_a, math.ceil)},
         )
     draft.set(source, {"controller.position_rate": rate, "controller.velocity_rate": velocity})
     draft.set("[chosen]", {"controller.estimator": "fdm-butterworth"})
@@ -453,10 +455,10 @@ def _prepare_hit(draft: _Draft) -> None:
         )
     push = min(max(PUSH_SHARE * nominal, PUSH_FRICTIONS * friction), nominal)
     push = max(push, least)
-    _suit_encoder(draft, _provisional(draft, push))
+    _adapt_to_encoder(draft, _provisional(draft, push))
     held = _set_homing(draft)
     for halvings in range(HALVINGS):
-        weaker = _digits(max(friction + (push - friction) / 2**halvings, least), math.ceil)
+        weaker = _round_digits(max(friction + (push - friction) / 2**halvings, least), math.ceil)
         if _set_push(draft, min(weaker, nominal), held):
             return
 
@@ -479,8 +481,8 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
     speed, unseen = (math.sqrt(2.0 * net * way / inertia) for way in (start, UNMOVED_COUNTS * delta))
     count = COUNT_PEAK * float(x.controller.parameters["cutoff_hz"]) * delta
     draft.set("[chosen]", {
-        "rig.limits.speed": _digits(max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil),
-        "trial.start": -_digits(start),
+        "rig.limits.speed": _round_digits(max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil),
+        "trial.start": -_round_digits(start),
     })  # fmt: skip
     draft.set(SERVO, {"homing.tolerance_counts": homing.nearest_tolerance(draft.experiment())})
     holds, settles_s = True, 0.0
@@ -491,12 +493,12 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
         draft.set(
             "[chosen] within linear theory, what the push shows and the motor gives",
             {
-                f"{before}wall.stiffness": _digits(max(wall.stiffness, wall.least)),
-                f"{before}wall.damping": _digits(wall.damping),
+                f"{before}wall.stiffness": _round_digits(max(wall.stiffness, wall.least)),
+                f"{before}wall.damping": _round_digits(wall.damping),
             },
         )
     duration_s = max(1.0, 1.5 * speed * inertia / net + 0.9, speed * inertia / net + settles_s + 0.4)
-    draft.set("[chosen]", {"trial.duration_s": _digits(min(duration_s, LONGEST_S), math.ceil)})
+    draft.set("[chosen]", {"trial.duration_s": _round_digits(min(duration_s, LONGEST_S), math.ceil)})
     return holds
 
 
@@ -506,11 +508,11 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
     half, radius = keys["rig.limits.position_maximum"], keys["rig.mechanics.handle_radius"]
     speed = HOMING_M_S / radius
     nominal_force = keys["rig.limits.nominal_effort"] / radius
-    draft.set("[chosen]", {"rig.limits.speed": _digits(LIMIT_M_S / radius)})
+    draft.set("[chosen]", {"rig.limits.speed": _round_digits(LIMIT_M_S / radius)})
     draft.set(
         "[chosen] above any step between two ticks: it acts only when something is wrong",
         {
-            "rig.limits.slew": _digits(
+            "rig.limits.slew": _round_digits(
                 2.0 * keys["rig.limits.effort"] * keys["controller.position_rate"], math.ceil
             )
         },
@@ -521,12 +523,13 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
         "homing.tolerance_counts": 1.0,
     })  # fmt: skip
     draft.set("[chosen]", {
-        "homing.speed": _digits(speed), "homing.settle_s": 0.1, "homing.timeout_s": _digits(2.0 * half / speed + 15.0),
+        "homing.speed": _round_digits(speed), "homing.settle_s": 0.1,
+        "homing.timeout_s": _round_digits(2.0 * half / speed + 15.0),
         "trial.effort": push, "trial.start": -0.5 * half, "trial.duration_s": 1.0,
     })  # fmt: skip
     draft.set(
         "[chosen] a tenth of the nominal force, at most 1 N",
-        {"verdict.heard_force": _digits(min(1.0, 0.1 * nominal_force))},
+        {"verdict.heard_force": _round_digits(min(1.0, 0.1 * nominal_force))},
     )
     draft.set("[chosen] the band ends below half of the slowest rate", {"verdict.lowpass_hz": 400.0})
     draft.set("[chosen] what a computer can run behind a port", {
@@ -538,7 +541,7 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
     return draft.experiment()
 
 
-def _suit_encoder(draft: _Draft, x: Experiment) -> None:
+def _adapt_to_encoder(draft: _Draft, x: Experiment) -> None:
     """Lower the velocity filter's cut-off, and raise the limit of position ripple, if the encoder is coarse."""
     toggles = TOGGLING_COUNTS * x.rig.encoder.resolution * x.rig.mechanics.handle_radius
     if toggles > x.verdict.moved:
@@ -547,7 +550,7 @@ def _suit_encoder(draft: _Draft, x: Experiment) -> None:
         )
     stiffness = motor_push(x) / (REST_COUNTS * x.rig.encoder.resolution)
     wall_hz = math.sqrt(stiffness / homing.inertia(x)) / (2.0 * math.pi)
-    wanted = _digits(max(CUTOFF_OVER_WALL * wall_hz, LEAST_CUTOFF_HZ))
+    wanted = _round_digits(max(CUTOFF_OVER_WALL * wall_hz, LEAST_CUTOFF_HZ))
     for key in ("controller.parameters.cutoff_hz", "realtime.controller.parameters.cutoff_hz"):
         if wanted < draft.keys[key][0]:
             draft.set("[chosen] low, since one count of this encoder is a large step", {key: wanted})
@@ -578,18 +581,18 @@ class _ChosenWall:
 def _stable_wall(x: Experiment) -> _ChosenWall:
     """Return a wall well below the limits of linear theory and effort, into which the push moves some counts deep."""
     delta, push, limits = x.rig.encoder.resolution, motor_push(x), x.rig.limits
-    # twice the kinetic energy
+    # Twice the kinetic energy at the wall.
     gained = 2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
     cutoff = float(x.controller.parameters["cutoff_hz"])
     damping = min(OF_B_MAX * theory.b_max(x).damping, NOISE_SHARE * push / (COUNT_PEAK * cutoff * delta))
     strongest = PEAK_SHARE * limits.effort
     spared = max(0.0, strongest**2 - 2.0 * strongest * push)
-    # Half a count of the spring within friction, or a count keeps the handle moving.
+    # The spring's effort for half a count must stay below friction, else a toggling count keeps the handle moving.
     shown = min(push / REST_COUNTS, max(2.0 * homing.holding_effort(x), push / MOST_REST_COUNTS)) / delta
     most = min(shown, spared / gained)
     room = DEPTH_SHARE * limits.position_maximum
     stiffness = min(most, OF_K_MAX * theory.k_max(x, damping=damping).stiffness)
-    # A critically damped wall needs no more damping, which raises noise alone.
+    # Damping above critical damping would only raise the noise.
     damping = min(damping, 2.0 * math.sqrt(stiffness * homing.inertia(x)))
     stiffness = min(stiffness, OF_K_MAX * theory.k_max(x, damping=damping).stiffness)
     return _ChosenWall(stiffness, damping, (2.0 * push * room + gained) / room**2)
@@ -614,7 +617,7 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
         raise PlanError(f"{draft.name}: no settings for a first hit were found: {text}", remedy=remedy)
 
 
-def _digits(value: float, way: Any = round) -> float:
+def _round_digits(value: float, way: Any = round) -> float:
     """Return `value` rounded to three significant digits by the function `way`, like `round` or `math.ceil`."""
     if value == 0.0 or not math.isfinite(value):
         return value

@@ -114,7 +114,7 @@ def test_a_person_who_does_not_agree_ends_the_session(
         monkeypatch.setattr(sys, "stdin", answering)
         code, out, err = run("zwidth", "--url", "sim://", *ON_DEVICE, "--confirm", "each")
     assert (code, out) == (130, "")
-    assert "ended between two hits; the effort is zero; 0 of 1 series are done" in err
+    assert "ended between two hits by the operator; the effort is zero; 0 of 1 series are done" in err
     assert "Enter: continue, q: end" in err
     assert len(list(tmp_path.glob("maps/*/hits/*.parquet"))) == hits
 

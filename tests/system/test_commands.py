@@ -111,8 +111,8 @@ ROWS = (
     ), "maps/*/walls.parquet"),
     Row("compare", "--rig koul-rigid --duration 0.2 --set verdict.tail_s=0.05",
         "start outcomes rig motion wall cutoffs picture", "encoder offsets", (
-        ("--scheme none --scheme none", 2, "named twice"),
-        ("--set trial.repeats=3", 2, "has no noise"), ("--scheme triple:20k", 2, "must begin with 'uniform:'"),
+        ("--scheme none --scheme none", 2, "given twice"),
+        ("--set trial.repeats=3", 2, "without noise"), ("--scheme triple:20k", 2, "must begin with 'uniform:'"),
     ), "recordings/*.png"),
     Row("zwidth", f"{TINY} --search bisection --ratio 3",
         "rig motion trial schemes search offsets repeats judged hits invalid cutoffs note experiment "
@@ -120,7 +120,7 @@ ROWS = (
         ("-K 10", 2, "LOW:HIGH"), ("-K 0:100", 2, "is not a range above zero"),
         ("-B 0:1:0", 2, "a count of 1"),
         ("-B x", 2, "--damping 'x' is not a list"), ("--offsets 1", 2, "--offsets"),
-        ("--ratio 1", 2, "ratio of 1 between rungs"), ("--url sim:// --judge true", 2, "true signals of a simulation"),
+        ("--ratio 1", 2, "ratio of 1 between two"), ("--url sim:// --judge true", 2, "true signals of a simulation"),
         ("--verified", 2, "--verified needs a device"),
         ("-K 10:1e9", 2, "--effort"), ("--url sim:// --workers 2", 2, "by one program only"),
         ("--operator firm --effort 0.2", 2, "has no effect: a hand pushes"),

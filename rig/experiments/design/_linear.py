@@ -25,8 +25,8 @@ from rig.experiments.mapping._rendering import RENDERED, rendered_share
 from rig.experiments.sweep import Task
 
 STAGE = "linear theory"
-# An estimator that is not linear has no boundary of its own: the usual filter (a tenth of the velocity rate) stands in
-# for it, as for a rig that is armed (`rig.doctor.late_loops`). Noise and fidelity are its own.
+# Linear theory cannot compute the limits of a nonlinear estimator: the usual filter (cut-off at a tenth of the velocity
+# rate) replaces it, as in the arming gate (`rig.doctor.late_loops`). Noise and fidelity are those of the estimator.
 STAND_IN = "fdm-butterworth"
 STIFFNESSES, CHUNK = 40, 4
 
@@ -56,7 +56,7 @@ class Linear:
     stands_in: bool
 
     def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
-        """Return the measures by theory, from the limits `quiet` or `stable`, which belong to `dampings`."""
+        """Return peak K, range of B, noise and more by theory, from the limits `quiet` or `stable` at `dampings`."""
         found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
         return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
 
@@ -64,13 +64,13 @@ class Linear:
 def tasks(
     experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
 ) -> tuple[list[Task], list[int]]:
-    """Return the tasks of the linear stage, and for each result row of all tasks the index of its candidate.
+    """Return the tasks of the stage "linear theory", and for each result row of all tasks the index of its candidate.
 
-    `k` are the stiffnesses (N·m/rad or N/m), `dampings` the dampings to compute. One task computes all candidates with
-    the same estimator settings and velocity rate, which share a linear model.
+    `k` are the stiffnesses (N·m/rad or N/m), `dampings` the dampings to compute (N·m·s/rad or N·s/m). One task computes
+    all candidates with the same estimator settings and velocity rate, which share a linear model.
     """
     # Sorted by estimator: the candidates of a task share its realisation.
-    order = sorted(range(len(candidates)), key=lambda i: (_estimator(candidates[i]), i))
+    order = sorted(range(len(candidates)), key=lambda i: (_estimator_key(candidates[i]), i))
     mapping = config.as_mapping(experiment)
     found = [
         Task(
@@ -89,7 +89,7 @@ def tasks(
             weight=float(len(some)),
         )
         for key, some in (
-            (key, list(group)) for key, group in groupby(order, lambda i: _estimator(candidates[i]))
+            (key, list(group)) for key, group in groupby(order, lambda i: _estimator_key(candidates[i]))
         )
     ]
     return found, order
@@ -117,20 +117,20 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
         resolution = applied.rig.encoder.resolution
         if noise is None:
             noise = paths.noise(applied.controller, resolution)
-        scheme = _usual(candidate.scheme) if stands_in else candidate.scheme
+        scheme = _use_usual_filter(candidate.scheme) if stands_in else candidate.scheme
         subject = resolve(candidate.condition(experiment))
         realised = None if first is None else first.estimator
         try:
             loop = linear_loop(subject, scheme, estimator=realised)
         except NotLinearError:
             stands_in = True
-            loop = linear_loop(subject, _usual(candidate.scheme))
+            loop = linear_loop(subject, _use_usual_filter(candidate.scheme))
         first = first or loop
         rendered = np.array([rendered_share(applied, float(damping)) for damping in b]) >= RENDERED
         stable = _stable(Lifted.of(loop), k, b) & rendered
-        # Theory knows no quantum, which takes nearly all of the damping of a fast uniform wall. So a second boundary
-        # counts only walls whose effort would not be heard if the count toggled at random at rest: it is too narrow as
-        # the first is too wide, and schemes are kept that are good by either.
+        # Theory neglects the encoder's quantum, which removes nearly all damping of a fast uniform wall, so the first
+        # limits are too high. The second limits (`quiet`) admit only walls whose effort ripple stays below the
+        # verdict's threshold while the count toggles at random at rest: too low. A scheme that is good by either stays.
         ripple = np.hypot(0.5 * resolution * k[:, None], noise * b)
         heard = config.verdict_thresholds(applied).heard_effort
         rows.append(
@@ -149,13 +149,13 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return an array (K, B) that is True for stable walls; in a column all is False after an unstable group."""
+    """Return True for stable walls, shape (K, B); walls stiffer than an unstable group are not tested and False."""
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
         found = lifted.stable(k[some, None], b[left])
         stable[np.ix_(some, left)] = found
-        # Walls stiffer than an unstable one are not asked for: a limit counts only with all softer walls.
+        # Walls stiffer than an unstable wall are not tested: a limit requires that all softer walls are stable.
         left = left[found.all(axis=0)]
         if not len(left):
             break
@@ -168,12 +168,12 @@ def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
     return np.where(count > 0, k[np.maximum(count - 1, 0)], 0.0).tolist()  # type: ignore[no-any-return]
 
 
-def _usual(scheme: Scheme) -> Scheme:
+def _use_usual_filter(scheme: Scheme) -> Scheme:
     rate = scheme.velocity_rate
     usual = usual_settings(STAND_IN, rate)
     return replace(scheme, estimator=STAND_IN, parameters=usual, slow_velocity_rate=None, slow_below=0.0)
 
 
-def _estimator(candidate: Candidate) -> str:
+def _estimator_key(candidate: Candidate) -> str:
     scheme = candidate.scheme
     return f"{scheme.velocity_rate} Hz {replace(scheme, position_rate=scheme.velocity_rate, prediction=None).text}"

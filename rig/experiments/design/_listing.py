@@ -26,16 +26,17 @@ Loop = Literal["host", "device"]
 Settings = dict[str, float | str]
 
 POSITION_RATES = (1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz
-# Velocity rates are whole parts of position rates, and no slower than `SLOWEST`.
+# Velocity rates are position rates divided by these numbers, at least SLOWEST (Hz).
 DIVIDERS = (1, 2, 5, 10, 20)
-SLOWEST = 500  # Hz, of the velocity
+SLOWEST = 500
 CUTOFFS_HZ = tuple(float(f"{50.0 * 2 ** (n / 2):.3g}") for n in range(14))
-# Cut-offs lie between these shares of the velocity rate.
-LOWEST_SHARE, HIGHEST_SHARE = 1 / 200, 2 / 5  # of the velocity rate
-# Longest windows of the adaptive windowings, in periods.
+# Lowest and highest cut-off as fractions of the velocity rate.
+LOWEST_SHARE, HIGHEST_SHARE = 1 / 200, 2 / 5
+# Longest windows of the estimators with adaptive windows (velocity periods).
 WINDOWS = (8.0, 16.0)
-# Levant's differentiator and the bounded-error chord (*optimal*) take a bound of the acceleration.
-ACCELERATIONS = (0.1, 1.0)  # of the motor's largest
+# Levant's differentiator and the estimator *optimal* need a bound of the acceleration: these fractions of the largest
+# acceleration that the motor can produce.
+ACCELERATIONS = (0.1, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +71,7 @@ class LawPlace:
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:
-        """Return True if link and device can run the experiment: the law, its rate and the amount of data."""
+        """Return True if device and link support the experiment's law, its rate, and the amount of data."""
         try:
             if self.loop == "device":
                 controller.prepare_controller(applied)
@@ -181,7 +182,7 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """Return a candidate for each place of the law and each of `schemes`, or each listed scheme if `schemes` is empty.
+    """Return a candidate for each place of the law and each of `schemes`; if empty, for all built-in schemes.
 
     Raises
     ------

@@ -25,11 +25,11 @@ from rig.experiments.mapping.zwidth import ZWidth
 
 SHARE = 0.2
 SAMPLES = 16
-SEED = 20_260  # of the samples
-RATIO = 1.1  # between rungs
-BEYOND = 1.2  # highest over the limit on the described rig
+SEED = 20_260  # of the random rigs
+# Ratio of two tested stiffnesses; highest tested stiffness over the limit on the described rig.
+RATIO, BEYOND = 1.1, 1.2
 OFFSETS = (0.1, 0.6)
-# Delay is identified, too, but in whole ticks: one tick more stands for it.
+# The delay is identified in whole ticks, so that it is not changed by 20 % but by one tick.
 DELAY = "rig.simulation.computation_delay_ticks"
 # Keys that `rig.experiments.identification._identified_values` sets.
 IDENTIFIED = (
@@ -73,7 +73,7 @@ class Left:
 
     @property
     def expected(self) -> float:
-        """Fraction used for sorting: by hits, or by theory if the search ended before a wall failed."""
+        """Fraction used for sorting: from simulated hits, or from theory if the search ended before a wall failed."""
         return self.share if not self.capped or self.theory is None else self.theory
 
 
@@ -132,7 +132,7 @@ def margin_of(
     `limit` is an estimate of the candidate's limit of K (N·m/rad or N/m), which sets the range of the search.
     """
     described = candidate.condition(experiment)
-    single, joint = dict(_single(described)), dict(_joint(described))
+    single, joint = dict(_vary_singly(described)), dict(_vary_jointly(described))
     variants = {"": described, **single, **joint}
     work = [(x, candidate.scheme, _grid(x, candidate, damping, limit)) for x in variants.values()]
     maps = dict(zip(variants, run.map_each("margin", work), strict=True))
@@ -142,7 +142,7 @@ def margin_of(
         there, ends_early = _limit(found)
         share = there / nominal if nominal > 0.0 else 0.0
         by_theory = (
-            # Where the push ends before a wall fails, the share is a lower bound. Theory has no such end.
+            # If the push is too weak to make a wall fail, the fraction is only a lower bound; theory has no such bound.
             _share_by_theory(candidate, variants[name], described, damping) if capped or ends_early else None
         )
         left[name] = Left(name, share, capped=capped or ends_early, theory=by_theory)
@@ -156,30 +156,30 @@ def margin_of(
     )
 
 
-def _single(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+def _vary_singly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
     for key, value in identified(described).items():
         for sign in (1.0, -1.0):
             name = f"{key.removeprefix('rig.')} {sign * SHARE:+.0%}"
             yield name, config.override(described, {key: value * (1.0 + sign * SHARE)}, "the margin")
     delay = described.rig.simulation.computation_delay_ticks + 1
     yield "a tick more of delay", config.override(described, {DELAY: delay}, "the margin")
-    for hand, changes in _hands(described).items():
+    for hand, changes in _other_hands(described).items():
         yield hand, config.override(described, changes, "the margin")
 
 
-def _joint(described: Experiment) -> Iterator[tuple[str, Experiment]]:
+def _vary_jointly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
     """Yield name and experiment of sampled rigs with all parameters drawn at random, for each hand that is possible."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
         drawn = {key: value * factor for (key, value), factor in zip(values.items(), factors, strict=True)}
-        for hand, changes in {"": {}, **_hands(described)}.items():
+        for hand, changes in {"": {}, **_other_hands(described)}.items():
             name = f"sample {number}{f' in a {hand}' if hand else ''}"
             yield name, config.override(described, {**drawn, **changes}, "the margin")
 
 
-def _hands(described: Experiment) -> dict[str, dict[str, str]]:
-    """Return the changes for each other hand with which the experiment is valid, by the hand's name."""
+def _other_hands(described: Experiment) -> dict[str, dict[str, str]]:
+    """Return the changes that replace the simulated hand by another, for each hand that is valid here, by name."""
     own = described.operator.grip if described.trial.kind == "human" else ""
 
     def may_hold(changes: dict[str, str]) -> bool:
@@ -194,8 +194,8 @@ def _hands(described: Experiment) -> dict[str, dict[str, str]]:
 
 
 def _grid(experiment: Experiment, candidate: Candidate, damping: float, limit: float) -> WallGrid:
-    # Upwards from the softest wall: near the end of the range of damping a soft wall may fail first, which spoils a
-    # scheme, too, and which a bisection would not see.
+    # Test upwards from the softest wall: near the largest damping a soft wall may fail although stiffer walls pass, and
+    # a bisection would miss this failure.
     search = search_for(experiment, "ladder", ratio=RATIO, schemes=[candidate.scheme])
     if 0.0 < BEYOND * limit < search.highest:
         search = replace(search, highest=BEYOND * limit, lowest=min(search.lowest, limit / RATIO))

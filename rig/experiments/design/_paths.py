@@ -14,12 +14,12 @@ from rig.config import Controller
 from rig.control import estimators
 from rig.firmware.tick_budget import named_budget
 
-# So large that the encoder's quantum hardly counts.
-AMPLITUDE = 32.0  # counts
+# Amplitude of the test sines (counts), so large that quantisation hardly changes the response.
+AMPLITUDE = 32.0
 SAMPLES = 2048
-# Periods of the sines in SAMPLES.
+# Number of periods of each test sine in SAMPLES samples.
 PERIODS = tuple(int(n) for n in np.unique(np.geomspace(2, SAMPLES // 5, 24).round()))
-# Of |D − 1|, D the rendered over the true velocity: a phase of 29°, or a half too little.
+# Limit of |D − 1|, where D is rendered over true velocity: a phase error of 29°, or half of the velocity missing.
 ERROR = 0.5
 SEED = 0
 
@@ -28,8 +28,8 @@ Complex = NDArray[np.complex128]
 
 def noise(controller: Controller, resolution: float) -> float:
     """Return the rms of the estimated velocity at rest, while the count toggles at random (rad/s or m/s)."""
-    # The handle rests on the edge of a count, and the count toggles at random from sample to sample: more than any rest
-    # shows, and the same for every estimator.
+    # The handle rests at the boundary of two counts, and the count toggles at random in each sample: the worst case at
+    # rest, and equal for all estimators.
     toggling = np.random.default_rng(SEED).integers(0, 2, 2 * SAMPLES)
     velocity = _velocity(controller, toggling, resolution)[SAMPLES:]
     return float(np.sqrt(np.mean(np.square(velocity))))
@@ -63,7 +63,7 @@ def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_t
 
 def cost(controller: Controller, board: str) -> float | None:
     """Return the estimator's mean processor cycles per tick on a board; None if the board cannot run the estimator."""
-    # The estimator's longest call over the ticks of a velocity period; all else in a tick is the same for all schemes.
+    # Only the estimator's longest call, spread over the ticks of a velocity period: the other work is equal for all.
     of_a_call = _budget(board).call_cycles(controller.estimator)
     return None if of_a_call is None else of_a_call * controller.velocity_rate / controller.position_rate
 

@@ -25,7 +25,7 @@ FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """A scheme with its results in a round of hits.
+    """A sampling scheme with its results in one round of simulated hits.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Standing:
 
     @property
     def capped(self) -> bool:
-        """Return True if a limit is only a lower bound, because no wall failed."""
+        """Return True if a stiffness limit is only a lower bound, because no wall failed."""
         return any(one.capped for one in self.boundary)
 
 
@@ -103,7 +103,7 @@ class Design(Shown, Drawn):
 
     @property
     def as_good(self) -> list[Standing]:
-        """Return the schemes of the second round that are as good as the own one in K at B = 0, peak and range."""
+        """Return the schemes of the second round whose K at B = 0, peak K and range of B reach the experiment's own."""
         own = self._own_before.measures
         return [
             one
@@ -156,7 +156,7 @@ class Design(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the lines of a full report: the short report, and tables of the front and the last round."""
+        """Return the lines of a full report: the short report, tables of the Pareto front and of the last round."""
         return [
             *self.brief(),
             *self.against_tables(),

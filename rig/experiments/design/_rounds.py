@@ -73,7 +73,7 @@ class Sweeper:
         )
 
     def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
-        """Map each scheme with its experiment and its set of walls, and return the maps in the same order."""
+        """Find the stable walls of each scheme by simulated hits, and return the maps in the order of `work`."""
         plans = [
             MapPlan(
                 experiment=experiment,
@@ -82,8 +82,8 @@ class Sweeper:
                 search=grid.search,
                 offsets=grid.offsets,
                 repeats=grid.repeats,
-                # All measures of a design are of *any*: the limits of felt and heard alone, which a map has too, would
-                # take most of its hits.
+                # A design uses only the criterion *any* of the three ripples: the separate limits of *felt* and *heard*
+                # would need most of the hits.
                 criteria=("any",),
             )
             for experiment, scheme, grid in work
@@ -111,5 +111,5 @@ class Sweeper:
 
 def columns_to(reach: float, columns: int) -> tuple[float, ...]:
     """Return `columns` dampings from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
-    # Squared: closer near zero, where a boundary bends most.
+    # Squared: denser near zero, where the curve of stiffness limits has its largest curvature.
     return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

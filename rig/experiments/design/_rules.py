@@ -52,7 +52,8 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 OBJECTIVES: Mapping[str, int] = {"stiffness": 1, "damping": 1, "noise": -1, "fidelity_hz": 1, "cost": -1}
 OF_A_PAPER = ("undamped", "stiffness", "damping")
 OF_TABLE_ONE = ("k_width", "b_width", "worst_fidelity", "tuned")
-NEGLIGIBLE = 0.02  # of a measure
+# A difference below this fraction of a measure is negligible.
+NEGLIGIBLE = 0.02
 CONFIDENCE = 0.95
 
 
@@ -102,13 +103,13 @@ class BoundaryMeasures:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> BoundaryMeasures:
-        """Return the measures for the limits of K (N·m/rad or N/m) at ascending dampings, of which the first is 0."""
+        """Return K at B = 0, peak K, range of B and area for limits of K (SI units) at ascending dampings from 0."""
         extent = Extent.of(dampings, limits)
         return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)
 
 
 def dominates(one: Measures, other: Measures) -> bool:
-    """Return True if `one` is at least as good as `other` in every objective, and better in at least one objective."""
+    """Return True if `one` is at least as good as `other` in each objective (like noise), and better in one or more."""
     pairs = [(one.merit(name), other.merit(name)) for name in OBJECTIVES]
     return all(a >= b for a, b in pairs) and any(a > b for a, b in pairs)
 
@@ -217,10 +218,10 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
             beside[name] = max(one[name] for one in others)
     reached = beside or alone
     binds = min(reached, key=lambda name: reached[name])
-    among = "of those that fulfil the other wishes" if beside and len(shares[0]) > 1 else "of them"
+    among = "among those that fulfil the other wishes" if beside and len(shares[0]) > 1 else "of all"
     raise UnmetError(
-        f"none of {len(shares)} schemes fulfils the wishes: the limiting one is "
-        f"{wishes.asked(binds)}; the best {among} reaches {reached[binds]:.2g} of it",
+        f"none of {len(shares)} schemes fulfils all wishes: the limiting one is {wishes.asked(binds)}; the best scheme "
+        f"{among} reaches {reached[binds]:.2g} of it",
         remedy="relax this wish, allow higher rates (`most_rate`), or list other schemes (`scheme`)",
     )
 
@@ -241,14 +242,17 @@ def key(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A comparison in pairs: the goal's measure of recommended and own scheme for each offset and seed."""
+    """A comparison in pairs: the goal's measure of the recommended scheme and of the experiment's own scheme.
+
+    `recommended` and `own` have one value for each encoder offset and seed.
+    """
 
     recommended: tuple[float, ...]
     own: tuple[float, ...]
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Return the mean difference relative to the own scheme's mean, and the ends of its 95 % interval."""
+        """Return the mean difference of recommended and own scheme relative to the own mean, and its 95 % interval."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)

@@ -37,12 +37,14 @@ from rig.experiments.mapping._rendering import RENDERED
 from rig.experiments.mapping._searches import StiffnessSearch, Way
 from rig.experiments.mapping.zwidth import ZWidth
 
-# Dampings of the linear stage and of the first hits: the scheme's own range times these powers of 2.
+# Dampings of the linear stage: the range of the experiment's own scheme times 2 to these powers, first to last.
 OCTAVES = (-5, 3)
-FRICTION = 2.0  # most by which Coulomb friction raises a limit of theory (`rig.analysis.theory._loop`)
-# None of the rounds' offsets: the search has chosen by those, and would be judged by its own luck.
+# Largest factor by which Coulomb friction raises a limit of linear theory (`rig.analysis.theory._loop`).
+FRICTION = 2.0
+# Encoder offsets that no round uses: at the rounds' offsets the chosen scheme may be better by chance.
 HELD_OUT_OFFSETS = (0.225, 0.475, 0.725, 0.975)
-HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2  # added to the seed of the trial; series of each offset
+# Number added to the trial's seed, and stiffness searches at each offset.
+HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +63,7 @@ ROUNDS = (
     Round(name="first hits", enter=160, ratio=1.5, columns=6, offsets=(0.1,)),
     Round(name="second hits", enter=16, ratio=1.15, columns=8, offsets=(0.1, 0.6)),
     # Bisection assumes that a wall stiffer than a failing one fails, too, which does not hold near the largest damping.
-    # So the round that decides goes upwards from the softest wall.
+    # So the last round, which decides, tests upwards from the softest wall.
     Round(name="last hits", enter=4, way="ladder", ratio=1.05, columns=9, offsets=(0.1, 0.35, 0.6, 0.85)),
 )
 
@@ -155,12 +157,12 @@ class _Search:
     def design(self) -> Design:
         x, wishes = self.request.experiment, self.request.wishes
         if self.request.paper:
-            # Refused before the search, not after hours of it.
+            # Raise for a rig without a paper before the search, which may run for hours.
             PaperSchemes.of(x.rig.name)
         if estimators.get(x.controller.estimator).uses_effort:
             raise ConfigError(
-                f"the experiment's estimator {x.controller.estimator} uses the effort; a design compares estimators of "
-                "counts alone",
+                f"the experiment's estimator {x.controller.estimator} uses the motor's effort; a design can "
+                "only compare estimators that use counts alone",
                 remedy="set controller.estimator to another one for the design, then compare both by `rig zwidth`",
             )
         places = self.request.places or places_for(x)
@@ -184,7 +186,7 @@ class _Search:
         for number, stage in enumerate(self.request.rounds):
             if number:
                 entrants = [one.candidate for one in rounds[-1]][: stage.enter]
-                dampings = columns_to(_reach(rounds[-1]), stage.columns)
+                dampings = columns_to(_damping_reach(rounds[-1]), stage.columns)
             else:
                 top = max(known[one.key].measures(dampings, quiet=False).damping for one in entrants)
                 dampings = _octaves(min(2.0 * top, dampings[-1]) or dampings[-1], stage.columns)
@@ -196,14 +198,14 @@ class _Search:
         finalists = self._with_wall(rounds[-1])
         rules.refuse_unmet(wishes, [one.shares for one in finalists])
 
-        best, of_own = finalists[0], _of(finalists, own)
+        best, of_own = finalists[0], _find_standing(finalists, own)
         if best.measures.stiffness <= 0.0:
             lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
             raise NoStableWallError(
                 f"none of {len(candidates)} schemes has a stable wall at K = {lowest:.4g} or above "
-                "that is neither felt, heard nor moved and whose damping is rendered",
-                remedy="push harder (`effort`, `operator`), allow more (`felt`, `heard`, `moved`), or use a finer "
-                "encoder",
+                "whose ripples of velocity, effort and position stay within the limits and whose damping is rendered",
+                remedy="push harder (`effort`, `operator`), raise the limits (`felt`, `heard`, `moved`), or use a "
+                "finer encoder",
             )
         held_out = None if best is of_own else self._compare_held_out(best, of_own, dampings)
         if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
@@ -213,7 +215,7 @@ class _Search:
             against = against_paper(
                 x, self._rank_promising(candidates, known, along, known[own.key]), self.run
             )
-        damping, limit = _where(best, wishes)
+        damping, limit = _margin_point(best, wishes)
         return Design(
             experiment=x,
             wishes=wishes,
@@ -232,7 +234,7 @@ class _Search:
         )
 
     def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
-        """Return True if the experiment's own scheme fulfils the wishes and runs at one of the places of the law."""
+        """Return True if the experiment's own scheme fulfils the wishes and can run at a place of `places`."""
         applied = own.candidate.applied(self.request.experiment)
         return rules.fulfilled(own.shares) and any(
             place.loop == own.candidate.loop and place.allows(applied) for place in places
@@ -253,8 +255,7 @@ class _Search:
     ) -> list[Candidate]:
         """Return the candidates sorted by linear theory, the best first.
 
-        They are taken in turn from two rankings: by limits with the ripple of a toggling count, and by limits without
-        this ripple.
+        Candidates are taken in turn from two rankings: by limits with the ripple of a toggling count, and without it.
         """
         wishes = self.request.wishes
 
@@ -262,7 +263,7 @@ class _Search:
             path, shares = known[one.key], {}
             if wishes.wall is not None:
                 limit = float(np.interp(wishes.wall[1], dampings, path.stable))
-                # Generous: friction may raise the limit by this factor, and hits decide later.
+                # Friction may raise the limit by this factor: do not drop a scheme here that hits may accept.
                 shares["wall"] = FRICTION * limit / wishes.wall[0]
             measures = path.measures(dampings, quiet=quiet)
             return rules.key(wishes, measures, shares, own.measures(dampings, quiet=quiet).area)
@@ -281,7 +282,7 @@ class _Search:
         known: Mapping[str, Linear],
         own: Candidate,
     ) -> list[Standing]:
-        """Map the schemes that enter a round by hits, and return the schemes with their results, the best first."""
+        """Find the stable walls of the schemes in a round by simulated hits; return the schemes, the best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
@@ -291,7 +292,7 @@ class _Search:
             self._make_standing(one, known[one.key], of_one, stage.ratio)
             for one, of_one in zip(entrants, maps, strict=True)
         ]
-        own_area = _of(found, own).measures.area
+        own_area = _find_standing(found, own).measures.area
         return sorted(
             found, key=lambda one: rules.key(wishes, one.measures, one.shares, own_area), reverse=True
         )
@@ -325,7 +326,7 @@ class _Search:
         if wall is None:
             return finalists
         x, (stiffness, damping) = self.request.experiment, wall
-        # A ratio above the range: one rung, the wished wall itself.
+        # The ratio exceeds the range, so that the search tests one stiffness: the requested wall.
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         offsets = (*self.request.rounds[-1].offsets, *HELD_OUT_OFFSETS)
         grid = WallGrid(dampings=(damping,), search=one_rung, offsets=offsets)
@@ -355,10 +356,12 @@ class _Search:
             "held out", [(one.candidate.condition(x), one.candidate.scheme, grid) for one in (best, own)]
         )
         name = rules.measure_of(self.request.wishes.goal)
-        return Comparison(*(tuple(getattr(one, name) for one in _pairs(found)) for found in maps))
+        return Comparison(
+            *(tuple(getattr(one, name) for one in _measure_each_series(found)) for found in maps)
+        )
 
 
-def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
+def _measure_each_series(found: ZWidth) -> list[BoundaryMeasures]:
     """Return the measures of each single series of hits: one for each encoder offset and repeat."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
@@ -368,7 +371,7 @@ def _pairs(found: ZWidth) -> list[BoundaryMeasures]:
     ]
 
 
-def _of(standings: Sequence[Standing], candidate: Candidate) -> Standing:
+def _find_standing(standings: Sequence[Standing], candidate: Candidate) -> Standing:
     return next(one for one in standings if one.candidate.key == candidate.key)
 
 
@@ -376,14 +379,14 @@ def _octaves(top: float, columns: int) -> tuple[float, ...]:
     return (0.0, *(top * 2.0**-n for n in reversed(range(columns - 1))))
 
 
-def _reach(standings: Sequence[Standing]) -> float:
-    """Return the first damping above all dampings at which a wall passed; else the largest damping (SI)."""
+def _damping_reach(standings: Sequence[Standing]) -> float:
+    """Return the lowest damping above every damping with a stable wall; else the largest damping (SI units)."""
     dampings = [b.damping for b in standings[0].boundary]
     last = max(one.measures.damping for one in standings)
     return next((b for b in dampings if b > last), dampings[-1])
 
 
-def _where(best: Standing, wishes: Wishes) -> tuple[float, float]:
+def _margin_point(best: Standing, wishes: Wishes) -> tuple[float, float]:
     """Return the damping at which the margin is computed, and the limit of K at this damping (SI units of the rig)."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])

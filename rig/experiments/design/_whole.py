@@ -36,13 +36,13 @@ from rig.experiments.mapping.table_one import PAPERS_RIG, SchemeWidths, tuned_nu
 from rig.experiments.mapping.zwidth import ZWidth
 
 KOUL = ("koul-rigid", "koul-compliant")
-# All schemes meet the same walls: dampings closer near zero up to a little beyond the linear range of the paper's
-# schemes, and these multiples for the peak alone. A value that reaches the last wall is marked ≥.
+# All schemes are tested at the same walls: COLUMNS dampings, denser near zero, up to a little above the linear range of
+# the paper's schemes, and BEYOND times this range for the peak. A value that reaches the last wall is marked ≥.
 COLUMNS, BEYOND = 12, (2.0, 4.0, 8.0)
 RATIO, OFFSETS = 1.15, (0.1, 0.6)
 BATCH = 8
 STATED = ("order", "window_limit")
-# Of the impedances: rungs and columns; highest over lowest stiffness.
+# Grid of the impedances: numbers of stiffnesses and dampings, and highest over lowest stiffness.
 STIFFNESSES, DAMPINGS, SPAN = 26, 8, 40.0
 
 NAMES = {
@@ -81,13 +81,13 @@ class PaperSchemes:
             return cls(schemes=schemes, measures=(*OF_A_PAPER, *OF_TABLE_ONE))
         raise ConfigError(
             f"{rig} is not the rig of a paper, so `paper` cannot be used",
-            remedy=f"choose one of {', '.join((*KOUL, PAPERS_RIG))}, or leave it out",
+            remedy=f"choose one of {', '.join((*KOUL, PAPERS_RIG))}, or leave `paper` out",
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MappedScheme:
-    """A completely mapped scheme: its value of each measure by name; `capped` values are only lower bounds."""
+    """A sampling scheme with its value of each measure by name; the `capped` values are only lower bounds."""
 
     candidate: Candidate
     label: str
@@ -99,7 +99,7 @@ class MappedScheme:
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
-        """Return the names of the measures in which this scheme is not as good as the other scheme."""
+        """Return the names of the measures in which this scheme is worse than the other scheme."""
         return [
             name
             for name, value in self.values.items()
@@ -134,7 +134,7 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """Return the mapped scheme that is worse in the fewest measures; None if no scheme was mapped.
+        """Return the mapped scheme that is worse than the paper's in the fewest measures; None if no scheme was mapped.
 
         Of several such schemes return the one with the largest product of K peak and range of B.
         """
@@ -229,15 +229,15 @@ class _Whole:
         name = f"whole set {number + 1}"
         left = [one for one in candidates if not one.same_law(paper.candidate, self._x)]
         listed, ruled_out = len(left), dict[str, int]()
-        # A limit is the stiffest wall below which everything holds, so one failed hit at the rung that a measure asks
-        # for rules a scheme out, whatever its other walls do. A wall must fail at all encoder offsets; an invalid hit
-        # rules out nothing.
+        # A limit is the stiffest wall below which every wall is stable, so that a failed wall at the stiffness that a
+        # measure requires rules a scheme out without any other hit. The wall must fail at all encoder offsets; an
+        # invalid hit rules out nothing.
         for measure, keep in self._sieves(name, paper.values):
             kept = keep(left)
             ruled_out[measure] = ruled_out.get(measure, 0) + len(left) - len(kept)
             left = kept
         found: list[MappedScheme] = []
-        # In batches, the most promising by theory first: it ends as soon as one is as good.
+        # In batches, the most promising by theory first: stop as soon as one scheme is as good as the paper's.
         while len(found) < len(left) and all(one.misses(paper) for one in found):
             batch = left[len(found) : len(found) + BATCH]
             found += self._map_whole(f"{name} from {len(found)}", batch)
@@ -259,9 +259,9 @@ class _Whole:
         """
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))
-        # Any wall that holds at or beyond the range shows the range.
+        # Any stable wall at or above the required damping shows that the range is reached.
         beyond = [b for b in self._dampings if b >= reach]
-        # In the order in which they rule out most for the fewest hits; counting numbers needs none.
+        # In the order in which the tests rule out most schemes for the fewest hits; counting tuned values needs no hit.
         if "tuned" in asked:
             yield "tuned", lambda left: [one for one in left if self._count_tuned(one) <= asked["tuned"]]
         if asked["undamped"] > 0.0:  # else every scheme reaches it
@@ -309,7 +309,7 @@ class _Whole:
         ]
 
     def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
-        """Map candidates completely: by hits, and by impedances if the paper has measures of impedance."""
+        """Find the stable walls of candidates by hits, and the passive walls if the paper has measures of impedance."""
         x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
         maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])

@@ -1,1 +1,1 @@
-"""Velocity estimators on a signal of counts: compare them, tune their settings, and export them as C."""
+"""Compare velocity estimators on encoder counts, tune their settings, and export them as C."""

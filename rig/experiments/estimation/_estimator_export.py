@@ -27,10 +27,10 @@ from rig.firmware.cycles import FIXED, Cost, EstimatorC, c_float, cost_of, estim
 from rig.recording.files import refuse_existing, whole_file
 
 HALF_ULP = 2.0**-24  # of float32, relative
-# How far float32 may be off, in half units in the last place of the largest velocity. A difference, and a slope over a
-# window: one division of whole numbers and one product, three roundings. A filter adds up what it rounded over its
-# memory, longer the lower its cut-off: 64 is twice the most that tests/firmware/law/test_law_estimators.py allows from
-# 20 Hz at 2 kHz on. Integers are equal.
+# Largest rounding error of float32, in half units in the last place of the largest velocity. A difference or a slope
+# over a window has three roundings (a division of whole numbers, a product). A filter accumulates roundings over its
+# memory, which is longer for a lower cut-off: 64 is twice the limit in tests/firmware/law/test_law_estimators.py for
+# cut-offs from 20 Hz at 2 kHz on. Integers have no rounding error.
 ROUNDINGS = {
     "fdm": 4.0,
     "foaw-end": 4.0,
@@ -41,9 +41,9 @@ ROUNDINGS = {
     "disturbance": 64.0,
     "levant": 64.0,
 }
-TRIED = 8.0  # times what a rounded memory does
-MOST_SAMPLES = 20_000  # of a test: some 600 kB of C
-COSTED_SAMPLES = 400  # around the fastest: what is counted in the simulator
+TRIED = 8.0  # tolerance over the measured effect of a rounded memory
+MOST_SAMPLES = 20_000  # largest number of samples of a test, about 600 kB of C
+COSTED_SAMPLES = 400  # samples around the highest velocity whose instructions the simulator counts
 DEFAULT_SIGNAL = "wall-bounce"
 _WIDTH = 100
 _IN_A_LINE = 4  # samples
@@ -230,9 +230,9 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
         case.resolution, resolution, rel_tol=1e-9
     ):
         return case
-    wanted = f"{resolution:.6g} at {rate_hz:g} Hz"
     raise ConfigError(
-        f"{case.name} has {case.resolution:.6g} per count at {case.rate_hz:g} Hz, but the rig has {wanted}",
+        f"{case.name} has {case.resolution:.6g} per count at {case.rate_hz:g} Hz, but the rig has {resolution:.6g} per "
+        f"count at {rate_hz:g} Hz",
         remedy="export for the rig of the recording, or test with a signal",
     )
 
@@ -252,8 +252,8 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
     allowed = ROUNDINGS[name] * HALF_ULP * float(np.abs(velocity).max(initial=0.0))
     if name != "levant":
         return Tolerance(allowed, unit)
-    # A rounding may turn the sign in Levant's differentiator at another sample, and what follows is another path of the
-    # same differentiator. How much that is depends on the motion, so it is tried.
+    # A rounding may change the sample at which the sign in Levant's differentiator switches, after which its output
+    # follows another path. The difference depends on the motion, so that it is measured here.
     off = _with_rounded_memory(prepared, counts, elapsed) - velocity
     return Tolerance(allowed + TRIED * float(np.sqrt(np.mean(np.square(off)))), unit, rms=True)
 

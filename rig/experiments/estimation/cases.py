@@ -26,11 +26,11 @@ from rig.experiments.trials.judgement import experiment_of
 from rig.recording.data import Recording
 from rig.recording.origin import counts_facts
 
-EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # where a delay is looked for
-DELAY_SAMPLES = 8192  # that many samples tell it
+EARLIEST_S, LATEST_S, DELAY_STEP_S = -5e-3, 50e-3, 2.5e-4  # grid of tested delays
+DELAY_SAMPLES = 8192  # number of samples that are enough to find a delay
 REFERENCE_HZ = 200.0  # cut-off of the zero-phase reference of a real recording
 REFERENCE_END_S = 5.0 / REFERENCE_HZ
-FEWEST_SAMPLES = 16  # that the filter of the reference takes
+FEWEST_SAMPLES = 16  # smallest number of samples for the filter of the reference
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
     truth, reference = _truth(recording, time_s, resolution)
     trial = recording.column("phase") == Phase.TRIAL
     judged = trial if trial.any() else np.ones_like(trial)
-    if not recording.has_truth:  # the ends of a filter that runs both ways are guesses
+    if not recording.has_truth:  # the zero-phase filter is inaccurate at both ends
         judged = judged & (time_s >= time_s[0] + REFERENCE_END_S) & (time_s <= time_s[-1] - REFERENCE_END_S)
     if not judged.any():
         raise ConfigError(

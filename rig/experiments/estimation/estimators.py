@@ -22,9 +22,10 @@ from rig.core.sample import unit_of
 from rig.core.shown import Drawn, Shown
 from rig.experiments.estimation.cases import DELAY_STEP_S, Case
 
-APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5  # of the rest that noise is measured in
-APPROACH_PERIOD_COUNTS = 0.1 * math.pi  # speed before the rest (counts in a period): no whole number
-SILENCE_COUNTS = 1e-6  # velocity (counts in a period) up to which an estimate counts as zero
+# Durations of approach and rest, and the part of the rest in which noise is measured (s).
+APPROACH_S, REST_S, LISTENED_S = 0.2, 1.0, 0.5
+APPROACH_PERIOD_COUNTS = 0.1 * math.pi  # speed of the approach (counts per period), not a whole number
+SILENCE_COUNTS = 1e-6  # a lower velocity (counts per period) counts as zero
 TIMED_SAMPLES = 50_000
 TIMED_RUNS = 9
 
@@ -38,7 +39,7 @@ class Variant:
 
     @classmethod
     def parse(cls, text: str) -> Variant:
-        """Return the variant of a text like ``kalman:gain=steady,q=2e4``; raise `ConfigError` if it is invalid."""
+        """Return estimator and settings of a text like ``kalman:gain=steady``; raise `ConfigError` if it is invalid."""
         name, _, rest = text.partition(":")
         settings: dict[str, float | str] = {}
         for part in filter(None, rest.split(",")):
@@ -101,7 +102,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class EstimatorComparison(Shown, Drawn):
-    """A comparison of estimators: the score of each variant on each case, sorted by case, then by variant."""
+    """A comparison of estimators: the score of each estimator on each test case, sorted by case, then by estimator."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
@@ -195,8 +196,8 @@ def _settings(case: Case, variant: Variant) -> dict[str, float | str]:
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
     """Return rms error (rad/s or m/s) of a velocity of shape (n,), its delay (s), and rms error without that delay."""
-    # Three numbers: raw error alone ranks the least delayed estimator first whatever its noise, corrected error alone
-    # the slowest filter.
+    # Three numbers, because the raw error alone prefers the least delayed estimator despite its noise, and the
+    # corrected error alone prefers the slowest filter.
     raw, delay_s = raw_error(case, velocity), delay(case, velocity)
     if math.isnan(delay_s):
         return raw, delay_s, raw
@@ -223,8 +224,8 @@ def delay(case: Case, velocity: Floats) -> float:
     best = int(np.argmin(squares))
     if not 0 < best < len(delays) - 1:
         return math.nan
-    # The error is smooth over many steps of the grid: the parabola through the best point and its neighbours leaves
-    # microseconds.
+    # The error is smooth over many steps of the grid: a parabola through the best point and its neighbours determines
+    # the delay to microseconds.
     before, least, after = squares[best - 1 : best + 2]
     bend = before - 2.0 * least + after
     # Least squares: the variance of the shift is 2·step²·least / (n·bend).
@@ -242,7 +243,7 @@ def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, f
     return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)
 
 
-@lru_cache(maxsize=256)  # the same whatever motion a variant is scored on
+@lru_cache(maxsize=256)  # the result does not depend on the test case
 def _rest_noise(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], dt: float, resolution: float
 ) -> tuple[float, float]:
@@ -257,7 +258,7 @@ def _rest_noise(
     for each in (counts, counts + toggle):
         prepared = estimator.prepare(dict(settings), resolution, dt)
         found.append(_rms(run(prepared, *inputs(each, dt))[0][listened]))
-    # The tail of a filter that decays is no noise.
+    # The decaying output of a filter is not noise.
     silence = SILENCE_COUNTS * abs(resolution) / dt
     resting, toggling = (0.0 if rms < silence else rms for rms in found)
     return resting, toggling
@@ -273,7 +274,7 @@ def cost_ns(case: Case, variant: Variant) -> float:
         prepared = _prepared(case, variant)
         started = time.perf_counter_ns()
         run(prepared, *arrays)
-        # The shortest of several: other programs only ever add time.
+        # The shortest of several runs: other programs can only add time.
         best = min(best, (time.perf_counter_ns() - started) / len(counts))
     return best
 

@@ -22,11 +22,12 @@ from rig.recording.data import Recording
 Floats = NDArray[np.float64]
 
 DEFAULT_SINES = 6
-# of the fit; more are thinned by averaging neighbours, which costs no bandwidth that matters
+# Largest number of samples of the fit: more samples are averaged in groups, which hardly reduces the bandwidth.
 MOST_SAMPLES = 1000
-BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06  # impact and first rebound: a long record drowns them
-MARGIN = 0.05  # of the time at either end where the fit is unsupported on one side: no part of the maximum
-_PADDING = 8  # of the spectrum in which a first guess is looked for
+BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06  # impact and first rebound only
+# Fraction of the time at both ends that is excluded from the maximum, because the fit has samples on one side only.
+MARGIN = 0.05
+_PADDING = 8  # zero padding of the spectrum in which the initial frequencies are found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +67,7 @@ def lipschitz_of(
     before_s: float = BEFORE_CONTACT_S,
     after_s: float = AFTER_CONTACT_S,
 ) -> LipschitzFit:
-    """Fit a sum of sines to the measured position around the first contact of a hit; return the fit and its C.
+    """Fit a sum of sines to the measured position around the first contact of a hit; return the fit with Levant's C.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def lipschitz_of(
     trial = rows["phase"] == Phase.TRIAL
     contact = np.flatnonzero(trial & (rows["penetration"] > 0.0))
     if not len(contact):
-        raise RecordingError("the recording has no contact", remedy="record a hit: `rig hit`")
+        raise RecordingError("the recording has no contact with a wall", remedy="record a hit: `rig hit`")
     since_contact = time_s - time_s[contact[0]]
     chosen = trial & (since_contact >= -before_s) & (since_contact <= after_s)
     return identify_lipschitz(time_s[chosen], rows["position"][chosen].astype(np.float64), sines=sines)
@@ -211,7 +212,6 @@ def _as_fit(frequencies: Floats, time_s: Floats, position: Floats, linear: Float
     amplitudes = np.hypot(linear[1 : n + 1], linear[n + 1 :])
     phases = np.arctan2(linear[n + 1 :], linear[1 : n + 1])
     order = np.argsort(-amplitudes, kind="stable")
-    # Near an end the fit is unsupported on one side: no part of the maximum.
     inner = (t >= MARGIN * t[-1]) & (t <= (1.0 - MARGIN) * t[-1])
     return LipschitzFit(
         lipschitz=float(np.abs(second[inner]).max()),

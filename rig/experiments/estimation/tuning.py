@@ -22,13 +22,13 @@ from rig.experiments.estimation.cases import Case
 from rig.experiments.estimation.estimators import Score, Variant, errors, estimates, raw_error, score
 
 DELAY_SCALE_S = 0.01
-NEGLIGIBLE = 0.005  # a setting whose optimum is better by less than this share stays where it was
-WITHIN = 0.1  # share by which the objective may worsen in the range that is reported
-DECADES = 3.0  # searched on either side of the start, within the setting's own range
+NEGLIGIBLE = 0.005  # a setting keeps its start value if its optimum is better by less than this fraction
+WITHIN = 0.1  # largest relative increase of the objective in the reported range
+DECADES = 3.0  # decades searched on both sides of the start, within the setting's allowed range
 SCANNED_LOG2 = 5  # points of the first scan: 2^(this + number of settings)
-MOST_EVALUATIONS = 200  # of the descent that follows, for each setting
-LADDER = 100  # steps by which a range is walked
-DIGITS = 4  # significant ones that a tuned value keeps
+MOST_EVALUATIONS = 200  # evaluations of the descent for each setting
+LADDER = 100  # steps over the whole scale when the reported range is searched
+DIGITS = 4  # significant digits of a tuned value
 
 Settings = Mapping[str, float | str]
 
@@ -43,9 +43,9 @@ def _measure_both(case: Case, velocity: Floats) -> float:
     return left / case.speed_rms + late / DELAY_SCALE_S
 
 
-# rms: what a damped wall acts on; the objective to start with. delay-corrected-rms: forgives delay, so it always asks
-# for the slowest filter that keeps the shape; for analysis off line. rms+delay: 1 ms weighs as much as an error of a
-# tenth of the speed.
+# rms: the error that a damped wall reacts to; use it first. delay-corrected-rms: ignores delay, so that it selects the
+# slowest filter that preserves the shape; for off-line analysis. rms+delay: a delay of 1 ms counts as much as an error
+# of a tenth of the speed.
 OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
     "rms": raw_error,
     "delay-corrected-rms": _measure_corrected,
@@ -232,21 +232,21 @@ class _TuningWalk:
         try:
             velocity = estimates(self.case, Variant(self.estimator.name, settings))
         except ConfigError:
-            # A point that cannot be realised is worse than any other, and the search continues from the rest.
+            # Infinity lets the search continue from other points.
             return math.inf
         found = self.objective(self.case, velocity)
         return found if math.isfinite(found) else math.inf
 
     def open(self, free: Sequence[str] | None) -> None:
-        """Create an axis for each named setting; None: for all settings that influence the estimate."""
+        """Create a search axis (scale from 0 to 1) for each named setting; None: all that influence the estimate."""
         numbers = {s.name: s for s in self.estimator.settings if isinstance(s, Setting)}
         for name in free or ():
             if name not in numbers:
                 raise ConfigError(
-                    f"estimator {self.estimator.name} has no number {name!r} to tune",
-                    remedy=f"choose one of its numbers: {', '.join(numbers)}"
+                    f"estimator {self.estimator.name} has no numeric setting {name!r} to tune",
+                    remedy=f"choose one of its numeric settings: {', '.join(numbers)}"
                     if numbers
-                    else "choose another estimator: this one has no numbers",
+                    else "choose another estimator: this one has no numeric settings",
                 )
         for name in free or numbers:
             if free is None and (numbers[name].of_rig or not self.begin(numbers[name])):
@@ -256,7 +256,7 @@ class _TuningWalk:
                 self.axes.append(axis)
         if not self.axes:
             raise ConfigError(
-                f"estimator {self.estimator.name} has no tunable setting here",
+                f"estimator {self.estimator.name} has no tunable setting: none changes the estimate on this motion",
                 remedy="choose another estimator, or other settings of this one",
             )
 
@@ -266,11 +266,11 @@ class _TuningWalk:
         return float(known.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
-        """Return the axis of a setting; None if no other value is allowed, or if no value changes the estimate."""
+        """Return the search axis (scale from 0 to 1) of a setting; None if no other value changes the estimate."""
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
-            # Most settings are realisable in a part of their range only: try points spread over it.
+            # Most settings are valid in a part of their range only: try several points.
             for place in (0.37, 0.23, 0.51, 0.77, 0.09, 0.93):
                 other = {**self.start, setting.name: axis.value(place)}
                 try:
@@ -321,7 +321,7 @@ class _TuningWalk:
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))
-            # A setting that hardly matters keeps its start: it would follow the noise of this one motion.
+            # The optimum of a setting with little influence would only fit the noise of this motion.
             if self._along(i, best, start) <= limit:
                 best = np.array(best)
                 best[i] = start

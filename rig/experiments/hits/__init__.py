@@ -1,1 +1,1 @@
-"""Hits on a rig, real or simulated: check that a hit is permitted, run it, judge it, and compare schemes."""
+"""Check that a hit on a real or simulated rig is permitted, run it, judge it, and compare sampling schemes."""

@@ -13,10 +13,11 @@ import numpy as np
 
 from rig.control.estimators import Floats
 
-# Less is a toggling count, not a peak.
-LEAST_SWING = 2.0  # counts that the handle must turn back by, for a peak to be one
-SWING_SHARE = 0.1  # and of the depth of the first peak below the rest
-REST_SHARE = 0.25  # of the trace, whose end is the rest position
+# A reversal counts as an oscillation if the handle moves back by this number of counts (a single toggling count is
+# noise), and by this fraction of the first peak's depth below the rest.
+LEAST_SWING, SWING_SHARE = 2.0, 0.1
+# The rest position is the mean over this last fraction of the trace.
+REST_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

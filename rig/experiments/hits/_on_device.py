@@ -94,7 +94,7 @@ class Trials:
             realtime=self.where.realtime,
             device=self.device,
             reference_count=self.reference_count,
-            changes={**_asked_for(experiment), **changes},
+            changes={**_fixed_changes(experiment), **changes},
             verified=self.where.verified,
             output=self.where.recordings,
             arm_anyway=self.where.arm_anyway,
@@ -153,7 +153,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
         yield device, Trials(where, None if where.simulated else device, zero, series)
 
 
-def _asked_for(experiment: Experiment) -> dict[str, Any]:
+def _fixed_changes(experiment: Experiment) -> dict[str, Any]:
     """Return the experiment's rates, stiffness and damping as changes, which override the defaults for real time."""
     controller, wall = experiment.controller, experiment.wall
     return {

@@ -140,6 +140,7 @@ def _check_verified(request: HitRequest, device: FramedDevice) -> None:
         return
     raise ConfigError(
         f"the polarity of motor and encoder of {device.dictionary.device} is not verified",
-        remedy="check them with the power stage limited (push the handle: position must rise; a positive effort must "
-        "move it the same way), put the handle at position zero, and give `verified`: the count there becomes 0",
+        remedy="check both at a low current limit (push the handle in the positive direction: its position must rise; "
+        "a positive effort must move it in the same direction), put the handle at position zero, and give `verified`: "
+        "the present count then means position zero",
     )

@@ -26,11 +26,14 @@ from rig.core.shown import Drawn, Shown
 from rig.experiments.hits._impact import Impact, ImpactNumbers, mean, measure
 from rig.loop.replay import NO_SETS, replay_rows
 
-# One place of the encoder's cells alone can show anything.
-OFFSETS = (0.1, 0.4, 0.7, 0.95)  # where position zero lies in its encoder cell, one trial each
-NO_DAMPING = "none"  # name of the entry without damping
-UNUSED = ("trial.repeats", "trial.seed")  # a trial without bytes has no noise: every repeat would be the same
-USUAL_VELOCITY_RATE = 2000  # Hz, of the dual-rate scheme when the experiment's own is uniform
+# Distances of position zero from the edge of its encoder cell (counts), one trial each: the result of a hit at a single
+# distance depends on chance.
+OFFSETS = (0.1, 0.4, 0.7, 0.95)
+NO_DAMPING = "none"  # name of the scheme without damping
+# A simulation without the byte link has no noise, so that every repeat and seed would give the same hit.
+UNUSED = ("trial.repeats", "trial.seed")
+# Velocity rate of the dual-rate scheme (Hz) if the experiment's own scheme is uniform.
+USUAL_VELOCITY_RATE = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,7 +229,7 @@ def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple
     names = [one if isinstance(one, str) else one.text for one in schemes]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"scheme {name} is named twice", remedy="name each scheme only once")
+            raise ConfigError(f"scheme {name} is given twice", remedy="give each scheme only once")
     return tuple(
         usual[0]
         if one == NO_DAMPING
@@ -240,7 +243,8 @@ def refuse_unused(changes: Mapping[str, Any]) -> None:
     for key in UNUSED:
         if key in changes:
             raise ConfigError(
-                f"{key} = {changes[key]!r}: a compared hit has no noise and is simulated once at each encoder offset",
+                f"{key} = {changes[key]!r} cannot be set for a comparison: each hit is simulated without noise, once "
+                "for each encoder offset",
                 remedy=f"leave {key} out",
             )
 

@@ -44,7 +44,8 @@ from rig.experiments.hits.hit import in_effect
 from rig.experiments.trials.preparation import prepared_on
 from rig.realtime.scheduling import obtained
 
-SECONDS = 4.0  # of measuring: bounds p99.9 from some 750 questions a second on
+# Duration of the link's measurement (s): enough exchanges for the 99.9th percentile from about 750 per second on.
+SECONDS = 4.0
 
 Progress = Callable[[str, float], None]
 
@@ -200,7 +201,7 @@ def _with_device(
     experiment = in_effect(asked.experiment, device, asked.changes)
     admission = tuple(admission_checks(prepared_on(device, experiment), device))
     seen = replace(seen, device=facts, experiment=experiment, admission=admission)
-    # A rig answers, so there is a port, whatever the listing found.
+    # The device replied, so that a port exists, even if the list of ports was empty.
     if link_url.scheme != "sim":
         seen = replace(seen, checks=tuple(check for check in seen.checks if check.name != NO_PORTS))
     if link_url.scheme == "serial" and all(port.url != facts.url for port in seen.ports):
@@ -238,7 +239,7 @@ def _measure_link(
     device: FramedDevice, experiment: Experiment, seconds: float, progress: Callable[[float], None]
 ) -> LinkMeasurement:
     virtual = device.link.clock.virtual
-    # Virtual time passes between questions only.
+    # In virtual time exchanges have no rate of their own: time advances only between them.
     rate = experiment.controller.position_rate if virtual else None
     with obtained(host_beside(experiment.host, device.link), virtual=virtual) as realtime:
         return measure_link(device, seconds, rate, realtime=realtime, progress=progress)

@@ -110,11 +110,10 @@ class HitResult(Shown, Drawn):
 
     recorded: Recorded
     counters: dict[str, int]
-    cleared_fault: str | None  # what an earlier run had left latched on the device
+    cleared_fault: str | None  # fault of an earlier run that the device still reported before this hit
     gate: Gate | None = None  # assessment of arming on this link; None in virtual time
-    messages: tuple[
-        str, ...
-    ] = ()  # limits for people that do not hold; what was not granted; each with its remedy
+    # Exceeded limits that protect people, and refused real-time scheduling, each with its remedy.
+    messages: tuple[str, ...] = ()
 
     @property
     def recording(self) -> Recording:
@@ -269,8 +268,9 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
                         **({"warnings": list(warnings)} if warnings else {}),
                     },
                 )
-                with series:  # not while the caller has the result
-                    result = _one(device, trial, admitted)
+                # Only while the trial runs: a stop request must not interrupt the caller, which has the result.
+                with series:
+                    result = _run_hit(device, trial, admitted)
             yield result
 
 
@@ -283,11 +283,12 @@ def left_by(error: Exception) -> Recorded | None:
 def _make_recorded(end: TrialEnd) -> Recorded:
     if end.sealed is not None and end.judgement is not None:
         return Recorded(end.experiment, end.sealed, end.judgement)
-    recording = open_recording(end.recording)  # sealing failed, and something else before
+    # The run failed, and then its recording could not be sealed: read the unsealed capture.
+    recording = open_recording(end.recording)
     return Recorded(end.experiment, recording, judge(recording, end.experiment))
 
 
-def _one(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitResult:
+def _run_hit(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> HitResult:
     end = run_trial(device, trial)
     fault, device.cleared_fault = device.cleared_fault, None
     return HitResult(
@@ -313,7 +314,7 @@ def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment
         request.url or "sim://", request.changes.get(config.LOOP, experiment.controller.loop)
     )
     simulated = url.startswith("sim:")
-    if simulated:  # what simulates it needs to know it
+    if simulated:  # the simulation is built from the changed experiment
         experiment = (config.with_realtime if request.realtime else config.override)(
             experiment, request.changes
         )

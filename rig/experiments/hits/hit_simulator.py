@@ -16,7 +16,8 @@ from rig.control.laws import Law
 from rig.core.model import RigModel
 from rig.devices.simulated import SimulatedHit
 
-HOMING_ALLOWANCE_S = 0.5  # beyond settling: the handle starts within the tolerance of its start
+# Time for homing (s) besides settling: the handle starts within homing's tolerance, so that homing is short.
+HOMING_ALLOWANCE_S = 0.5
 
 
 class HitSimulator:
@@ -46,7 +47,7 @@ class HitSimulator:
         trial, homing = experiment.trial, experiment.homing
         tick_s = 1.0 / experiment.controller.position_rate
         longest_s = homing.settle_s + HOMING_ALLOWANCE_S + trial.baseline_s + trial.duration_s + 2 * tick_s
-        # The push is all that is judged: the ramp down after it costs time and shows nothing.
+        # The verdict uses the push only: simulating the ramp down after the push would cost time.
         experiment = replace(experiment, trial=replace(trial, release_s=tick_s))
         self._wall = experiment.wall
         # Plant, filters and scratch memory are prepared once: a hit then costs what its ticks cost.

@@ -1,1 +1,1 @@
-"""Identification of a rig from its motions: inertia, friction, damping, delay, cogging and torque ripple."""
+"""Identify a rig from its motions: inertia, friction, damping, delay, cogging and torque ripple."""

@@ -29,7 +29,7 @@ class Identified:
         self.sources[key] = (text, motion)
 
     def share(self, m: Mechanics, name: str, total: float, text: str, motion: str) -> None:
-        """Set the motor's and the link's value of a quantity so that their sum is `total`, in the described ratio."""
+        """Set the motor's and the link's value of a quantity in the described ratio, so that their sum is `total`."""
         described = {side: float(getattr(m, f"{side}_{name}")) for side in ("motor", "link")}
         whole = sum(described.values())
         for side, before in described.items():
@@ -74,9 +74,9 @@ def identified_values(
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
     rate = x.controller.position_rate
-    # A board's law has not the whole ticks of delay of the link that these motions came by.
+    # A law on the board does not have the delay of the link that these motions had.
     if not on_board:
-        beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # counted by itself, at any rate
+        beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # described separately, for any rate
         ticks = max(0, dynamics.delay_ticks - beside)
         whole = f"whole ticks at {rate} Hz; total delay {dynamics.delay_s.text('s')}"
         found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
@@ -142,7 +142,7 @@ def _put_mode(
     share = m.motor_damping / described if described > 0.0 else 1.0
     # The mode's damping ratio includes the viscous damping that the strokes have already measured: it would count
     # twice.
-    moving = link.value / (link.value + motor.value)  # of the mode's motion at the motor
+    moving = link.value / (link.value + motor.value)  # fraction of the mode's motion that is at the motor
     viscous = share * sliding.damping.value * moving / (4.0 * math.pi * hertz.value * motor.value)
     ratio = min(max(mode.resonance_ratio.value - viscous, 0.0), 0.99)
     text = f"{mode.resonance_ratio.text()} of the mode, less the viscous damping; Coulomb friction adds to it"

@@ -20,8 +20,8 @@ from rig.experiments.motion._motion_run import MOST_LOST_SHARE, SLOWEST_HZ, bear
 from rig.experiments.trials._identify_motions import RATE_STEP, still
 from rig.realtime.scheduling import obtained
 
-LEAST_RATE_HZ = 10  # of any loop, by the rules of `controller.position_rate`
-# of the share that may be filled in: what the next minute loses is not what the last seconds lost
+LEAST_RATE_HZ = 10  # lowest rate of any loop (rule of `controller.position_rate`)
+# Allowed fraction of lost samples over the fraction that can be filled in: losses may increase in the next minute.
 LOST_MARGIN = 0.5
 RATES = ("controller.position_rate", "controller.velocity_rate")
 
@@ -33,7 +33,7 @@ def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """A rate of the loop (Hz), the reason why it would fail ("" if it works), and the link's longest gap (s)."""
+    """A rate of the loop (Hz), why identification at this rate would fail ("" if not), and the longest gap (s)."""
 
     rate_hz: int
     reason: str
@@ -49,7 +49,7 @@ def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasur
 def choose_rate(
     x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
 ) -> RateChoice:
-    """Return the stated rate, or the highest of `most_hz` and its halves, at which an identification will work.
+    """Return `stated_hz`, or the highest of `most_hz` and its halves (Hz), at which an identification will work.
 
     Raises
     ------
@@ -84,8 +84,8 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
     slowed = at_rate(x, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
     pace = pace_of(measurement, rate_hz, x.verdict)
-    # A device ends an effort whose command has expired: half of a lifetime is the reserve for a silence that the
-    # measurement did not see.
+    # A device ends an effort whose command has expired: half of the lifetime is a reserve for a longer gap than the
+    # measurement contains.
     late_s, silence_s = measurement.late_s, max(measurement.late_s, pace.longest_gap_s)
     capacity = measurement.capacity_bytes_per_s
     reasons = []

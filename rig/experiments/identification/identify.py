@@ -115,7 +115,8 @@ __all__ = [
     "without_end_mass",
 ]
 
-MOST_ORDER = 200  # of cogging, in `rig identify`: a sweep is the slower, the finer the waves are
+# Highest harmonic of cogging: a higher harmonic needs a slower sweep.
+MOST_ORDER = 200
 
 Tell = Callable[[str], None]
 Floats = NDArray[np.float64]
@@ -278,7 +279,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
         if device.dictionary.simulated:
             free = without_end_mass(request, served=not url.startswith("sim:"))
         output = Path(request.output)
-        spoiled: RigError | None = None  # by timing, at a higher rate
+        spoiled: RigError | None = None  # timing error at a higher rate
         for base in _at_rates(free, request, device, say):
             plan = plan_of(base, request)
             if spoiled is not None and not plan.ok:
@@ -293,8 +294,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
             refuse(link_checks(base, device.dictionary.position_rate_maximum, device.link.bytes_per_second))
             with plain_errors("make", output):
                 output.mkdir(parents=True, exist_ok=True)
-            # A rate that carried the link a minute ago may not now: motions spoiled by timing are run again at half of
-            # it.
+            # The link may support less than a minute ago: motions with timing errors run again at half of the rate.
             session = _Session(device, base, request)
             try:
                 signs, sliding, dynamics = session.free_motions(base, say)
@@ -396,17 +396,17 @@ class _Session:
         self._reference = position_zero(device, x)
         self._swept: Swept  # for cogging, with nothing on the rig
         self._swept_in: tuple[float, int]  # period and highest harmonic
-        self._cogging = Cogging()  # as measured: what comes after knows it as an effort of the motor's
+        self._cogging = Cogging()  # measured cogging, which later fits add to the motor's effort
         self.recordings: dict[str, tuple[Path, ...]] = {}
-        self.repeated = 0  # motions that late or lost samples had spoiled
+        self.repeated = 0  # number of motions repeated because of late or lost samples
         self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
         """Run pushes, sweeps for cogging if requested, strokes and excitations; return all fits except cogging."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
-        # The order is one of trust: pushes need no sign to be known and end by themselves after a few counts; strokes
-        # need the sign, and show the friction that the excitation has to exceed.
+        # The order matters: pushes need no known sign and end by themselves after a few counts; strokes need the sign,
+        # and measure the friction that the excitation must exceed.
         signs = self.signs(x)
         _check_signs(signs)
         if request.cogging is not None:
@@ -440,8 +440,8 @@ class _Session:
 
     def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
         request = self._request
-        # The smaller of both sizes the excitation: too large an effort could leave the window, too small a one only
-        # widens the intervals.
+        # The smaller of both inertias determines the excitation: a too large effort could move the handle out of its
+        # window, a too small effort only widens the intervals.
         inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
         runs, lates = [], []
         for number in range(request.realisations):
@@ -556,7 +556,10 @@ def excited_run_of(
     end = (settle_periods(multisine.period_s) + PERIODS) * n
     lost = max(0, end - len(rows))
     if lost > LONGEST_FILLED:
-        raise TimingError(f"the last {lost} samples of the excitation are missing", remedy="identify again")
+        raise TimingError(
+            f"the last {lost} samples of the excitation are missing, allowed are {LONGEST_FILLED}",
+            remedy="identify again",
+        )
     kept = slice(end - PERIODS * n - lost, end - lost)
     return ExcitedRun(
         rate_hz=rate,
@@ -572,8 +575,8 @@ def excited_run_of(
 
 def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
     """Return the effort from each sample to the next as the device reports it (N·m or N), and its delay in ticks."""
-    # The command that answers a sample acts from it on where nothing is late, and the next sample reports it. A link
-    # whose delay varies would otherwise blur the fit. The lateness is that of most ticks.
+    # Without delay a command acts from its sample on, and the next sample reports it. With the sent effort instead of
+    # the reported effort a varying delay would spoil the fit. `late` is the delay of most ticks.
     late = late_ticks(rows["current_sent"], rows["current_applied"])
     applied = np.append(rows["effort_applied"][1:], rows["effort_sent"][-1 - late])
     return applied, late
@@ -583,7 +586,8 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
     bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
     if bound.any():
         raise IdentificationError(
-            f"the guard changed the effort in {int(bound.sum())} of {len(rows)} ticks of the excitation",
+            f"the guard clipped the effort or its slew rate in {int(bound.sum())} of {len(rows)} ticks, but the "
+            "excitation must not be clipped",
             remedy="raise rig.limits.slew or rig.limits.effort",
         )
 

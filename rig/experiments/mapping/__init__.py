@@ -1,1 +1,1 @@
-"""Maps of walls: which walls are stable (Z-width), which impedances are passive, and how theory and hits differ."""
+"""Map walls: which walls are stable (Z-width), which impedances are passive, and where theory and hits differ."""

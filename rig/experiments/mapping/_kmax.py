@@ -40,11 +40,11 @@ class KMax(Drawn):
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return the stiffness limit for each rate, ascending, under a criterion ("felt", "heard" or "any")."""
+        """Return the stiffness limit for each rate, ascending; `criterion` is the ripple "felt", "heard" or "any"."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
-        """Return the ratio of K_max at the highest rate to K_max at 20 kHz, under one criterion of the verdict.
+        """Return the ratio of K_max at the highest rate to K_max at 20 kHz; `criterion` is "felt", "heard" or "any".
 
         Return None if no rate exceeds 20 kHz, if 20 kHz is missing, or if one of both limits is zero or a lower bound.
         """

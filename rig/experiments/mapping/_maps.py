@@ -35,7 +35,7 @@ VERSION = 2  # of `PLAN`
 
 
 class Map(Protocol):
-    """An interface of a finished map of hits or of impedances."""
+    """An interface of a finished map: which walls are stable (by hits) or passive (by impedances)."""
 
     table_name: ClassVar[str]
 
@@ -125,7 +125,7 @@ def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> 
 
     `device` names the mapped device (`rig.experiments.mapping._zwidth_rig.work_of`); empty for the simulation.
     """
-    # The package's version belongs to it: a map of another version must not be resumed as this one.
+    # The code's version is part of the hash: a map of another version must not be resumed.
     described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks]]
     digest = sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:8]
     return where / f"{name}-{plan.experiment.rig.name}-{digest}"
@@ -139,9 +139,10 @@ def map_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
-    """Map a simulated rig and store plan, journal and results in a directory; raise the errors of `zwidth`.
+    """Find the stable or passive walls of a simulated rig, and store plan, journal and results in a directory.
 
-    Tasks whose results are in the directory's journal (file of finished tasks) are not run again.
+    Raise the errors of `zwidth`. Tasks whose results are in the directory's journal (file of finished tasks) are not
+    run again.
     """
     _write_plan(plan, directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
@@ -150,7 +151,10 @@ def map_into(
 
 
 def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
-    """Map a device by hits and store plan, journal and results in a directory; raise the errors of `zwidth_on_rig`."""
+    """Find the stable walls of a device by hits; store plan, journal and results in a directory.
+
+    Raise the errors of `zwidth_on_rig`.
+    """
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
@@ -186,14 +190,14 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
     try:
         saved = json.loads(text)
         if saved["version"] == VERSION:
-            # A plan is one of hits (`zwidth`) or of impedances (`zwidth_frequency`): the name of its work decides.
+            # The name of the task function shows if the plan is of hits (`zwidth`) or impedances (`zwidth_frequency`).
             kind = FrequencyPlan if saved["work"].endswith(f":{run_column.__name__}") else MapPlan
             return kind.from_mapping(saved["plan"], str(path)), str(saved["device"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RecordingError(f"{path} is damaged: {error!r}", remedy="run the map's command again") from None
     raise RecordingError(
-        f"{path} is of version {saved['version']}; this haptic-rig can read only version {VERSION}",
-        remedy="read it with the haptic-rig that wrote it, or run the map's command again",
+        f"{path} has the format version {saved['version']}; this haptic-rig can read only version {VERSION}",
+        remedy="read the map with the version of haptic-rig that wrote it, or run the map's command again",
     )
 
 
@@ -219,7 +223,8 @@ def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) 
     try:
         (result,) = hit(request, admit)
     except RigError as error:
-        left: Recorded | None = left_by(error)  # thrown out by the wall: that is what the map has found
+        # An unstable wall ends the hit early, as in the map: its recording is the result.
+        left: Recorded | None = left_by(error)
         if left is None:
             raise
         return left.path

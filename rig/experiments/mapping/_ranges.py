@@ -30,21 +30,25 @@ from rig.experiments.trials.plan import make_plan, predict_impact
 
 T = TypeVar("T")
 
-SPAN = 100.0  # highest stiffness over the lowest, at least
-# the linear limit without damping over the lowest: friction raises a limit, the quantum lowers it
+# Highest over lowest tested stiffness, at least.
+SPAN = 100.0
+# The lowest tested stiffness is the linear limit without damping divided by this, because quantisation lowers a limit.
 BELOW = 4.0
 COLUMNS = 17  # dampings
-BEYOND = 1.1  # of the largest damping that the linear theory allows any of the schemes
-CURVE_POINTS = 60  # of a theoretical curve
-_LINEAR = "fdm-butterworth"  # stands in for an estimator that the theory cannot take
+# Largest tested damping over the largest damping that linear theory permits for any scheme.
+BEYOND = 1.1
+CURVE_POINTS = 60  # points of a theoretical curve
+_LINEAR = "fdm-butterworth"  # replaces a nonlinear estimator in linear theory
 _BISECTIONS = 50
 _COARSE_BISECTIONS = 12  # to 0.1 % of a hundredfold range
 
-SHARE = 0.4  # of what the linear theory calls stable: beyond that a measured map of impedances is speckle
+# Largest grid values as a fraction of the stable limits of linear theory: above it a measured map of impedances is an
+# irregular mixture of passive and other walls.
+SHARE = 0.4
 STIFFNESSES, DAMPINGS = 60, 16
-FREQUENCY_POINTS = 24  # dampings of its theoretical curve
-SCAN = 24  # stiffnesses of a scan for the passive ones
-REFINEMENTS = 12  # of a step of the scan: to 0.001 % of the range
+FREQUENCY_POINTS = 24  # dampings of a theoretical curve
+# Stiffnesses of the scan for the first wall that is not passive, bisections of its last step (0.001 % of the range).
+SCAN, REFINEMENTS = 24, 12
 _REFERENCE = "fdm"  # an unfiltered difference: linear, and the same for all schemes of the same rates
 
 PAPERS_ESTIMATORS = ("fdm-butterworth", "foaw-best", "kalman", "levant")
@@ -125,13 +129,13 @@ def search_for(
     if lowest is None:
         lowest = top / span
         below = _lowest_undamped_limit(experiment, schemes) / BELOW
-        if 0.0 < below < lowest and ratio > 1.0:  # else refused below
-            # In a softer wall the handle may run against the window: a ladder would end there, at a false limit.
+        if 0.0 < below < lowest and ratio > 1.0:  # else StiffnessSearch raises below
+            # In a softer wall the handle may leave its window, and the search would end at a false limit.
             while lowest > below and _stays_in_window(experiment, lowest / ratio):
                 lowest /= ratio
         if on_device:
-            lowest = max(lowest, _softest(experiment, lowest, top))
-        else:  # of a coarse encoder even the stiffest wall is soft
+            lowest = max(lowest, _softest_allowed(experiment, lowest, top))
+        else:  # with a coarse encoder even stiff walls may let the handle leave its window
             while ratio > 1.0 and 0.0 < lowest * ratio <= top and not _stays_in_window(experiment, lowest):
                 lowest *= ratio
     try:
@@ -163,7 +167,7 @@ def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
     return limits.position_minimum <= wall.position + wall.side * deepest <= limits.position_maximum
 
 
-def _softest(experiment: Experiment, lowest: float, highest: float) -> float:
+def _softest_allowed(experiment: Experiment, lowest: float, highest: float) -> float:
     """Return the lowest stiffness (SI units) that a trial may hit; in softer walls the handle leaves its window."""
 
     def refused(logarithm: float) -> bool:
@@ -199,16 +203,16 @@ def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
     """Return `columns` dampings (SI units), evenly spaced from 0 to 1.1 times the schemes' highest linear limit."""
-    widest = max(_range(experiment, scheme) for scheme in schemes)
+    widest = max(_damping_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
 
-def _range(experiment: Experiment, scheme: Scheme) -> float:
+def _damping_range(experiment: Experiment, scheme: Scheme) -> float:
     experiment = theory.with_linear_wall(experiment)
     try:
         return theory.b_max(experiment, scheme).damping
     except ConfigError:
-        # The theory is linear: for an estimator that is not, that of a finite difference with a filter stands in.
+        # Linear theory does not cover a nonlinear estimator: use a finite difference with a filter in its place.
         return theory.b_max(experiment, _with_estimator(scheme, _LINEAR)).damping
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from rig.config import Experiment
 from rig.config.velocity_reading import pulse_of_count
 
-RENDERED = 0.8  # share of B from which on a wall counts as rendered
+# A wall counts as rendered if at least this fraction of B remains below the effort limit.
+RENDERED = 0.8
 _BISECTIONS = 40
 
 
@@ -25,9 +26,9 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
     damping
         B of the wall (N·m·s/rad or N·s/m).
     """
-    # The estimate makes a pulse of each count, whose area over time is the count. The damper multiplies it by B, and
-    # what lies above the effort limit is cut off: of an unfiltered difference at most limit·T/Δ is left of any B. Delay
-    # and hold are not part of it: they lower no damping that a slow hand feels.
+    # Each count appears in the estimated velocity as a pulse with the area of one count. The damper multiplies it by B,
+    # and the effort limit cuts its top: with an unfiltered difference the rendered B is at most limit·T/Δ. Delay
+    # and hold are left out, because they do not lower the damping in slow motion.
     asked = damping * pulse_of_count(experiment)
     if not asked.sum() > 0.0:
         return 1.0
@@ -36,11 +37,11 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
 
 
 def rendered_damping(experiment: Experiment) -> float:
-    """Return the largest B of which at least 80 % is rendered (N·m·s/rad or N·s/m); inf without an upper bound."""
+    """Return the largest B of which the effort limit leaves at least 80 % (N·m·s/rad or N·s/m); inf if no B is cut."""
     high = 1.0
     while rendered_share(experiment, high) >= RENDERED:
         high *= 2.0
-        # No limit cuts anything: the search would double for ever.
+        # The effort limit cuts no damping: end the doubling.
         if high > 1e12:
             return float("inf")
     low = 0.0

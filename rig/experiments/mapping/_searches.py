@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from rig.core.errors import ConfigError, PlanError
 
-# ladder: upwards from the lowest rung until everything has failed, as in Koul et al., section III; it finds the end of
-# the range that is connected with soft walls. bisection: a few trials, but it assumes that a wall stiffer than a
-# failing one fails, too, which does not hold near the largest damping. grid: every rung; shows islands, stiff walls
-# that pass where a softer one does not.
+# ladder: test upwards from the lowest stiffness until a wall has failed under each criterion (Koul et al., section
+# III); finds the end of the range that begins with soft walls. bisection: few trials, but assumes that a wall stiffer
+# than a failed wall fails, too, which is wrong near the largest damping. grid: test every stiffness; also finds
+# islands, stiff walls that pass although a softer wall fails.
 Way = Literal["ladder", "bisection", "grid"]
 Passes = bool | None  # None: the trial is invalid
 Outcomes = Mapping[str, Passes]  # by criterion
@@ -28,7 +28,7 @@ Cell = tuple[int, int]  # index of the damping, index of the stiffness
 Flags = NDArray[np.bool_]
 Ending = Literal["no stiffness left", "last damping", "start not passive"]
 
-MOST_NUMBERS = 10_000  # of a range that is written as a text
+MOST_NUMBERS = 10_000  # largest count of a range that is given as a text
 
 Wall = TypeVar("Wall")
 Answer = TypeVar("Answer")
@@ -86,7 +86,7 @@ def bounds_of(text: str, name: str) -> tuple[float, float]:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
         raise ConfigError(
-            f"{name} {text} is not a range", remedy="write it as LOW:HIGH, like 10:1000"
+            f"{name} {text!r} is not a range of two numbers", remedy="write it as LOW:HIGH, like 10:1000"
         ) from None
     return low, high
 
@@ -115,17 +115,17 @@ class StiffnessSearch:
         if not 0.0 < self.lowest < self.highest < math.inf:
             raise ValueError(f"stiffness from {self.lowest:g} to {self.highest:g} is not a range above zero")
         if not 1.0001 <= self.ratio <= 1e6:
-            raise ValueError(f"a ratio of {self.ratio:g} between rungs is not in 1.0001 to 1e6")
+            raise ValueError(f"a ratio of {self.ratio:g} between two stiffnesses is not in 1.0001 to 1e6")
 
     @property
     def rungs(self) -> list[float]:
         """Return all stiffnesses that may be tested, ascending, none above `highest` (N·m/rad or N/m)."""
-        # Plus 1e-9: a highest that is a whole number of ratios must be a rung, whatever its logarithm's last bit.
+        # Plus 1e-9: `highest` must be tested if it is a whole number of ratios above `lowest`, despite rounding.
         steps = math.floor(math.log(self.highest / self.lowest) / math.log(self.ratio) + 1e-9)
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to test and receive its outcomes, until the limit under every criterion is found."""
+        """Yield the next stiffness to test and receive its outcomes by criterion, until each criterion has a limit."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)
@@ -142,7 +142,7 @@ def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Out
     """Yield each stiffness to test once, by bisection for each criterion between highest pass and lowest failure."""
     tried: dict[int, Outcomes] = {}
     for criterion in criteria:
-        # The ends first: most dampings have a stable wall, and a cap that is reached needs no search.
+        # Test both ends first: if the stiffest wall passes, no bisection is needed.
         low, high, ends = -1, len(rungs), [0, len(rungs) - 1]
         while high - low > 1:
             index = ends.pop(0) if ends else (low + high) // 2
@@ -345,17 +345,17 @@ class GridSearch:
 
     @property
     def highest(self) -> int:
-        """Return the index of the largest stiffness on the edge that the search found; −1 if no wall is passive."""
+        """Return the index of the largest stiffness that the search found passive; −1 if no wall is passive."""
         return max(stiffness for _, stiffness in self.edge)
 
     @property
     def above(self) -> int:
-        """Number of dampings at which the found edge is above the true edge, and therefore on an island."""
+        """Number of dampings at which the search ended above the grid's true limit, on an isolated passive wall."""
         return sum(k > self.connected[b] for b, k in self.edge)
 
     @property
     def below(self) -> int:
-        """Number of dampings at which the found edge is below the true edge of the grid."""
+        """Number of dampings at which the search ended below the grid's true limit."""
         return sum(k < self.connected[b] for b, k in self.edge)
 
     @property
@@ -394,7 +394,7 @@ def trace_grid(
     start: Cell = (0, 0),
     looks: bool = True,
 ) -> GridSearch:
-    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare found and true edge.
+    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare found and true limits.
 
     If `dampings` or `stiffnesses` are not given, their indices are used.
     """

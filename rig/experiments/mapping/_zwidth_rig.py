@@ -32,9 +32,9 @@ from rig.experiments.trials.judgement import out_of_time, thrown_out
 from rig.experiments.trials.preparation import prepared_on
 from rig.recording.data import Recording
 
-ATTEMPTS = 3  # at an invalid hit
-RECORDING = "recording"  # column of a device's map: the file of the hit
-CALM_S = 0.5  # pause between hits, whatever the motor's heat
+ATTEMPTS = 3  # hits of a wall while they are invalid
+RECORDING = "recording"  # column with the name of the hit's file, in the map of a device
+CALM_S = 0.5  # shortest pause between hits (s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +44,16 @@ class Next:
     scheme: str
     stiffness: float
     damping: float
-    number: int  # of this series' hits, from 1
-    series: int  # from 1
-    total: int  # series
-    attempt: int = 1  # more when the last one was invalid
-    thrown_out: bool = False  # whether the last hit left the handle out of its window
+    number: int  # number of the hit in its series, from 1
+    series: int  # number of the series, from 1
+    total: int  # number of all series
+    attempt: int = 1  # above 1 if the last hit of this wall was invalid
+    thrown_out: bool = False  # True if the handle is outside of its window since the last hit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceMap:
-    """A device to map, and functions for the dialogue with a person.
+    """A device whose stable walls are mapped by hits, and functions for the dialogue with a person.
 
     Attributes
     ----------
@@ -75,7 +75,9 @@ class DeviceMap:
 
 
 def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
-    """Map a device by hits; store finished series in the journal, and skip series whose results it contains.
+    """Find the stable walls of a device by hits; store each finished stiffness search in the journal.
+
+    Searches whose results are in the journal already are not run again.
 
     Raises
     ------
@@ -83,15 +85,14 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
         The plan needs a simulation (judged by true signals, or several encoder offsets), or the device or its link
         cannot run a scheme or a wall. Nothing has moved.
     StoppedError
-        The person did not agree, or Ctrl-C was pressed; results of finished series stay in the journal.
+        The person did not agree, or Ctrl-C was pressed; results of finished searches stay in the journal.
     RigError
         A hit ended early for another reason than an unstable wall, or was invalid in `ATTEMPTS` attempts.
     """
     _check(plan)
     series, tasks = plan.series(), plan.tasks
     numbers = {task.key: number for number, task in enumerate(tasks)}
-    # A map looks for the walls that fail: the gate of a measured link would refuse just those. A person agrees to each
-    # hit instead.
+    # A map must find the walls that fail, which the arming gate would refuse. Instead a person permits each hit.
     where = replace(session.where, arm_anyway=True)
 
     with examined(where, plan.experiment) as (device, trials):
@@ -167,8 +168,8 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
         try:
             refuse({check.name: check for check in refused(checks)}.values())
         except PlanError as error:
-            where = f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}"
-            raise PlanError(f"{where}: {error.message}", remedy=error.remedy) from None
+            scheme_and_range = f"scheme {scheme.text}, K from {rungs[0]:.4g} to {rungs[-1]:.4g}"
+            raise PlanError(f"{scheme_and_range}: {error.message}", remedy=error.remedy) from None
 
 
 @dataclass(slots=True)
@@ -195,7 +196,7 @@ class _Hits:
             moved = self.thrown_out and self.trials.device is not None
             asked = replace(asked, attempt=attempt, thrown_out=moved)
             if not self.session.agrees(asked):
-                raise StoppedError("ended between two hits; the effort is zero")
+                raise StoppedError("ended between two hits by the operator; the effort is zero")
             left = self._hit(experiment, asked.stiffness)
             recorded, true = left.judgement.measured, left.judgement.measured_true
             early = left.judgement.early
@@ -224,15 +225,15 @@ class _Hits:
         done = self.trials.run(experiment, {"wall.stiffness": stiffness})
         if isinstance(done, Recorded):
             return done
-        self.thrown_out = _by_the_wall(done)
-        # A wall that throws the handle out is a result; a moment without processor or link makes the hit invalid, and
-        # it is repeated. Anything else is a defect of the rig.
+        self.thrown_out = _is_thrown_out(done)
+        # An unstable wall is a result; a lack of processor or link time makes the hit invalid, and the hit is repeated.
+        # Any other end is a defect of the rig.
         if not self.thrown_out and not out_of_time(done.recorded.recording):
             raise done.error
         return done.recorded
 
 
-def _by_the_wall(ended: Ended) -> bool:
+def _is_thrown_out(ended: Ended) -> bool:
     """Return True if an unstable wall drove the handle out of its window during the push or the release."""
     early = ended.recorded.judgement.early
     return early[0] is Kind.UNSTABLE if early is not None else thrown_out(ended.recorded.recording) != ""

@@ -89,7 +89,7 @@ Wall = tuple[float, float]  # stiffness, damping
 Watch = Callable[[int, int], None]  # runs done, runs in all
 
 SEEN: dict[Signal, Literal["sensed", "handle"]] = {"count": "sensed", "truth": "handle"}
-ATTEMPTS = 3  # at a realisation whose samples were lost
+ATTEMPTS = 3  # runs of a realisation if samples are lost
 TABLE, SUMMARY = "impedance.parquet", "impedance.json"
 
 _JUDGEMENT: Final = "Excitation and judgement"  # group of options
@@ -306,7 +306,7 @@ def measure_impedance(
                 done += 1
                 if watch is not None:
                     watch(done, total)
-                # A wall that threw the handle out once is not passive: further realisations would not change that.
+                # A wall that drives the handle out of its window is not passive: further realisations change nothing.
                 if runs[-1].record is None:
                     break
             results.append(conclude(one, runs, method=method, signal=signal, judging=judging))
@@ -491,7 +491,7 @@ def recorded_impedance(
     walls = {(Scheme.of(one).text, one.wall.stiffness, one.wall.damping) for one in experiments}
     if len(walls) != 1:
         raise ConfigError(
-            f"the recordings are of {len(walls)} walls; recordings of a single wall are needed",
+            f"the recordings are of {len(walls)} walls or schemes; recordings of one wall with one scheme are needed",
             remedy="give the recordings of one result of rig.impedance",
         )
     runs = [

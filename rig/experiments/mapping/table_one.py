@@ -21,10 +21,10 @@ from rig.core.present import reported
 from rig.experiments.mapping._searches import Flags, GridSearch, connected, limit_of, trace_grid
 from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
-# C, μ1 and μ2 make two gains, α = μ1·C and λ = μ2·√C, and count as two, as in the paper. What keeps its default does
-# not count, although some defaults matter: FOAW's longest window does.
+# C, μ1 and μ2 determine two gains, α = μ1·C and λ = μ2·√C, and count as two tuned values, as in the paper. A setting at
+# its default does not count, although some defaults have an influence, like FOAW's longest window.
 LEVANT_GAINS = ("lipschitz", "mu1", "mu2")
-POINTS = 4  # common walls that are shown
+POINTS = 4  # common walls in the table
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +79,9 @@ class FrequencyWidth:
     def of(
         cls, passive: Flags, fidelity: Floats, stiffnesses: Sequence[float], dampings: Sequence[float]
     ) -> FrequencyWidth:
-        """Return the widths for a grid of verdicts and fidelity errors, both of shape (dampings, stiffnesses)."""
-        # A stiffer wall that passes beyond one that fails is an island, listed and not counted: a map in the speckle
-        # has some of them at any stiffness.
+        """Return K-width, B-width and worst fidelity for verdicts and fidelity errors, shape (damping, stiffness)."""
+        # A passive wall above a wall that is not passive is an island: it is listed but does not count for the widths,
+        # because an irregular map has islands at any stiffness.
         region = connected(passive)
         held = region.sum(axis=1)
         holding = np.flatnonzero(held)
@@ -134,14 +134,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class SchemeWidths:
-    """A set of widths of one scheme: for all realisations together, and for each realisation alone."""
+    """A set of K-width, B-width and worst fidelity of one scheme: for all realisations together, and for each alone."""
 
     together: FrequencyWidth
     each: tuple[FrequencyWidth, ...]
 
     @classmethod
     def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
-        """Return the widths of the scheme with the index `scheme` in the map `found`."""
+        """Return K-width, B-width and worst fidelity of the scheme with the index `scheme` in the map `found`."""
         plan = found.plan
         *each, together = (
             FrequencyWidth.of(
@@ -222,7 +222,7 @@ class SchemeRow:
 
 @dataclass(frozen=True, slots=True)
 class TableOne:
-    """A table of the widths of all schemes of a map.
+    """A table like Table I of Chawda et al.: K-width, B-width and fidelity of each scheme of a map.
 
     Common walls have damping above 0, and all `comparable` schemes render them and all softer walls passively.
 
@@ -235,7 +235,7 @@ class TableOne:
     common_walls
         Number of common walls.
     comparable
-        Indices of the schemes that have a connected wall with damping above 0.
+        Indices of the schemes that have a connected wall (passive with all softer walls) with damping above 0.
     band_hz, realisations, stiffness_step, damping_step
         Band (Hz), number of realisations, and largest steps of the grid, on which all numbers depend.
     """
@@ -268,9 +268,9 @@ def table_one(found: FrequencyMap) -> TableOne:
     regions = connected(found.passive[:, -1])  # of all realisations together
     damped = np.array(plan.dampings) > 0.0
     comparable = np.flatnonzero(regions[:, damped].any(axis=(1, 2)))
-    # The paper compares estimators at different walls: the largest error of one that allows stiffer walls is larger for
-    # that alone. So fidelity is also shown at walls that are connected under every scheme, with damping, since without
-    # it the estimator has no effect.
+    # The paper compares estimators at different walls: an estimator that permits stiffer walls has a larger error only
+    # because of these walls. So fidelity is also computed at walls that are connected for every scheme. They have
+    # damping, because without damping the estimator has no effect.
     held = regions[comparable].all(axis=0) & damped[:, None] & (len(comparable) > 0)
     cells = _choose_spaced(np.argwhere(held))
     rows = []

@@ -40,9 +40,11 @@ from rig.experiments.mapping._searches import (
 from rig.experiments.trials.plan import stands_for_device
 
 Judged = Literal["true", "recorded"]
-OFFSETS = (0.1, 0.6)  # default encoder offsets of a map, as shares of a count
-TRUE = "_true"  # how columns of the simulation's truth end, as in recordings
-_BEFORE = "guard tripped before the wall"  # what the numbers of a hit do not show
+# Default distances of position zero from the edge of its encoder cell (counts).
+OFFSETS = (0.1, 0.6)
+TRUE = "_true"  # suffix of columns with the simulation's true values, as in recordings
+# Reason for an invalid hit whose numbers contain no objection.
+_BEFORE = "guard tripped before the wall"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +64,7 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class MapPlan:
-    """A plan of a map of hits.
+    """A plan of a map of stable walls, found by hits.
 
     Attributes
     ----------
@@ -78,11 +80,12 @@ class MapPlan:
         Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1), which influence if a
         stiff wall vibrates.
     repeats
-        Number of series for each scheme, damping and offset; they differ in the exact start and in a hand's tremor.
+        Number of series (stiffness searches) for each scheme, damping and offset; they differ in the exact start and in
+        a hand's tremor.
     judged
         Signals that are judged: ``"recorded"``, as for a single hit, or ``"true"``, the truth of the simulation.
     criteria
-        Criteria for each of which a limit is searched, with additional hits: "felt", "heard", "any".
+        Criteria for each of which a limit is searched, with additional hits: "felt", "heard", "any" ripple.
     """
 
     experiment: Experiment
@@ -105,7 +108,7 @@ class MapPlan:
             raise PlanError(f"`repeats` = {self.repeats} must be at least 1", remedy="give 1 or more")
 
     def series(self) -> list[Series]:
-        """Return all series, in the order of schemes, dampings, offsets, repeats."""
+        """Return all stiffness searches of the map, sorted by scheme, damping, encoder offset and repeat."""
         return [
             Series(number, damping, offset, repeat)
             for number in range(len(self.schemes))
@@ -115,7 +118,7 @@ class MapPlan:
         ]
 
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
-        """Return the experiment of a series, except for its stiffness.
+        """Return the experiment of one series (stiffness search) of the map, except for its stiffness.
 
         `under` is the plan's experiment with the scheme of the series already applied; None: apply the scheme here.
         """
@@ -174,9 +177,9 @@ class MapPlan:
 
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Simulate one series; return a row for each hit, in the order of the hits. Payload and rows are JSON values."""
-    # The payload alone decides a series, so that a map is the same to the last bit on one core, on many, or on a
-    # cluster, and a stopped one resumes.
+    """Simulate the hits of one stiffness search; return a row for each hit. Payload and rows are JSON values."""
+    # The result depends on the payload only, so that a map is equal to the last bit on one core, on many cores and on a
+    # cluster, and a stopped map can resume.
     experiment = config.restore_experiment(payload["experiment"])
     simulator = HitSimulator(experiment)
     rows: list[dict[str, Any]] = []
@@ -197,8 +200,8 @@ class Boundary:
     Attributes
     ----------
     stiffness, deviation
-        Mean and standard deviation of the limits of all series (N·m/rad or N/m). A limit of 0 is included; the
-        deviation of a single limit is 0.
+        Mean and standard deviation of the limits of all series (stiffness searches; N·m/rad or N/m). A limit of 0 is
+        included; the deviation of a single limit is 0.
     lowest, highest
         Lowest and highest limit of the series (N·m/rad or N/m).
     capped
@@ -225,7 +228,7 @@ class Boundary:
 
     @property
     def counted(self) -> float:
-        """Stiffness limit that counts for a width (N·m/rad or N/m): 0 if less than 80 % of B is rendered."""
+        """Stiffness limit for widths (N·m/rad or N/m): 0 if the effort limit cuts more than 20 % of the damping."""
         return self.stiffness if self.rendered >= RENDERED else 0.0
 
     @classmethod
@@ -238,7 +241,7 @@ class Boundary:
         *,
         rendered: float = 1.0,
     ) -> Boundary:
-        """Return the boundary for the limits of all series of one scheme, damping and criterion."""
+        """Return mean and scatter of the limits of all stiffness searches of one scheme, damping and criterion."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
             scheme=scheme,
@@ -257,7 +260,7 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """A summary of a curve of stiffness limits over the damping, without dampings of which less than 80 % is rendered.
+    """A summary of stiffness limits over the damping, without dampings of which the effort limit cuts more than 20 %.
 
     Attributes
     ----------
@@ -275,7 +278,7 @@ class Width:
     holes
         Dampings below `damping_range` at which no wall passed; the area is then a lower bound.
     not_rendered
-        Dampings that were left out because less than 80 % of them is rendered.
+        Dampings that were left out because the effort limit cuts more than 20 % of them.
     lowest
         Lowest stiffness that was tried (N·m/rad or N/m); if no wall passed, the limit is below this stiffness.
     """
@@ -295,7 +298,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ZWidth(Shown, Drawn):
-    """A finished map of hits: its plan, its stiffness limits, and the numbers of all hits."""
+    """A finished map of stable walls: its plan, its stiffness limits, and the numbers of all hits."""
 
     table_name: ClassVar[str] = "hits.parquet"
 
@@ -333,12 +336,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return the limits of a scheme (index) under a criterion ("felt", "heard", "any") by ascending damping."""
+        """Return a scheme's limits by ascending damping; `criterion` is the ripple "felt", "heard" or "any"."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Return the summary of one scheme's curve (by index) under one criterion ("felt", "heard", "any")."""
+        """Return the summary of a scheme's limits; `criterion` is the ripple "felt", "heard" or "any"."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])

@@ -31,24 +31,24 @@ from rig.experiments.mapping._searches import check_values
 from rig.experiments.mapping.impedance import ImpedanceResult, Judging, conclude, refuse_excitations
 from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
 
-TOGETHER = -1  # number that stands for all realisations
+TOGETHER = -1  # number of the row for all realisations together
 NUMBERS = (
-    "margin",  # least Re Z + tolerance over the lines
-    "worst_hz",  # where
-    "residual",  # share of the motion's power off the lines
-    "coherence",  # least, of the motion
+    "margin",  # smallest Re Z + tolerance over all excited frequencies
+    "worst_hz",  # frequency of this smallest value
+    "residual",  # fraction of the motion's power at frequencies that are not excited
+    "coherence",  # smallest coherence of the motion
     "fidelity",  # rms of |Z| − |K/(jω) + B|
     "fidelity_deviation",
-    "stiffness_percent",  # effective, of what was asked for
+    "stiffness_percent",  # effective stiffness relative to the wall's stiffness
     "damping_percent",
-    "saturated",  # share of ticks
+    "saturated",  # fraction of ticks with clipped effort
     "ended_s",
 )
 
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class FrequencyPlan:
-    """A plan of a map of impedances.
+    """A plan of a map of passive walls, found by measured impedances.
 
     Attributes
     ----------
@@ -163,8 +163,8 @@ def wall_rows(
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
         runs.append(bench.excite(wall.stiffness, wall.damping, realisation))
-        # Each realisation by itself, with the variance between its periods (which does not see what friction does alike
-        # in each): its spread is the uncertainty of a single measurement. Then all together: the map.
+        # First each realisation alone, with the variance between its periods (which misses effects of friction that are
+        # equal in all periods): the spread over realisations is the uncertainty of a single measurement.
         yield _row(conclude(walled, runs[-1:], signal=signal, judging=judging), realisation, 1)
     yield _row(conclude(walled, runs, signal=signal, judging=judging), TOGETHER, 0)
 
@@ -197,7 +197,7 @@ def _row(result: ImpedanceResult, realisation: int, runs: int) -> dict[str, Any]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrequencyMap(Shown, Drawn):
-    """A finished map of impedances.
+    """A finished map of passive walls.
 
     Attributes
     ----------

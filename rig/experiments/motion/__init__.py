@@ -1,1 +1,1 @@
-"""Motions without a wall: torque pulses that check the motor, the search for the reference, and weighing."""
+"""Move a rig without a wall: torque pulses that check the motor, search for position zero, and weighing."""

@@ -34,9 +34,12 @@ from rig.loop.layout import EndReason
 from rig.recording.data import Recording
 from rig.recording.files import free_name
 
-AROUND = ("slew_limit", "window_minimum", "window_maximum")  # of the device, not of the law that it runs
-PUSH_ENDS = (EndReason.OUT_OF_WINDOW, EndReason.DEVICE_ENDED)  # at its window: by both laws, or the board's
-LOOKS = 25  # of `REST_S` each, in which the handle has to come to rest
+AROUND = ("slew_limit", "window_minimum", "window_maximum")  # limits of the device around its law
+PUSH_ENDS = (
+    EndReason.OUT_OF_WINDOW,
+    EndReason.DEVICE_ENDED,
+)  # the window ended the run, in both laws or the board's
+LOOKS = 25  # checks of `REST_S` seconds each until the handle must rest
 
 
 def board_pushes(
@@ -131,10 +134,10 @@ def _prepare_push(
         "verified": verified or device.dictionary.simulated,
         "reference_count": zero,
     }
-    # The board bounds a push alone: in way by the window of its law, with zero effort in the very tick; in effort by
-    # the constant, which grows under the slew limit; in time by the length of the trial. If this computer falls silent,
-    # the effort is zero after `controller.supervise_lifetime_s` and the ramp. The device around the law keeps the
-    # limits of all pushes: under the slew limit of a push an end would take as long as the growth.
+    # The board alone limits a push: its travel by the window of its law, with zero effort in the same tick; its effort
+    # by the constant effort, which grows with the slew limit; its time by the length of the trial. If this computer
+    # sends nothing, the effort is zero after `controller.supervise_lifetime_s` and the ramp. The device around the law
+    # has the wider limits of all pushes: with the slew limit of a push a ramp down would take as long as the growth.
     around = prepared_on(device, pushes_motion(x, at).experiment, **given)
     run = prepared_on(device, single_push(x, at, way), **given)
     return replace(run, parameters={**run.parameters, **{name: around.parameters[name] for name in AROUND}})

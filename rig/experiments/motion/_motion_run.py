@@ -37,15 +37,15 @@ from rig.experiments.trials.settings import RigRequest
 from rig.loop.layout import EndReason
 from rig.recording.data import Recording
 
-# Of the ticks: such an effort acts later, and what acted when is recorded. In 240 simulated runs with 0.1 to 20 % of
-# late commands (2026-11-29) no fit missed the inertia by more than 1.5 times its interval; of the 73 with 1 to 5 %
-# coherence or the change from period to period refuses all but 3.
+# Largest fraction of late ticks. A late effort acts later, and the recording shows when. In 240 simulated runs with 0.1
+# to 20 % late commands (2026-11-29) no fit missed the inertia by more than 1.5 times its interval; of the 73 runs with
+# 1 to 5 %, the coherence or the change from period to period refused all but 3.
 LATE_SHARE = 0.05
-ATTEMPTS = 4  # of a motion at one rate, when lost or late samples spoil it
-# Below it commands live no longer, and pushes get coarse.
+ATTEMPTS = 4  # runs of a motion at one rate while samples are lost or late
+# Lowest rate (Hz): below it the lifetime of commands does not grow any more, and pushes become coarse.
 SLOWEST_HZ = round(LIFETIME_PERIODS / LONGEST_LIFETIME_S)
-MOST_LOST_SHARE = 0.02  # of a motion's samples: so many are filled in
-LONGEST_FILLED = 3  # lost samples in a row
+MOST_LOST_SHARE = 0.02  # largest fraction of lost samples that are filled in
+LONGEST_FILLED = 3  # largest number of successive lost samples
 
 
 Result = TypeVar("Result")
@@ -69,7 +69,7 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
     if device.dictionary.simulated or verified:
         return
     raise ConfigError(
-        f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so it does not arm",
+        f"the polarity of motor and encoder of {device.dictionary.device} is not verified, so the device is not armed",
         remedy="make sure that a push of the wrong sign cannot do harm, put the handle at position "
         "zero, and give `verified`: the first pushes check the signs, and end after a few counts "
         "in any case",
@@ -158,7 +158,8 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     """
     if len(rows) < 2:
         raise TimingError(
-            f"{recording.path}: the motion has {len(rows)} samples, and needs 2", remedy="repeat the motion"
+            f"{recording.path}: the motion has {len(rows)} samples; at least 2 are needed",
+            remedy="repeat the motion",
         )
     rate = int(recording.header["experiment"]["controller"]["position_rate"])
     apart = np.diff(rows["sample_index"])

@@ -35,8 +35,8 @@ from rig.experiments.trials.preparation import position_zero
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
-STANDARD_GRAVITY = 9.80665  # m/s², by definition; places differ by 0.3 % each way
-# of rig.limits.effort: above it a device takes a handle that stands still for a dead encoder
+STANDARD_GRAVITY = 9.80665  # m/s², by definition; local gravity differs by up to 0.3 %
+# Fraction of rig.limits.effort above which a device mistakes a resting handle for a dead encoder.
 STILL_SHARE = 0.2
 
 Ask = Callable[[str], None]
@@ -173,14 +173,15 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
         pulled, second = _slide(device, loaded, request, zero, "loaded")
         name = device.dictionary.device
     # Sliding slowly, the motor gives weight plus friction on the way up and weight less friction on the way down: the
-    # mean is the weight. What differs both ways, or a bent cable, is in the strokes without the mass too.
+    # mean is the weight. Friction that depends on the direction, or a bent cable, also acts in the strokes without the
+    # mass, and cancels in the difference.
     difference = pulled.bias.value - bare.bias.value
     measured = Interval(abs(difference), math.hypot(pulled.bias.ci95, bare.bias.ci95))
     if measured.low <= 0.0:
         effort = unit_of("effort", x.rig.motion)
         raise IdentificationError(
-            f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}: it is "
-            "masked by the friction",
+            f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}, so it "
+            "cannot be distinguished from friction",
             remedy="hang a larger mass, or slide more slowly (homing.speed)",
         )
     return Weighing(
@@ -201,22 +202,22 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
 def refuse_load(x: Experiment, weight: float) -> None:
     """Raise `PlanError` if a weight (N·m or N) exceeds the nominal effort, or the effort a device allows at rest."""
     limits, needed, effort = x.rig.limits, weight + coulomb_of(x), unit_of("effort", x.rig.motion)
-    for bound, what, remedy in (
+    for bound, meaning, remedy in (
         (
             limits.nominal_effort,
-            "the motor can hold continuously (rig.limits.nominal_effort)",
+            "the effort that the motor can hold continuously (rig.limits.nominal_effort)",
             "hang a smaller mass, or use a shorter arm",
         ),
         (
             STILL_SHARE * limits.effort,
-            "a device allows while the handle does not move (a fifth of rig.limits.effort)",
+            "the effort that a device allows while the handle rests (a fifth of rig.limits.effort)",
             "hang a smaller mass, or raise rig.limits.effort while no hand holds the handle",
         ),
     ):
         if needed > bound:
             raise PlanError(
-                f"the mass weighs {weight:.3g} {effort}, with the described friction {needed:.3g}: more than the "
-                f"{bound:.3g} {effort} that {what}",
+                f"the mass weighs {weight:.3g} {effort}, with the described friction {needed:.3g}: more than "
+                f"{bound:.3g} {effort}, {meaning}",
                 remedy=remedy,
             )
 
@@ -238,7 +239,7 @@ def hung(
     in m/s².
     """
     if url.startswith("sim:"):
-        # Inertia goes with the square of the arm, weight with the arm.
+        # The end mass has the right inertia (square of the arm): scale gravity, because weight grows with the arm.
         pull = -gravity * loaded.rig.mechanics.handle_radius / arm
         mechanics = replace(loaded.rig.mechanics, gravity=pull)
         model = replace(config.rig_model(still(loaded)), mechanics=mechanics)

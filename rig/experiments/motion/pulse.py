@@ -71,11 +71,11 @@ __all__ = [
     "push_way",
 ]
 
-# Two each way, each growing until the handle has moved a few counts: no sensor of the current, no known sign, and no
-# more energy than `energy_of`.
+# Two pushes in each direction, each growing until the handle has moved a few counts: they need no current sensor and no
+# known sign, and their energy is at most `energy_of`.
 PUSHES = 4
-# The rules, written before their results (`tests/benchmarks/pulses.py`): inertia within this factor of the described
-# one is as described; the motion begins within this factor of the described friction's time, and so long after it.
+# Rules that were fixed before their results (`tests/benchmarks/pulses.py`): largest factor between measured and
+# described inertia; latest begin of the motion over the time that the described friction implies, plus this time (s).
 SAME_SCALE, SAME_FRICTION, LATEST_S = 1.6, 2.0, 0.05
 
 NO_HANDS = "hands off the handle: the motor moves it a little, both ways"
@@ -162,12 +162,12 @@ def pulse(
     RigError
         A push ended early; the effort is zero.
     """
-    # Withdrawn first: whatever ends this function, the rig is not armed on an older pulse.
+    # Reset first: if this function raises, the rig must not be armed because of an older pulse.
     device.moved_as_described = False
     refuse_unverified(device, verified=verified)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
     changes = at_own_rate(experiment, device)
-    if experiment.trial.kind == "human":  # an end mass belongs to automated trials
+    if experiment.trial.kind == "human":  # the end mass is mounted in automated trials only
         changes["rig.mechanics.end_mass"] = 0.0
     x = config.override(experiment, changes, "the torque pulse")
     on_board = x.controller.loop == "device"
@@ -233,7 +233,7 @@ def _host_pushes(
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
-    """Return the changes that set the device's default rate, at most `slow_rate`; an empty mapping in virtual time."""
+    """Return the changes that set the device's default rate, at most `slow_rate` (Hz); empty in virtual time."""
     if device.link.clock.virtual:
         return {}
     rate = min(device.dictionary.position_rate_default, slow_rate(x))
@@ -250,8 +250,8 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
     most, coulomb = most_push(x), coulomb_of(x)
     effort = unit_of("effort", x.rig.motion)
     moved = [push for push in signs.pushes if push.moved]
-    # Friction beyond what a push may use looks like a dead motor: nothing was observed, and the rig is not armed for a
-    # person.
+    # Friction above the largest push cannot be distinguished from a dead motor: without motion the rig is not armed for
+    # a person.
     if not moved:
         return (_judge_unmoved(x, signs, most, coulomb, effort),)
     sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]

@@ -41,14 +41,15 @@ from rig.loop.layout import EndReason
 from rig.realtime import stop_requests
 from rig.recording.files import free_name, plain_errors
 
-# of the travel, that a search goes beyond it; of the window, that the handle keeps from its ends
+# Distance that a search may exceed the travel (fraction of the travel), and that the handle keeps from the window's
+# ends (fraction of the window).
 MARGIN = 0.1
-LEAVE = 1 / 16  # of the distance of two indices, in which the switch has to open
-# of that distance: an index so near to the switch may be the one before it or behind it another day
+LEAVE = 1 / 16  # step by which the handle leaves the switch, as a fraction of the distance of two indices
+# If the index is nearer to the switch than this fraction of the distance, a later search may find another index first.
 NEAR = 0.1
-SAME_COUNTS = 2  # by which the distance of two indices may be wrong: each is latched within a count
-BOTH = 2.25  # distances that a travel must hold for a second index behind the switch
-FOLLOWS = 0.05  # of a way, by which the handle may end short of it
+SAME_COUNTS = 2  # allowed error of the distance of two indices (counts), each latched within a count
+BOTH = 2.25  # the second index is measured only if the travel has this many distances of indices
+FOLLOWS = 0.05  # allowed error at the end of a motion, as a fraction of the distance of two indices
 LOOK_S, HAND_S = 0.02, 120.0
 BLOCKED = "remove obstacles from the travel, such as a stop before the switch, or a hand"
 
@@ -57,14 +58,14 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceRequest(FreeRigRequest):
-    """A request of a search for the reference; if a person moves the handle, no sign must be verified."""
+    """A request to find position zero; if a person moves the handle, motor and encoder signs may be unverified."""
 
     by_hand: Annotated[bool, Keyword("Move the handle by hand; the motor stays off.")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundReference:
-    """A result of a search for the reference.
+    """A result of a search for position zero by the encoder's index.
 
     Attributes
     ----------
@@ -111,7 +112,7 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device and find its reference; raise the errors of `reference`.
+    """Open a device and find its position zero by the encoder's index; raise the errors of `reference`.
 
     `tell` is called with a text before each step.
     """
@@ -139,7 +140,7 @@ def reference(
     by_hand: bool = False,
     tell: Tell | None = None,
 ) -> FoundReference:
-    """Find the reference of an open device, and store the count at position zero in the device.
+    """Find position zero of an open device by the encoder's index, and store the count in the device.
 
     Parameters
     ----------
@@ -218,7 +219,7 @@ class _IndexSearch:
         self._every = self._reference.index_counts(x.rig.encoder)
         assert self._reference.travel is not None  # a rule of the configuration
         self._travel = self._reference.travel
-        # Away from the switch, in counts: up without one.
+        # Direction away from the switch in counts; upwards without a switch.
         self._away = (self._reference.away or 1) * x.rig.encoder.sign
         limits = x.rig.limits
         self._middle = 0.5 * (limits.position_minimum + limits.position_maximum)
@@ -239,7 +240,7 @@ class _IndexSearch:
         refuse_unverified(device, verified=self._verified)
         with plain_errors("make", self._output):
             self._output.mkdir(parents=True, exist_ok=True)
-        # A search with a wrong sign would run away.
+        # With a wrong sign the search would move away from the switch and not stop.
         self._tell("signs: a torque pulse, hands off the handle")
         signs = pulse(
             device, x, recording=self._name("pulse"), verified=self._verified, reference_count=self._zero
@@ -249,8 +250,8 @@ class _IndexSearch:
         if not self._is_pressed():
             self._tell(f"to the limit switch at the {self._reference.limit_switch} of the travel")
             self._seek()
-        # The index comes once in a turn of the encoder: behind a limit switch the first one on the way back is always
-        # the same. It is always passed in the same direction, since its pulse has a width.
+        # The index pulse occurs once per turn of the encoder: after the limit switch the first index on the way back is
+        # always the same. Pass it always in the same direction, because the pulse has a width.
         self._tell("back to the index")
         switch, before = self._leave()
         self._go(switch + self._away * self._every, "index")
@@ -289,14 +290,14 @@ class _IndexSearch:
                 extra={"reference": what},
                 leaves_switch=what != "switch",
             )
-        except DeviceFaultError as error:  # a handle that stands still under effort is a fault of its own
+        except DeviceFaultError as error:  # the device reports a blocked handle as a fault
             error.remedy = f"{BLOCKED}; {error.remedy}"
             raise
         except GuardError as error:
             end = end_of(error)
             if end is not None and end.reason is EndReason.UNMOVED:
                 error.remedy = f"{BLOCKED}; {error.remedy}"
-            if end is None or end.reason is not EndReason.HOMING_FAILED:  # of a way that the board went
+            if end is None or end.reason is not EndReason.HOMING_FAILED:  # only the homing of a board ends so
                 raise
             raise self._short(abs(to - self._scale * (device.count() - zero))) from error
         self.recordings.append(recording)
@@ -312,7 +313,7 @@ class _IndexSearch:
         )
 
     def _seek(self) -> None:
-        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` without a switch."""
+        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` if none is found."""
         way = -self._away * round((1.0 + MARGIN) * self._travel / abs(self._scale))
         try:
             self._go(self._device.count() + way, "switch")
@@ -324,7 +325,7 @@ class _IndexSearch:
             return
         raise IdentificationError(
             f"no limit switch was found within a travel of {self._travel:.4g} "
-            f"{unit_of('position', self._x.rig.motion)} towards the {self._reference.limit_switch}",
+            f"{unit_of('position', self._x.rig.motion)} towards the {self._reference.limit_switch} of the travel",
             remedy="check rig.reference.limit_switch and travel, the board's setting of the switch, and "
             "that the handle presses it; a stop before it, or a hand, can hold the handle back "
             "too",
@@ -389,10 +390,10 @@ class _IndexSearch:
         if passed == 1:
             return seen.index_count
         raise IdentificationError(
-            "no index was seen within twice the distance between two"
+            "no index was seen within twice the distance between two indices"
             if passed == 0
             else f"{passed} indices were seen where exactly one is expected",
-            remedy="check the index's wire, the board's setting of it, and "
+            remedy="check the index's wire, the board's setting of the index, and "
             "rig.encoder.counts_per_revolution; then move the handle without turning back"
             if passed == 0
             else "check the index's wire for noise, and rig.encoder.counts_per_revolution and decoding",

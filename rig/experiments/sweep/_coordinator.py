@@ -162,23 +162,24 @@ class Coordinator:
         )
         self._progress = Progress.begin(tasks, kept, store.damaged)
         left = set(range(len(tasks))).difference(kept)
-        # The heaviest first: a long task that begins last would keep one worker busy while the others idle.
+        # The longest tasks first: a long task that begins last would run alone while other workers are idle.
         self._queue = deque(sorted(left, key=lambda index: (-tasks[index].weight, index)))
-        self._out: dict[Future[Any], int] = {}
-        self._back: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
+        self._running: dict[Future[Any], int] = {}
+        self._finished: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._started_s, self._shown_s = time.monotonic(), -math.inf
 
     def run(self) -> None:
         """Run until all tasks are finished, a task fails, or Ctrl-C; raise errors of the journal and the executor."""
-        # A signal that ends the process at once is left alone: the journal is good whatever ends it.
+        # Do not handle a signal that ends the process at once: the journal is valid after any end.
         numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
-        # A signal is only noted, and acted on between two results: no Ctrl-C strikes between a result and its line in
-        # the journal. A line that the second one tears is left out when the journal is read.
+        # A signal is stored, and handled between two results, so that the first Ctrl-C cannot separate a result from
+        # its line in the journal. A line that the second Ctrl-C interrupts is ignored when the journal is read.
         signals: list[int] = []
 
         def note(number: int, frame: object) -> None:
             signals.append(number)
-            if len(signals) > 1:  # the first is not acted on: the watcher waits for a stopped terminal
+            # A second signal arrives before the first is handled if the progress function blocks on a stopped terminal.
+            if len(signals) > 1:
                 raise KeyboardInterrupt
 
         with handle_signals(numbers, note), listening() as series:
@@ -188,11 +189,11 @@ class Coordinator:
                 self.interruption = self.interruption or error
 
     def _work(self, signals: list[int], series: RunSeries) -> None:
-        while self._out or (self._queue and not self._stopping):
-            self._hand_out()
+        while self._running or (self._queue and not self._stopping):
+            self._submit_tasks()
             if self._check_interruption(signals, series):
                 return
-            self._take()
+            self._store_finished()
             self._store.sync()
         self._shown_s = -math.inf
         self._check_interruption(signals, series)
@@ -201,23 +202,23 @@ class Coordinator:
     def _stopping(self) -> bool:
         return self.interruption is not None or self.failure is not None
 
-    def _hand_out(self) -> None:
+    def _submit_tasks(self) -> None:
         workers = self._executor.workers()
-        while self._queue and not self._stopping and len(self._out) < workers * self._executor.ahead:
+        while self._queue and not self._stopping and len(self._running) < workers * self._executor.ahead:
             task = self._tasks[index := self._queue.popleft()]
             text = as_json(task.payload, sort_keys=True)
             future = self._executor.submit(perform, task.work, text, self._unit, code_version())
-            self._out[future] = index
-            future.add_done_callback(self._back.put)
+            self._running[future] = index
+            future.add_done_callback(self._finished.put)
         self._progress = replace(
-            self._progress, running=len(self._out), workers=workers, stopping=self._stopping
+            self._progress, running=len(self._running), workers=workers, stopping=self._stopping
         )
 
     def _check_interruption(self, signals: list[int], series: RunSeries) -> bool:
         """Call the progress function and handle Ctrl-C; return True after a second Ctrl-C: do not wait for tasks."""
         before = self.interruption
         try:
-            # `rig.stop`, and a Ctrl-C that another thread was given, count in the series: once.
+            # `rig.stop`, or a Ctrl-C that another thread received, stops the series: handle it only once.
             if signals or (before is None and series.is_stopped):
                 signals.clear()
                 raise KeyboardInterrupt
@@ -227,30 +228,30 @@ class Coordinator:
         except BaseException as error:
             self.interruption = before or error
             if not isinstance(error, KeyboardInterrupt):
-                # A watcher that fails once fails at every look: the run then ends without one.
+                # A progress function that failed once would fail again: continue to the end without it.
                 self._watch = None
             return before is not None
         return False
 
-    def _take(self) -> None:
+    def _store_finished(self) -> None:
         """Store the results of finished tasks; wait up to `POLL_S` (s) for the first result."""
         try:
-            self._keep(self._back.get(timeout=POLL_S))
+            self._store_result(self._finished.get(timeout=POLL_S))
             while True:
-                self._keep(self._back.get_nowait())
+                self._store_result(self._finished.get_nowait())
         except queue.Empty:
             return
 
-    def _keep(self, future: Future[Any]) -> None:
-        index = self._out.pop(future)
+    def _store_result(self, future: Future[Any]) -> None:
+        index = self._running.pop(future)
         try:
             report: Done | Failure = future.result()
         except BaseException as error:
-            # `perform` returns the errors of a task: what is raised here is the executor's own, such as a lost worker.
+            # `perform` returns errors of tasks: an exception here is the executor's, for example a lost worker.
             report = self._executor.explain(error)
         if isinstance(report, Failure):
             found = (index if report.of_task else -1, report)
-            # The failure of the first task in order, so that the error is the same on any executor.
+            # Store the failure with the lowest index, so that the error is equal on any executor.
             self.failure = min(self.failure or found, found, key=lambda failure: failure[0])
             return
         task, now = self._tasks[index], self._progress
@@ -260,5 +261,5 @@ class Coordinator:
             done=now.done + 1,
             weight_done=now.weight_done + task.weight,
             units=now.units + report.units,
-            running=len(self._out),
+            running=len(self._running),
         )

@@ -45,9 +45,9 @@ class Failure:
 
 
 class Executor(Protocol):
-    """An interface of the objects that run tasks in threads or processes; only one thread at a time may use one."""
+    """An interface of executors, which run tasks in threads or processes; one thread at a time may use an executor."""
 
-    ahead: int  # tasks to hand out for each worker: 1 is the one that it runs
+    ahead: int  # number of submitted tasks per worker; 1: only the running task
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """Schedule a call, like `concurrent.futures.Executor.submit`, and return the future of its result."""
@@ -97,7 +97,7 @@ def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Fai
     try:
         result = work(json.loads(payload))
         return Done(as_json(result), 1 if unit is None else _units(result, unit))
-    except BaseException as error:  # a task may raise anything, and this may be a thread
+    except BaseException as error:  # a task may raise any exception, also in a thread
         details = "".join(traceback.format_exception(error)).rstrip()
         if isinstance(error, RigError):
             return Failure(error.message, error.remedy, details)
@@ -114,7 +114,9 @@ def _plain(value: Any) -> Any:
         return dict(value)
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"a {type(value).__name__} cannot be written as JSON")
+    raise TypeError(
+        f"a {type(value).__name__} cannot be written as JSON; use numbers, texts, booleans, None, lists and mappings"
+    )
 
 
 def _units(result: Any, name: str) -> int:

@@ -76,8 +76,8 @@ class Journal:
 
     def __init__(self, path: Path, header: Mapping[str, Any], keys: Sequence[str]) -> None:
         self.path = path
-        self.damaged = 0  # lines that were left out
-        self._places = array("q", [NOT_DONE]) * len(keys)  # where the line of each task begins
+        self.damaged = 0  # number of ignored lines
+        self._places = array("q", [NOT_DONE]) * len(keys)  # byte at which the line of each task begins
         self._file = LineFile(path, remedy="wait until that process has ended, or give another file")
         try:
             self._end = self._load({"sweep": VERSION, **header}, keys)
@@ -124,7 +124,7 @@ class Journal:
         wanted = line_of(json.dumps(header))
         with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
-        # New, or its first line was torn: either way it holds nothing.
+        # The file is new, or its first line is incomplete: in both cases it contains no result.
         if len(first) < len(wanted) and wanted.startswith(first):
             return self._begin(wanted)
         check_line_end(self.path, first)
@@ -134,7 +134,7 @@ class Journal:
                 f"{self.path} is not the journal of a sweep, or its first line is damaged",
                 remedy=f"give another file, or remove {self.path} to start again",
             )
-        _refuse_another(self.path, there, json.loads(json.dumps(header)))
+        _refuse_other_sweep(self.path, there, json.loads(json.dumps(header)))
         end = self._read_results(len(first), {key: index for index, key in enumerate(keys)})
         self._file.truncate(end)
         return end
@@ -179,7 +179,7 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
     return found, place
 
 
-def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
+def _refuse_other_sweep(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
     """Raise `ConfigError` with the differences if the header in the file (`there`) differs from the new header."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
         return
@@ -195,14 +195,14 @@ def _refuse_another(path: Path, there: dict[str, Any], here: dict[str, Any]) -> 
 
 
 def _differences(there: Any, here: Any, where: str) -> Iterator[str]:
-    """Yield a text for each value that differs, like ``first.payload.wall.stiffness: 40 there, 50 here``."""
+    """Yield a text for each value that differs, like ``first.payload.wall.stiffness: 40 in the file, 50 now``."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in {**there, **here}:
             yield from _differences(there.get(key), here.get(key), f"{where}.{key}")
     elif json.dumps(there) != json.dumps(here):
-        yield f"{where}: {_shown(there)} there, {_shown(here)} here"
+        yield f"{where}: {_shorten(there)} in the file, {_shorten(here)} now"
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= SHOWN_LETTERS else text[:SHOWN_LETTERS] + "…"

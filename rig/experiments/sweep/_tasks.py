@@ -131,7 +131,7 @@ def run(
     finally:
         store.close()
     results = Results(tasks, store.done(), store)
-    _raise_what_ended(coordinator, tasks, results, journal)
+    _raise_ending(coordinator, tasks, results, journal)
     return results
 
 
@@ -163,27 +163,28 @@ def run_here(
 def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) -> Journal | Memory:
     """Open the store of results: a `Journal` with a hash of everything that determines the results, or a `Memory`."""
     if len({task.key for task in tasks}) != len(tasks):
-        raise ValueError("two tasks have the same key")
+        raise ValueError("two tasks have the same key; give each task of a sweep its own key")
     if not all(task.weight > 0.0 for task in tasks):
-        raise ValueError("a task's weight is not above zero")
+        raise ValueError("a task's weight is not above zero; give the expected duration in any unit")
     works = [task.work_name if name is None else name for task in tasks]
     local = next((work for work in works if name is None and "<" in work), None)
     if local is not None:
         raise ValueError(
             f"{local} is not defined at the top level of a module, so a journal or a worker cannot "
-            "refer to it"
+            "refer to it; move the function to the top level"
         )
     work, code = ", ".join(dict.fromkeys(works)), code_version()
     digest = sha256(as_json([work, code]).encode())
     for task, of_task in zip(tasks, works, strict=True):
         digest.update(as_json([task.key, of_task, task.payload], sort_keys=True).encode())
-    # The first task stands in the header as text, so that a refused journal can name what differs; the hash covers all.
+    # The header contains the first task as text, so that the error for another sweep can name the differences; the hash
+    # covers all tasks.
     first = json.loads(as_json({"key": tasks[0].key, "payload": tasks[0].payload})) if tasks else None
     plan = {"work": work, "version": code, "tasks": len(tasks), "plan": digest.hexdigest(), "first": first}
     return Memory(len(tasks)) if journal is None else Journal(journal, plan, [task.key for task in tasks])
 
 
-def _raise_what_ended(
+def _raise_ending(
     coordinator: Coordinator, tasks: Sequence[Task], results: Results, journal: Path | None
 ) -> None:
     """Raise the error of a sweep in which a task failed or that was interrupted; do nothing if all tasks finished."""

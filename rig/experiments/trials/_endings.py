@@ -27,7 +27,7 @@ from rig.loop.layout import EndReason
 
 # Reason → error, what happened, what to do. In braces: url, why (errno), cause_of_loss and loss_remedy
 # (`rig.devices._failures`), fault, fault_remedy, contradiction, cause (an exception), position and velocity of the last
-# row, and what `rig.loop._run.LoopEnd` says was watched.
+# row, and the values in `watched` of `rig.loop._run.LoopEnd`.
 ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
     EndReason.RUNNING: (StoppedError, "stopped before the loop had begun; the effort is zero", ""),
     EndReason.STOPPED: (StoppedError, "stopped{stopper}; the effort is zero", ""),
@@ -37,7 +37,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
         "find what blocked the supervising program",
     ),
     EndReason.LINK_CLOSED: (
-        LinkLostError,  # which one, `rig.devices._failures` says
+        LinkLostError,  # replaced by the class from `rig.devices._failures`
         "the link broke during the run: {url} {cause_of_loss} ({why}); the device cuts the effort by itself",
         "{loss_remedy}",
     ),
@@ -143,7 +143,7 @@ ENDINGS: dict[EndReason, tuple[type[RigError], str, str]] = {
 }
 
 
-# Reasons, as a trailer has them, behind which a rig may no longer be the one that a torque pulse found.
+# Reasons (as written in a trailer) after which the rig may have changed, so that a new torque pulse is needed.
 IN_DOUBT = frozenset(
     reason.name.lower()
     for reason in (

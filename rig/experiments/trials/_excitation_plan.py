@@ -19,7 +19,7 @@ from rig.core.sample import Motion, unit_of
 from rig.experiments.trials.excitation_run import multisine_of
 from rig.experiments.trials.planned import Plan, Step, heat_check, limited, where_it_runs
 
-RENDERED = "peak motor effort"  # of `rig.control.excitation.Multisine.check`
+RENDERED = "peak motor effort"  # name of a check of `rig.control.excitation.Multisine.check`
 
 
 def excitation_plan(experiment: Experiment) -> Plan:
@@ -60,7 +60,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
         "velocity": "reduce the excitation",
     }
     stability = _stability_checks(x, loop)
-    # An unstable wall has no valid prediction of its motion: warned, not refused.
+    # For an unstable wall the predicted motion is not valid: warn, do not refuse.
     moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
     worst = {"effort": Outcome.REFUSED, "position": moved, "velocity": moved}
     most_rendered = most.pop(RENDERED, None)

@@ -31,57 +31,69 @@ from rig.experiments.trials.planned import Plan, Step, limited
 
 Floats = NDArray[np.float64]
 
-SLOW_RATE = 2000  # Hz: pushes and strokes need no more
-# Hz, of rates that are named: the usual period of the excitation, 0.5 s, is whole samples of each
+SLOW_RATE = 2000  # highest rate of pushes and strokes (Hz)
+# Proposed rates are multiples of this (Hz), so that the usual period of the excitation, 0.5 s, has whole samples.
 RATE_STEP = 50
-NO_PUSH = 1e-12  # of the effort limit: a trial must push, and this is less than any quantum
-MARGIN_COUNTS = 1.0  # a trial starts that far before its wall
+# Effort of a trial that must not push, as a fraction of the effort limit: above 0 by rule, and below any quantum.
+NO_PUSH = 1e-12
+MARGIN_COUNTS = 1.0  # distance from the start of a trial to its wall (counts)
 
-# Pushes: how many, how far, up to which share of the nominal effort, in which time, and the rest after each.
+# Pushes: number, travel (counts), largest effort as a fraction of the nominal effort, longest duration (s), rest (s).
 PUSHES, PUSH_COUNTS, PUSH_SHARE, PUSH_S, REST_S = 6, 30, 0.3, 1.5, 0.2
-# With a coarse encoder, whose brake is late: ways of a push that half of the window has room for, and the least way.
+# With a coarse encoder, whose brake acts late: half of the window over the travel of a push, and shortest
+# travel (counts).
 COARSE_ROOM, LEAST_PUSH_COUNTS = 3.0, 8
-PUSH_RISE_S = 0.05  # gentle: without friction the way takes that long
-PUSH_COULOMB = 5.0  # but it may grow to this multiple of the described friction in `PUSH_S`
-# share of the speed limit that a handle may have when a push gives up; the rest is for its end
+PUSH_RISE_S = 0.05  # duration of a push's travel without friction (s)
+PUSH_COULOMB = 5.0  # multiple of the described friction that the effort may reach in `PUSH_S`
+# Largest speed of the handle at the end of a push, as a fraction of the speed limit; the rest is for its ramp down.
 UNSEEN_SPEED = 0.92
-# of a push by a board: until this computer ends it; its effort falls as slowly as it has grown
+# Release time of a push on a board (s): this computer ends the run, as the slew limit lets the effort fall slowly.
 PUSH_END_S = 0.01
-PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # window (ways of a push) and speed (ways a second) that end the run
+PUSH_WINDOW, PUSH_SPEED = 20.0, 200.0  # limits of position and speed, in travels of a push (and per second)
 BRAKE_S = 0.02  # time constant of the brake after a push
-# Most effort of a push over the described friction: below it a dead motor and friction look alike.
+# Smallest ratio of a push's effort to the described friction at which friction is distinguishable from a dead motor.
 OBSERVABLE = 1.5
-PUSHES_ROOM = 2.5  # ways of a push that the handle may go to one side: two pushes, and their brakes
+PUSHES_ROOM = 2.5  # travels of a push to one side that the window must contain: two pushes with braking
 
-# Strokes: half their travel as a share of the window, lengths, and most speed as a share of its limit.
+# Strokes: half their travel as a fraction of the window, durations (s), and highest speed as a fraction of its limit.
 TRAVEL_SHARE, STROKES_S, STROKE_SPEED = 0.2, (0.4, 0.8, 1.6), 0.3
-LEAST_STROKE_COUNTS = 45  # ten in a third of what is read of the second stroke
-HELD_OF_TRAVEL = 0.5  # at which friction may hold a handle: it must still slide for a third of its stroke
-MOST_SLOWING = 16.0  # of strokes, so that a soft servo reaches their speed
-WAY_SPEED, WAY_REST_S = 5.0, 0.3  # a slow way: speed that ends the run, over that of the way; rest at its end
-WAY_END_S = 0.02  # of a way that a board goes: the handle is let go
-WAY_PATIENCE_S = 5.0  # and how much longer than twice its time it may take before it is given up
-HANG_S, WEIGHING_SHARES = 2.0, (1.0, 0.5)  # weighing: time to let go of the load; speeds, over that of homing
+# Fewest counts of a stroke: ten counts in a third of the evaluated part of the second stroke.
+LEAST_STROKE_COUNTS = 45
+# Largest position error by friction as a fraction of half the travel: the handle must slide for a third of its stroke.
+HELD_OF_TRAVEL = 0.5
+MOST_SLOWING = 16.0  # largest factor by which strokes are slowed, so that a soft servo reaches their speed
+WAY_SPEED, WAY_REST_S = 5.0, 0.3  # slow motion: speed limit over its speed, and rest at its end (s)
+WAY_END_S = 0.02  # slow motion on a board: duration of the trial after homing (s)
+WAY_PATIENCE_S = 5.0  # slow motion on a board: timeout besides twice its duration (s)
+HANG_S, WEIGHING_SHARES = (
+    2.0,
+    (1.0, 0.5),
+)  # weighing: time to let go of the load (s); speeds over homing's speed
 CUTOFF_SHARE = 0.2  # cut-off of the velocity filter over its rate
-# Of the speed limit, as which that filter may read one count; strokes and excitation have the rest.
+# Largest velocity that the filter may report for one count, as a fraction of the speed limit.
 COUNT_SHARE = 0.4
-FILTER_DELAY = 0.225  # of that filter: its delay times its cut-off, √2/(2π)
-SERVO_TICKS, SERVO_PHASE = 3.0, 0.5  # delay that a servo must bear besides, and phase (rad) that it may cost
+FILTER_DELAY = 0.225  # delay of the filter times its cut-off, √2/(2π)
+SERVO_TICKS, SERVO_PHASE = (
+    3.0,
+    0.5,
+)  # additional delay of the servo's loop (ticks), and its largest phase loss (rad)
 
-# Sweeps for cogging: half their travel as a share of the window; speeds of the pairs, over the fastest, at which the
-# servo still follows the highest harmonic (its corner over that harmonic's frequency); rest at each end.
+# Sweeps for cogging: half their travel as a fraction of the window; speeds of the pairs over the highest speed; the
+# servo's corner frequency over the frequency of the highest harmonic at this speed; rest at each end (s).
 SWEEP_SHARE, SWEEP_SPEEDS, FOLLOWS, SWEEP_REST_S = 0.42, (1.0, 0.8, 0.6), 6.0, 0.3
 
-# Excitation: its band, and where it ends as a share of the rate; before the kept periods a time, and periods at least.
+# Excitation: band (Hz), and its highest frequency as a fraction of the rate; settling time (s), fewest settling
+# periods, and analysed periods.
 LOWEST_HZ, HIGHEST_HZ, HIGHEST_SHARE = 4.0, 1000.0, 0.15
 EXCITATION_SETTLE_S, LEAST_SETTLE, PERIODS = 1.0, 2, 2
 LINES_PER_OCTAVE = 16
-EVEN_FROM_HZ = 25.0  # below it amplitudes fall with the frequency: the motion would grow
-CENTRING_HZ = 2.5  # of the soft spring that keeps an excited handle near the middle
-# Shares of the limits that the excitation may use.
+# Below this frequency the amplitudes are proportional to the frequency, else the motion would be too large.
+EVEN_FROM_HZ = 25.0
+CENTRING_HZ = 2.5  # natural frequency of the handle on the soft spring that centres it
+# Fractions of the limits that the excitation may use.
 EFFORT_SHARE, RMS_SHARE, POSITION_SHARE, SPEED_SHARE = 0.6, 0.9, 0.5, 0.5
-# Rms effort of the excitation over Coulomb friction from which friction widens the inertia's interval by 0.1 % at most,
-# with two masses by 1 %.
+# From this ratio of the excitation's rms effort to Coulomb friction on, friction widens the interval of the inertia by
+# at most 0.1 %, with two masses by 1 %.
 HARD = 5.0
 
 
@@ -126,9 +138,9 @@ def identification_plan(
     checks: tuple[Check, ...] = (
         _check("push", most_push(x), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
-        _follows(x, HELD_OF_TRAVEL * travel),
-        _counts(x, travel),
-        _moves(x, multisine.position(impedance).rms),
+        _check_following(x, HELD_OF_TRAVEL * travel),
+        _check_stroke_counts(x, travel),
+        _check_excitation_counts(x, multisine.position(impedance).rms),
         _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
         _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
                "widen the window"),
@@ -152,7 +164,7 @@ def identification_plan(
                 sweeps[-1].end_s + SWEEP_REST_S,
             ),
         )
-        checks += (_repeatable(x), _whole_period(x, way - 2.0 * SETTLE_S * most))
+        checks += (_check_repeatable(x), _check_whole_period(x, way - 2.0 * SETTLE_S * most))
     return Plan(x.rig.name, 1, settings, checks)
 
 
@@ -176,14 +188,15 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
     return replace(plan, steps=(*plan.steps, step), checks=(*plan.checks, sag))
 
 
-def _follows(x: Experiment, limit: float) -> Check:
+def _check_following(x: Experiment, limit: float) -> Check:
     """Check that friction keeps the handle within `limit` (rad or m) of the servo's set point.
 
     A slower loop permits only a softer servo, whose position error by friction is larger.
     """
     stiffness = servo_of(x, slow_rate(x))[0]
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
-    stiffer = math.sqrt(3.0 * held / limit)  # with room: stiffness goes as the square of the rate
+    # The servo's stiffness grows with the square of the rate; a factor of 3 leaves a margin.
+    stiffer = math.sqrt(3.0 * held / limit)
     enough = RATE_STEP * math.ceil(x.controller.position_rate * stiffer / RATE_STEP)
     return limited(
         "friction under the strokes",
@@ -194,7 +207,7 @@ def _follows(x: Experiment, limit: float) -> Check:
     )
 
 
-def _counts(x: Experiment, travel: float) -> Check:
+def _check_stroke_counts(x: Experiment, travel: float) -> Check:
     """Check that a stroke of ± `travel` (rad or m) has enough counts to measure a speed in a third of the stroke."""
     counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
     return limited(
@@ -206,7 +219,7 @@ def _counts(x: Experiment, travel: float) -> Check:
     )
 
 
-def _moves(x: Experiment, rms: float) -> Check:
+def _check_excitation_counts(x: Experiment, rms: float) -> Check:
     """Check that the excitation moves the handle by enough counts; `rms` is its motion without friction (rad or m)."""
     counts = rms / x.rig.encoder.resolution
     return limited(
@@ -218,7 +231,7 @@ def _moves(x: Experiment, rms: float) -> Check:
     )
 
 
-def _repeatable(x: Experiment) -> Check:
+def _check_repeatable(x: Experiment) -> Check:
     """Check that position zero comes from an index pulse, so that it is the same after each start of the device."""
     if x.rig.reference.index:
         return Check("position zero", Outcome.OK, "comes from the encoder's index")
@@ -231,7 +244,7 @@ def _repeatable(x: Experiment) -> Check:
     )
 
 
-def _whole_period(x: Experiment, measured: float) -> Check:
+def _check_whole_period(x: Experiment, measured: float) -> Check:
     """Check that the sweeps, over `measured` (rad or m), contain a whole period, to separate the harmonics."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
@@ -319,7 +332,7 @@ def strokes_motion(x: Experiment) -> IdentificationMotion:
     rate = slow_rate(x)
     stiffness, damping = servo_of(x, rate)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, _homing(x, rate)), law)
+    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, _homing_changes(x, rate)), law)
 
 
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
@@ -334,7 +347,7 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
     effort = min(x.homing.effort, x.rig.limits.nominal_effort)
     low, high = min(at, to) - margin, max(at, to) + margin
     changes = {
-        **_homing(x, rate),
+        **_homing_changes(x, rate),
         "homing.effort": effort,
         "rig.limits.effort": effort,
         "rig.limits.speed": min(
@@ -342,7 +355,8 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
         ),
         "rig.limits.position_minimum": low,
         "rig.limits.position_maximum": high,
-        "rig.simulation.initial_position": at,  # which must lie in the window, wherever the device now is
+        # The initial position must be inside the window, also if a simulated rig is elsewhere.
+        "rig.simulation.initial_position": at,
         "rig.reference.travel": max(high - low, x.rig.reference.travel or 0.0),
     }
     if on_board:
@@ -364,14 +378,16 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
     stiffness, damping = servo_of(x, rate)
     path, _ = weighing_strokes(x)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, _bearing(x, rate, limit)), law)
+    return IdentificationMotion(
+        _set_motion(x, path[0][1], path[-1][0], rate, _loaded_homing(x, rate, limit)), law
+    )
 
 
-def _bearing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
-    """Return changes of homing for a rig under a load: effort up to `limit` (N·m or N), and a tolerance for the sag."""
+def _loaded_homing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
+    """Return changes of [homing] for a rig under a load: effort up to `limit` (N·m or N), tolerance for the sag."""
     hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
     return {
-        **_homing(x, rate),
+        **_homing_changes(x, rate),
         "homing.effort": limit,
         "homing.tolerance_counts": min(1e6, x.homing.tolerance_counts + hangs),
     }
@@ -399,7 +415,7 @@ def cogging_motion(x: Experiment, most_order: int, *, loaded: bool = False) -> I
     rate, limit = slow_rate(x), min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     stiffness, damping = servo_of(x, rate)
     law = make_tracing_law(path, stiffness=stiffness, damping=damping, limit=limit, rate_hz=rate)
-    changes = _bearing(x, rate, limit) if loaded else _homing(x, rate)
+    changes = _loaded_homing(x, rate, limit) if loaded else _homing_changes(x, rate)
     return IdentificationMotion(_set_motion(x, path[0][1], path[-1][0], rate, changes), law)
 
 
@@ -433,7 +449,7 @@ def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Id
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
-    changes = {"wall.stiffness": centring(inertia), **_homing(x, rate)}
+    changes = {"wall.stiffness": centring(inertia), **_homing_changes(x, rate)}
     return IdentificationMotion(_set_motion(x, _middle(x), periods * multisine.period_s, rate, changes), law)
 
 
@@ -455,8 +471,8 @@ def _cutoff_hz(x: Experiment, rate: int) -> float:
     return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
 
 
-def _homing(x: Experiment, rate: int) -> dict[str, Any]:
-    """Return changes of homing: the servo of `servo_of`, and a tolerance for friction and cogging."""
+def _homing_changes(x: Experiment, rate: int) -> dict[str, Any]:
+    """Return changes of [homing]: the servo of `servo_of`, and a tolerance for friction and cogging."""
     stiffness, damping = servo_of(x, rate)
     held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
     return {
@@ -546,7 +562,7 @@ def coulomb_of(x: Experiment) -> float:
 
 
 def push_growth(x: Experiment) -> float:
-    """Return the growth of a push's effort (N·m/s or N/s): above friction within `PUSH_S`, slow enough to stop."""
+    """Return the growth rate of a push's effort (N·m/s or N/s), with which it exceeds friction within `PUSH_S`."""
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
@@ -641,9 +657,9 @@ def _set_motion(
         "controller.parameters.cutoff_hz": _cutoff_hz(x, rate),
         "verdict.lowpass_hz": min(x.verdict.lowpass_hz, 0.4 * rate),
     }
-    if x.controller.loop == "device":  # in integers, which every board has
+    if x.controller.loop == "device":  # every board has the estimator in integers
         still["controller.estimator"] = "fdm-butterworth-fixed"
-    # Its own friction and cogging are what is looked for: nothing may compensate them meanwhile.
+    # Friction and cogging are to be measured, so that nothing may compensate them in these motions.
     plain = {"controller.friction_compensation": 0.0, "controller.cogging_compensation": False}
     return config.override(x, {**still, **changes, **plain}, "identification")
 
@@ -653,7 +669,8 @@ _NO_WALL: dict[str, Any] = {
     "trial.repeats": 1,
     "trial.baseline_s": 0.0,
     "trial.minimum_rest_counts": 0.0,
-    "rig.limits.oscillations": 0,  # a motion is the motor's own: neither its efforts nor its work are a wall's
+    # No wall is rendered: the guard's limits of a wall's oscillations and energy must not end these motions.
+    "rig.limits.oscillations": 0,
     "rig.limits.energy": None,
     "wall.stiffness": 0.0,
     "wall.damping": 0.0,
@@ -697,7 +714,7 @@ def settle_periods(period_s: float) -> int:
 
 
 def excited_s(period_s: float) -> float:
-    """Return the duration of one realisation of the excitation (s)."""
+    """Return the duration of one run of the excitation, with its settling periods (s)."""
     return (settle_periods(period_s) + PERIODS) * period_s
 
 

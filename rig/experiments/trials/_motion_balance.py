@@ -16,17 +16,22 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 WINDOW_S = 0.01
-FACTOR = 1.4  # half way to 2, on a scale of ratios; 200 trials of sound rigs had 0.86 to 1.17 (8 presets, 2026-11-29)
-MOST_DOUBT = 0.5  # of a scale that decides: the most that half a count in every sample can make of it
-FRICTIONS = (1.0, 0.5, 1.5)  # of the described one; how it is known after an identification
-FRICTION_SPEED_COUNTS = 2.0  # in a window: a slower handle's friction has no known direction
+# A ratio above this factor, or below its inverse, means a changed scale: the geometric mean of 1 and 2. In 200 trials
+# of intact rigs the ratio was 0.86 to 1.17 (8 presets, 2026-11-29).
+FACTOR = 1.4
+# A scale is used only if half a count in every sample changes it by at most this much.
+MOST_DOUBT = 0.5
+# Tested friction relative to the described friction, whose uncertainty after an identification is 50 %.
+FRICTIONS = (1.0, 0.5, 1.5)
+# If the handle moves by fewer counts in a window, the direction of friction is unknown.
+FRICTION_SPEED_COUNTS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class MotionScale:
-    """A ratio of measured to predicted motion.
+    """A scale of the encoder: the ratio of measured to predicted motion.
 
-    `doubt` is the largest error of this ratio that a quantisation error of half a count in every sample can cause.
+    `doubt` is the largest error of `value` that a quantisation error of half a count in every sample can cause.
     """
 
     value: float
@@ -35,16 +40,15 @@ class MotionScale:
 
 @dataclass(frozen=True, slots=True)
 class MotionBalance:
-    """A comparison of the ratios of measured to predicted motion before and after the first contact.
+    """A comparison of the encoder's scale (measured over predicted motion) before and after the first contact.
 
     Attributes
     ----------
     before, after
-        Ratio of measured to predicted motion before and after the contact, with the described friction; None without
-        motion.
+        Scale before and after the contact, computed with the described friction; None without motion.
     least, most
-        Smallest and largest value of `ratio` if friction is up to 50 % lower or higher than described (`FRICTIONS`);
-        None if a ratio is too uncertain.
+        Smallest and largest value of `ratio` if friction is up to 50 % lower or higher than described; None if a scale
+        is too uncertain.
     """
 
     before: MotionScale | None
@@ -54,19 +58,19 @@ class MotionBalance:
 
     @property
     def ratio(self) -> float | None:
-        """Ratio after the contact divided by the ratio before the contact; None if either is too uncertain."""
+        """Encoder's scale after the contact divided by the scale before it; None if a scale is too uncertain."""
         return _ratio(self.before, self.after)
 
     @property
     def changed(self) -> bool:
-        """Return True if the encoder's scale changed in the trial; False if not, or if a ratio is too uncertain."""
+        """Return True if the encoder's scale changed in the trial; False if not, or if a scale is too uncertain."""
         if self.least is None or self.most is None:
             return False
         return self.least > FACTOR or self.most < 1.0 / FACTOR
 
 
 def _ratio(before: MotionScale | None, after: MotionScale | None) -> float | None:
-    # A handle that rests in the wall shows no scale: the motion must bend the path by enough counts in both.
+    # A resting handle shows no scale: the path must be curved by enough counts before and after the contact.
     if before is None or after is None or max(before.doubt, after.doubt) > MOST_DOUBT or before.value <= 0.0:
         return None
     return after.value / before.value
@@ -83,7 +87,7 @@ def motion_balance(
     coulomb: float,
     damping: float,
 ) -> MotionBalance:
-    """Compare measured with predicted motion before and after the first contact.
+    """Compute the encoder's scale (measured over predicted motion) before and after the first contact.
 
     Parameters
     ----------
@@ -98,15 +102,15 @@ def motion_balance(
         Described inertia, Coulomb friction and viscous damping of motor and link together (kg·m² or kg, N·m or N,
         N·m·s/rad or N·s/m).
     """
-    # In each window the position is x0 + v0·t + s·g(t), with g the second integral of what effort less friction would
-    # do to the described inertia; s is the encoder's scale times described over true inertia.
+    # In each window the position is x0 + v0·t + s·g(t), where g is the second integral of (effort − friction) divided
+    # by the described inertia, and s is the encoder's scale times described over true inertia.
     length = max(8, round(WINDOW_S / tick_s))
     found: list[tuple[MotionScale | None, MotionScale | None]] = []
     for share in FRICTIONS:
         bend, path = _windows(position, effort, length, tick_s, resolution, inertia, share * coulomb, damping)
         last = np.arange(len(bend)) * (length // 2) + length
-        # Before: only the first half of the time from release to contact, the first window at least. A wrongly
-        # described inertia is in both scales, and hardly in their ratio.
+        # Before the contact use only the first half of the time from release to contact, but at least one window. An
+        # error of the described inertia changes both scales, and hardly their ratio.
         early, late = last <= max(length, contact // 2), last - length >= contact
         found.append(
             (_scale(bend[early], path[early], resolution), _scale(bend[late], path[late], resolution))
@@ -150,10 +154,10 @@ def _windows(
     force = f - coulomb * np.where(moving, np.sign(way), np.clip(f / max(coulomb, 1e-300), -1.0, 1.0))
     predicted = np.cumsum(np.cumsum(force / inertia, axis=1), axis=1) * tick_s**2
     measured = x + damping / inertia * np.cumsum(x - x[:, :1], axis=1) * tick_s
-    return _bent(predicted), _bent(measured)
+    return _remove_trend(predicted), _remove_trend(measured)
 
 
-def _bent(rows: Floats) -> Floats:
+def _remove_trend(rows: Floats) -> Floats:
     """Return each row minus its fitted straight line."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     rows = rows - rows.mean(axis=1, keepdims=True)

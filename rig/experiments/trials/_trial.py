@@ -56,14 +56,16 @@ from rig.recording.recorder import Recorder
 from rig.recording.seal import seal
 
 BLACK_BOX_ROWS = 100
-LOST_AFTER_S = 0.05  # silence that ends a run: the device has ramped down long before
+# A gap without data of this time (s) ends a run: the device has ramped its effort down long before.
+LOST_AFTER_S = 0.05
 LOST_AFTER_PERIODS = 3
-# a limit switch that is left counts as open after this: contacts bounce for some milliseconds
+# A limit switch counts as open after this time without contact (s), because contacts bounce for some milliseconds.
 BOUNCE_S = 0.02
 RING_SECONDS = 5.0
 RING_ROWS_MINIMUM = 4096
 REFERENCES = ("where the handle was put", "an index of the encoder")  # values of the parameter `reference`
-# of a period; a thread that never sleeps is throttled by the kernel, for tens of milliseconds
+# Longest busy wait as a fraction of the period: the kernel throttles a thread that never sleeps for tens of
+# milliseconds.
 SPIN_SHARE = 0.6
 
 Progress = Callable[[int, int], None]
@@ -78,9 +80,9 @@ class TrialRequest:
     seed: int
     progress: Progress | None = None
     judge: Callable[[Recording], Judgement] | None = None
-    # it may begin at the limit switch, which ends it only when it is reached again
+    # True if the trial may begin with a pressed limit switch, which then ends it only when pressed again.
     leaves_switch: bool = False
-    sealed: bool = True  # False leaves the capture as it is, for callers that run thousands of trials
+    sealed: bool = True  # False: do not seal the capture, for callers that run thousands of trials
     extra: dict[str, Any] = field(default_factory=dict)
     blinded: bool = False  # passed to observers of the loop, see `rig.experiments.hits.hit.HitRequest`
 
@@ -136,7 +138,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     """
     run = request.run
     controller, parameters = run.controller.copy(), run.parameters
-    thread = _loop_of(run, device.link)  # compiles: while nothing runs, Ctrl-C interrupts it
+    # Compile before signals are redirected, so that Ctrl-C can interrupt the compilation.
+    thread = _loop_of(run, device.link)
     echo = device.configure(parameters)
     virtual = device.link.clock.virtual
     with (
@@ -148,7 +151,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
         header = _header(device, request, controller, echo, realtime, fit_if_possible(exchanges[0]))
         with Recorder(request.recording, header, ring, virtual=virtual) as recorder:
             try:
-                if request.progress is not None:  # a STOP that came while the link was measured
+                # The progress function may raise a stop that was requested while the link was measured.
+                if request.progress is not None:
                     request.progress(0, Phase.WAIT)
                 signals.series.check()
                 loop = _arm(device, request, thread, controller, ring, realtime, signals)
@@ -185,7 +189,8 @@ def run_trial(device: FramedDevice, request: TrialRequest) -> TrialEnd:
     messages = (*realtime.messages, *loop.messages())
     done = TrialEnd(run.experiment, path, end.reason, end.counters, messages, sealed, judgement)
     if (raised := signals.raised or error) is not None:
-        vars(raised).update(recording=path, end=done)  # a caller's own exception carries it as ours do
+        # Also an exception of the caller's progress function gets these attributes.
+        vars(raised).update(recording=path, end=done)
         raise raised from end.error
     return done
 
@@ -202,7 +207,7 @@ class _Watch:
             return
         try:
             self._progress(ticks, phase)
-        except Exception as error:  # whatever broke there, the handle has moved
+        except Exception as error:  # the handle has moved: any error must stop the loop
             self._loop.stop()
             self.stopped = error
 
@@ -217,7 +222,7 @@ def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
         "experiment": as_mapping(run.experiment),
         "current_quantum_a": run.current_quantum_a,
         "reference_count": run.reference_count,
-        "law": run.own_law,  # the caller's own: other programs cannot compute its parameters
+        "law": run.own_law,  # True for the caller's own law, whose parameters other programs cannot compute
         "gate": {name: gate[name] for name in ("delay_ticks", "simulated", "forced")} if gate else None,
         "blinded": request.blinded,
     }
@@ -275,9 +280,9 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """Return the loop's setting for the limit switch: 0 no switch; 1 ends the run at once; n > 1 as follows.
+    """Return the setting `limit_switch` of the loop.
 
-    The run ends only if the switch has been open for n − 1 ticks before it is pressed.
+    0: no switch. n > 0: a press ends the run if the switch was open for n − 1 ticks before the press.
     """
     if experiment.rig.reference.limit_switch == "none":
         return 0
@@ -367,7 +372,8 @@ def _conclude(
         if end.reason == EndReason.LINK_SILENT and device.has_restarted():
             end = replace(end, reason=EndReason.DEVICE_RESTARTED)
         device.disarm(clear_fault=True)
-        # At rest nothing delays an answer: with those before the run these hold the line that the run's scatter about.
+        # At rest no other traffic delays a reply: the exchanges before and after the run fix the line of the clock fit,
+        # about which the exchanges during the run scatter.
         exchanges.append(device.exchange_clock())
     if end.reason == EndReason.DEVICE_FAULT and loop.fault == Fault.LINK_LOST and _too_old_since(rows):
         end = replace(end, reason=EndReason.LINK_DELAYED)  # the host was not silent

@@ -74,7 +74,7 @@ def cut_recording(
     state, why = None, ""
     try:
         state = state_before(whole, int(np.searchsorted(whole.time_s, first_s, "left")))
-    except RigError as error:  # its rows are worth a file all the same
+    except RigError as error:  # save the rows also if they cannot be replayed
         why = str(error)
     made = cut(whole, first_s, last_s, state)
     path = write_cut(made, Path(recording).parent if output is None else Path(output))

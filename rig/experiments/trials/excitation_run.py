@@ -29,9 +29,9 @@ from rig.core.sample import Phase, RowFlag
 from rig.recording.data import Recording
 
 ACQUISITION_HZ = 4000.0  # Chawda et al., section VI: velocity and force at 4 kHz
-# of the settling periods in which the excitation rises; in the rest what that stirred dies away
+# The amplitude rises in this fraction of the settling time; in the rest of it transients decay.
 SETTLING_SHARE = 0.5
-LONGEST_DELAY = 20  # ticks between a command and its effort that are looked for
+LONGEST_DELAY = 20  # largest delay from a command to its effort that is searched (ticks)
 
 _BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
 
@@ -111,7 +111,8 @@ def device_table(
     )
 
 
-@lru_cache(maxsize=64)  # a table takes a tenth of a second, and plan, law and record ask for it
+# Cached: a table takes a tenth of a second to compute, and plan, law and record each need it.
+@lru_cache(maxsize=64)
 def _device_table(
     given: config.Excitation,
     realisation: int,
@@ -131,7 +132,8 @@ def _device_table(
     if peak is None:
         assert rms is not None
         return table(rms)
-    first = table(peak / 4.0)  # whose crest factor is that of its phases, whatever its size
+    # The crest factor depends on the phases only, not on the amplitude of this first table.
+    first = table(peak / 4.0)
     return table(peak / first.multisine(rate, effort_quantum).crest_factor)
 
 
@@ -221,7 +223,7 @@ class ExcitedRig:
             memory = fresh.memory[0]
             reason = _explain_trip(x, float(memory["position"]), float(memory["velocity"]))
             return RealisationRun(None, reason, motion.ticks * tick_s, saturated)
-        each = round(tick_s / motion.acquisition_s)  # positions in a tick
+        each = round(tick_s / motion.acquisition_s)  # stored positions per tick
         first = round(config.excitation_s(x)[1] / tick_s)
         position: Floats = motion.position
         if self._signal == "count":
@@ -258,15 +260,15 @@ class _Excitation:
     """A realisation of the excitation, as signals for the simulation."""
 
     multisine: Multisine
-    external: Floats  # of the second actuator, a value for each inner step
-    law: Law | None  # with a table, when its own motor excites the rig
+    external: Floats  # effort of the second actuator in each step of the simulation (N·m or N)
+    law: Law | None  # law that adds the excitation if the rig's motor excites it; else None
 
     @classmethod
     def of(cls, experiment: Experiment, realisation: int, inner_rate_hz: float) -> _Excitation:
         multisine = multisine_of(experiment, realisation)
         if experiment.excitation.channel == "motor":
             return cls(multisine, np.zeros(1), excited_law(experiment, realisation))
-        # Held over its step, a line loses a little of its size: played larger, it is exactly what was asked.
+        # A sample-and-hold attenuates each frequency by sinc: amplify, so that the amplitude is as requested.
         larger = multisine.through(1.0 / np.sinc(multisine.lines_hz / inner_rate_hz))
         return cls(multisine, larger.period(inner_rate_hz, offset=0.5), None)
 
@@ -284,7 +286,7 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
         raise RecordingError(
             f"the recording is of kind {x.trial.kind} with the law {saved['name']}, and contains no "
             "excitation",
-            remedy="record one with rig impedance measure --url",
+            remedy="record an excited trial with rig impedance measure --url",
         )
     rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
     tick_s = 1.0 / x.controller.position_rate
@@ -300,9 +302,9 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
     rows = rows[:ticks]
     parameters = np.array(saved["parameters"], dtype=np.float64)
     excitation = bilateral.played(parameters, x.wall.side, tick_s, ticks)
-    # Z = F/V with the effort F of the world on the handle. The own motor renders the wall and excites at once: what it
-    # adds to the wall's reaction stands for the world's effort, the excitation and what the guard took off the sum by
-    # rounding it. It acts a hold, a delay and a lag later.
+    # Z = F/V with the external effort F on the handle. Here the rig's motor renders the wall and excites the rig at the
+    # same time, so that F is the part of its effort besides the wall's reaction: the excitation, plus the change by the
+    # guard's rounding and clipping. F acts later by the hold, the delay and the amplifier's lag.
     effort = excitation + rows["effort_sent"] - rows["effort_wanted"]
     model = config.rig_model(x)
     lines = multisine_of(x).lines_hz
@@ -313,9 +315,9 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
         periods=x.excitation.periods,
         excitation=excitation[first:],
         effort=_apply_lag(effort[first:], model, 1.0 / tick_s),
-        # Samples at the loop's rate show too little of a motion between them: at 1 kHz a free mass at 250 Hz 3 %. The
-        # share follows from the rig alone, whatever the wall (`seen_at_ticks`), and is undone.
-        position=_between(rows["position"][first:], model, tick_s, float(lines[-1])),
+        # Samples at the loop's rate underestimate the motion between them, for a free mass at 250 Hz and 1 kHz by 3 %.
+        # The ratio depends on the rig only, not on the wall (`seen_at_ticks`), so that it can be corrected.
+        position=_correct_for_sampling(rows["position"][first:], model, tick_s, float(lines[-1])),
         lines_hz=lines,
         effort_delay_s=-(_delay_s(x) + late * tick_s),
         effort_hold_s=tick_s,
@@ -348,17 +350,17 @@ def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Compl
     a, b, n = space.a, space.b[:, :1], space.order
     both = expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    sampled = _answer(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
-    true = _answer(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)
+    sampled = _frequency_response(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
+    true = _frequency_response(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)
     return np.asarray(sampled / true)
 
 
-def _answer(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
+def _frequency_response(a: Floats, b: Floats, at: NDArray[Any], place: int) -> Complexes:
     resolvent = at[:, None, None] * np.eye(len(a)) - a
     return np.asarray(np.linalg.solve(resolvent, np.broadcast_to(b, (len(at), *b.shape)))[:, place, 0])
 
 
-def _between(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
+def _correct_for_sampling(position: Floats, model: RigModel, tick_s: float, highest_hz: float) -> Floats:
     """Return positions (rad or m, whole periods) corrected for the motion between samples, up to `highest_hz` (Hz)."""
     spectrum = np.fft.rfft(position)
     frequency = np.asarray(np.fft.rfftfreq(len(position), tick_s), dtype=np.float64)

@@ -28,10 +28,12 @@ JUDGED = (  # columns that `judge` takes
     "phase", "elapsed_ticks", "flags", "position", "penetration", "effort_sent", "effort_applied", "limits",
     "command_age", "position_true", "handle_position_true", "handle_velocity_true", "effort_true",
 )  # fmt: skip
-LATE_SHARE = 0.2  # of a window of the motion balance, that the motor may lag behind its commands
-BALANCED_S = 1.0  # before and after the contact, that it takes: later a handle rests, and memory is bounded
-FINISHED = "finished"  # what the trailer of a whole run says
-THREW_OUT = {  # reasons of a trailer: what the wall did to the handle
+# Longest lag of the motor as a fraction of a window of the motion balance.
+LATE_SHARE = 0.2
+# The motion balance uses this time before and after the contact (s): later the handle rests, and memory is limited.
+BALANCED_S = 1.0
+FINISHED = "finished"  # reason in the trailer of a complete run
+THREW_OUT = {  # sentence on an unstable wall, by the reason in the trailer
     "out_of_window": "the wall threw the handle out of its window or beyond the speed limit",
     "energy": "the wall gave the hand more energy than rig.limits.energy",
     "violent": "the wall oscillated: the effort alternated between zero and its limit",
@@ -45,7 +47,9 @@ def experiment_of(recording: Recording) -> Experiment:
     try:
         return experiment_from_mapping(recording.experiment, "the recording's header")
     except ConfigError as error:
-        raise RecordingError(error.message, remedy="read it with the version that wrote it") from error
+        raise RecordingError(
+            error.message, remedy="read the recording with the version of haptic-rig that wrote it"
+        ) from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +81,7 @@ class Verdicts:
         def beside(text: str, name: str, threshold: float = 0.0) -> str:
             """Return the text, followed by the true value of the verdict's attribute `name` if it is known."""
             value = None if true is None else getattr(true, name)
-            shown = "" if value is None else f"true {written(_nothing(value, threshold))}"
+            shown = "" if value is None else f"true {written(_drop_rounding(value, threshold))}"
             return ", ".join(part for part in (text, shown) if part)
 
         def depth(label: str, name: str) -> Row:
@@ -85,7 +89,7 @@ class Verdicts:
             return Row(label, value, position, beside(f"{value / count:.1f} counts", name))
 
         def ripple(label: str, name: str, unit: str, threshold: float) -> Row:
-            value = _nothing(getattr(verdict, name), threshold)
+            value = _drop_rounding(getattr(verdict, name), threshold)
             return Row(label, value, unit, beside(f"limit {threshold:.3g}", name, threshold), digits=3)
 
         rows = [Row("verdict", verdict.kind, note=beside("", "kind"))]
@@ -108,7 +112,7 @@ class Verdicts:
             self._felt(velocity, beside("", "felt", thresholds.felt_velocity), thresholds.felt_velocity),
             ripple("heard (effort ripple, rms)", "heard", effort, thresholds.heard_effort),
             ripple("moved (position ripple, p-p)", "moved", position, thresholds.moved),
-            Row("motor current", _observed(verdict.current_observed)),
+            Row("motor current", _current_text(verdict.current_observed)),
             Row("encoder scale", _scale_text(self.motion)),
             Row("saturated", f"{percent(verdict.saturated_fraction)} of ticks"),
             Row(
@@ -141,11 +145,11 @@ class Verdicts:
         notes = [f"limit {threshold:.3g}", f"encoder floor {floor:.2g}", true]
         if floor == 0.0 and not felt:
             return Row(label, "no count changed in the tail", note=true)
-        value = "not measurable" if felt is None else _nothing(felt, threshold)
+        value = "not measurable" if felt is None else _drop_rounding(felt, threshold)
         return Row(label, value, unit if felt is not None else "", ", ".join(filter(None, notes)), digits=3)
 
 
-def _observed(windows: int) -> str:
+def _current_text(windows: int) -> str:
     """Return a text on the check of the motor's current; `windows` is the number of checked windows of 10 ms."""
     if windows == 0:
         return "not checked: not measured, or too small compared with the sensor's noise"
@@ -161,7 +165,7 @@ def _scale_text(motion: MotionBalance | None) -> str:
     return f"{motion.ratio:.2f} times that before the contact, by effort and motion"
 
 
-def _nothing(value: Any, threshold: float) -> Any:
+def _drop_rounding(value: Any, threshold: float) -> Any:
     """Return 0 for a value below a millionth of its threshold, which is a filter's rounding error; else the value."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
@@ -226,12 +230,12 @@ def judge(recording: Recording, experiment: Experiment) -> Judgement:
             "the rig was excited about its wall, not driven into it: see rig impedance measure",
         )
     return Judgement(
-        verdict=_overruled(measured, overruling),
-        verdict_true=None if true is None else _overruled(true, overruling),
+        verdict=_apply_overruling(measured, overruling),
+        verdict_true=None if true is None else _apply_overruling(true, overruling),
         measured=measured,
         measured_true=true,
         early=early,
-        began=_began(recording),
+        began=_first_position(recording),
         motion=motion,
     )
 
@@ -253,7 +257,7 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
     if not len(hits):
         return None
     first, behind = proper.argmax(), len(proper) - proper[::-1].argmax()
-    rows, hits = rows[first:behind], hits - first  # a view: rows of a minute take gigabytes
+    rows, hits = rows[first:behind], hits - first  # a view: a copy of long trials would need gigabytes
     contact, tick_s = int(hits[0]), 1.0 / experiment.controller.position_rate
     some = round(BALANCED_S / tick_s)
     rows = rows[max(0, contact - some) : contact + some]
@@ -291,15 +295,16 @@ def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> Unexpe
     )
 
 
-def _began(recording: Recording) -> float | None:
+def _first_position(recording: Recording) -> float | None:
     proper = recording.rows["phase"] == Phase.TRIAL
     return float(recording.rows["position"][proper.argmax()]) if proper.any() else None
 
 
-def _overruled(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
+def _apply_overruling(measured: Measured, overruling: tuple[Kind, str] | None) -> Verdict:
     if overruling == FALSE_START:  # a trial that never began has no other reasons
         return verdict.overrule(replace(measured.verdict, reasons=()), *overruling)
-    if measured.found & Objection.CURRENT:  # whatever the handle did then, it says nothing of the wall
+    # A wrong current makes the trial invalid, also if the handle left its window: the wall was not rendered.
+    if measured.found & Objection.CURRENT:
         return measured.verdict
     return measured.verdict if overruling is None else verdict.overrule(measured.verdict, *overruling)
 

@@ -27,10 +27,11 @@ from rig.realtime.ring import Ring
 
 SECTION = "wall"
 CHANGEABLE = ("stiffness", "damping", "position", "pull", "damping_on")
-PATIENCE_S = 10.0  # how long the handle may stay inside the wall before we stop watching
+# Default time to wait until the handle has left the wall, so that the loop uses the change (s).
+PATIENCE_S = 10.0
 POLL_S = 0.01
-REMEMBERED = 100  # changes that the info of a run lists
-TRIES = 20  # against others who change the same wall
+REMEMBERED = 100  # number of changes in the public description of a run
+TRIES = 20  # attempts if other programs change the same wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,8 @@ def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
             "reference_count": info.get("reference_count", 0),
         }
         values = parameter_set(experiment, **device)
-        if experiment.controller.loop == "device":  # refused here, where the caller receives the error
+        # Check the values for the device here, where the caller receives the error, and not in the loop.
+        if experiment.controller.loop == "device":
             armed = controller.for_experiment(running_now, **device)
             device_law.live_parameters(armed, device_law.arithmetic_of(experiment.controller), values)
         if ring.get(LOOP_DONE):
@@ -183,8 +185,8 @@ def _check_sides(experiment: Experiment) -> None:
     """Raise `PlanError` for a wall with a spring on both sides: the handle is always inside, so effort would jump."""
     if experiment.wall.law in BILATERAL:
         raise PlanError(
-            f"the spring of a {experiment.wall.law} wall acts on both sides, so it cannot change "
-            "while it runs",
+            f"the spring of a {experiment.wall.law} wall acts on both sides: the effort would "
+            "jump if the wall changed while the loop runs",
             remedy="end the run and start it with the other wall",
         )
 
@@ -201,7 +203,8 @@ def _watch(ring: Ring, number: int, patience_s: float) -> bool:
     """Return True if the loop uses parameter set `number` or a newer one before it ends or `patience_s` has passed."""
     deadline = time.monotonic() + patience_s
     while True:
-        ended = ring.get(LOOP_DONE) != 0  # before the number: what is not there now will never come
+        # Read the end before the number: after the end no newer number can follow.
+        ended = ring.get(LOOP_DONE) != 0
         if ring.get(PARAMETER_SET) >= number:
             return True
         if ended or time.monotonic() > deadline:

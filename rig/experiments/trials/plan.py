@@ -69,7 +69,8 @@ def stands_for_device(experiment: Experiment) -> str:
 
 
 CUTOFFS = "cut-offs compared"
-LESS = 0.9  # of a limit that a named value leaves
+# Proposed values stay below a limit by this factor.
+LESS = 0.9
 FLASH = "flash the firmware of this package (rig firmware)"
 LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
@@ -124,13 +125,13 @@ def plan_of(
         *_watch_checks(experiment),
         *human_limit_checks(experiment),
         _heat_check(experiment),
-        *_elsewhere_checks(experiment),
+        *_drive_wall_checks(experiment),
         *beside,
     )
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
 
-def _elsewhere_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
+def _drive_wall_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
     """Return the checks of a wall that a motor drive renders in place of the board; empty for all other walls.
 
     With `dictionary`, the device's description, check that this device can render the wall; without it, check that the
@@ -309,7 +310,7 @@ def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
             else f"{dictionary.device} runs it in {ARITHMETIC_WORDS[arithmetic]}",
             "choose another rate, estimator or arithmetic, or a firmware that supports it",
         ),
-        *_elsewhere_checks(experiment, dictionary),
+        *_drive_wall_checks(experiment, dictionary),
     ]
 
 
@@ -354,7 +355,7 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
     return PredictedImpact(velocity, peak, wall.stiffness * peak)
 
 
-def _way_of_the_hand(x: Experiment, distance: float) -> float:
+def _hand_travel(x: Experiment, distance: float) -> float:
     """Return the distance that a hand would move the handle from the start if there were no wall (rad or m).
 
     `distance` is the distance from the start to the wall (rad or m).
@@ -371,7 +372,7 @@ def _reach_velocity(x: Experiment, distance: float) -> float:
 
     The position follows a raised cosine over the whole distance that the hand would move without a wall.
     """
-    way = _way_of_the_hand(x, distance)
+    way = _hand_travel(x, distance)
     if math.isinf(way):
         return math.inf
     share = distance / way
@@ -421,7 +422,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """Check the push against the guard's energy limit, and state its limit of oscillations (`rig.control._watch`)."""
+    """Check the push against the guard's limit of energy, and state the guard's limit of oscillations."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
@@ -483,7 +484,7 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
     ]
 
 
-def _saturating(x: Experiment) -> str:
+def _saturation_remedy(x: Experiment) -> str:
     """Return the remedy for a hit in which the wall's effort exceeds the effort limit at the deepest point."""
     if (
         x.trial.kind == "human"
@@ -511,7 +512,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
     hit = predict_impact(x)
     end = x.wall.position + x.wall.side * hit.peak_penetration
     inside = limits.position_minimum <= end <= limits.position_maximum
-    # A hand's motion may have no bound that is known.
+    # The velocity of a hand without stiffness has no upper bound.
     reading = highest_reading(x, hit.velocity) if math.isfinite(hit.velocity) else math.inf
     checks = [
         finding(
@@ -534,7 +535,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
             "peak effort",
             hit.peak_effort <= limits.effort,
             f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
-            _saturating(x),
+            _saturation_remedy(x),
             Outcome.WARNING,
         ),
     ]
@@ -590,7 +591,7 @@ def _let_go_check(x: Experiment) -> Check:
     """Check that a pressing hand stays within the window when the wall is switched off at the end of the push."""
     limits = x.rig.limits
     start = x.trial.start
-    end = start + x.wall.side * _way_of_the_hand(x, abs(x.wall.position - start))
+    end = start + x.wall.side * _hand_travel(x, abs(x.wall.position - start))
     inside = limits.position_minimum <= end <= limits.position_maximum
     return limited(
         "after the wall",

@@ -23,9 +23,9 @@ from rig.recording.reader import open_recording
 from rig.recording.recorder import AT_RISK_S
 from rig.recording.seal import SEALED_SUFFIX, SUFFIX, seal
 
-SEALING_S = 5.0  # a run that ended as it should seals its recording within this time
+SEALING_S = 5.0  # a run that ended normally seals its recording within this time (s)
 
-Progress = Callable[[int, int, Path], None]  # captures done, all of them, the one that is next
+Progress = Callable[[int, int, Path], None]  # number of finished captures, number of captures, next capture
 
 
 class CaptureState(StrEnum):
@@ -75,7 +75,7 @@ class Recovered:
 
 
 def unsealed(paths: Iterable[str | Path]) -> list[Path]:
-    """Return the captures (files that a run writes) to seal.
+    """Return the captures (files that a run writes) that are not sealed (compressed and checked) yet.
 
     A path of a file is returned unchanged; a directory is searched, with all directories below, for captures without a
     sealed file beside them.
@@ -101,7 +101,7 @@ def unsealed(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) -> list[Recovered]:
-    """Seal the captures (files that a run writes) at `paths`, one after the other; return one result for each capture.
+    """Seal (compress and check) the captures (files that a run writes) at `paths`; return one result for each capture.
 
     `paths` are files, or directories to search. `progress` is called before each capture with the number of finished
     captures, the number of all captures, and the path. A capture that cannot be sealed is not changed.
@@ -122,9 +122,9 @@ def recover(paths: Iterable[str | Path], *, progress: Progress | None = None) ->
 
 def _recover(capture: Path) -> Recovered:
     try:
-        with _alone(capture) as alone:
+        with _lock(capture) as alone:
             user = None if alone else "another process is writing it"
-            user = user or _user_of(capture)
+            user = user or _name_user(capture)
             if user is not None:
                 return Recovered(
                     capture, CaptureState.IN_USE, reason=f"{user}; recover it when that process has ended"
@@ -139,7 +139,7 @@ def _recover(capture: Path) -> Recovered:
                 return Recovered(capture, CaptureState.IN_USE, reason=reason)
             sealed = seal(recording).path or capture
             _remove_drafts(sealed)
-            return _with_cost(capture, sealed, recording)
+            return _make_result(capture, sealed, recording)
     except OSError as error:
         return Recovered(capture, CaptureState.FAILED, reason=f"cannot read it: {error.strerror}")
     except RigError as error:
@@ -153,7 +153,7 @@ def _remove_drafts(sealed: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _with_cost(capture: Path, sealed: Path, recording: Recording) -> Recovered:
+def _make_result(capture: Path, sealed: Path, recording: Recording) -> Recovered:
     """Return the result of a recovery, with the time that may be lost.
 
     `sealed` equals `capture` if the capture was not sealed, because pyarrow is missing.
@@ -185,19 +185,19 @@ def _tick_s(recording: Recording) -> float:
 
 
 @contextmanager
-def _alone(capture: Path) -> Iterator[bool]:
+def _lock(capture: Path) -> Iterator[bool]:
     """Lock the capture; yield True, or False if another process has the lock. Raise `OSError` if it is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
-        with suppress(OSError):  # a file system without locks: only the check of running loops remains
+        with suppress(OSError):  # without locks in the file system only the check of running loops protects
             ours = locks.lock(descriptor)
         yield ours
     finally:
         os.close(descriptor)
 
 
-def _user_of(capture: Path) -> str | None:
+def _name_user(capture: Path) -> str | None:
     """Return a sentence that names the process whose loop writes or will seal this capture; None without a loop."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")

@@ -29,7 +29,7 @@ from rig.loop.replay import NO_SETS, replay_rows
 from rig.recording.data import Recording
 from rig.recording.origin import cut_facts, refuse_counts
 
-# What `step` leaves, and what a replay therefore computes anew; everything else of a row is copied.
+# Columns that `rig.control.step` computes, and that a replay computes again; all other columns are copied.
 COMPUTED = (
     "phase",
     "position",
@@ -112,9 +112,9 @@ def replay(
     recorded = _rows(recording)
     replayed = recorded.copy()
     bundle = _controller(recording, changes, law)
-    _run(bundle, recorded, replayed, _sets(recording, changes, law))
+    _run(bundle, recorded, replayed, _parameter_sets(recording, changes, law))
     if len(recorded):
-        _as_the_loop_ended(recorded, replayed)
+        _clear_last_effort(recorded, replayed)
     return ReplayResult(
         recording,
         recorded,
@@ -134,7 +134,7 @@ def state_before(recording: Recording, row: int) -> dict[str, Any]:
     replayed; `ConfigError` and `LawError` as in `replay`.
     """
     recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
-    _run(bundle, recorded, recorded.copy(), _sets(recording, None, None))
+    _run(bundle, recorded, recorded.copy(), _parameter_sets(recording, None, None))
     return bundle.as_mapping()
 
 
@@ -169,7 +169,9 @@ def _rows(recording: Recording) -> NDArray[np.void]:
     return rows
 
 
-def _sets(recording: Recording, changes: Mapping[str, Any] | None, law: Law | None) -> NDArray[np.float64]:
+def _parameter_sets(
+    recording: Recording, changes: Mapping[str, Any] | None, law: Law | None
+) -> NDArray[np.float64]:
     """Return the parameter sets that became active during the run, one row each: tick, wall position, law parameters.
 
     Return no row if the replay has another wall or law.
@@ -187,9 +189,9 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
     if facts is not None and (not initial or (facts["first_tick"] and (changes or law))):
         raise RecordingError(
             "the recording is a cut that begins in the middle of a trial: another law or estimator "
-            "would start without its state"
+            "would start without the state at this time"
             if initial
-            else "the recording is a cut from one that cannot be replayed up to that place",
+            else "the recording is a cut from a recording that cannot be replayed up to that place",
             remedy=f"replay the recording that it was cut from: {facts['recording']}",
         )
     if not changes:
@@ -207,7 +209,7 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
     )
 
 
-def _as_the_loop_ended(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
+def _clear_last_effort(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
     """Set the last replayed row's effort and current to zero if the loop ended there or the device was faulty."""
     last = recorded[-1]
     faulty = last["fault"] != 0 or last["device_state"] == State.FAULT

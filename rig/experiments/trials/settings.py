@@ -24,7 +24,7 @@ from rig.core.keyword import Keyword, keywords
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_ENTRY = re.compile(r"^    \*\*\w+\n(?:        .*\n)+", re.MULTILINE)  # of a docstring
+_ENTRY = re.compile(r"^    \*\*\w+\n(?:        .*\n)+", re.MULTILINE)  # entry of a docstring
 
 
 def _key(key: str, help: str = "", *names: str) -> Keyword:

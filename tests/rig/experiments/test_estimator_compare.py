@@ -339,7 +339,7 @@ def test_the_fragment_is_an_experiment_that_runs_with_these_settings(tmp_path: P
     ("name", "changes", "text"),
     [
         ("fmd", {}, "unknown estimator 'fmd'"),
-        ("fdm-butterworth", {"free": ["cutof"]}, "no number 'cutof'.*cutoff_hz"),
+        ("fdm-butterworth", {"free": ["cutof"]}, "no numeric setting 'cutof'.*cutoff_hz"),
         ("fdm-butterworth", {"settings": {"cutoff_hz": 5000.0}}, "Nyquist"),
     ],
 )

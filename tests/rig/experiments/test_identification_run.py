@@ -298,7 +298,7 @@ def test_effort_ripple_is_measured_by_sweeps_with_a_mass_and_stored_in_the_file(
         (CHAWDA, {"controller.position_rate": 100_000}, {}, "device rate"),
         (COMPLIANT, {}, {"cogging": 7}, "position zero: is the position of the handle at the start"),
         (COMPLIANT, INDEXED | {"rig.cogging.period": 0.9}, {"cogging": 7}, "period of cogging"),
-        (COMPLIANT, INDEXED, {"cogging": 8, "mass_kg": 0.6, "arm_m": 0.05}, "more than the 0.286 N·m"),
+        (COMPLIANT, INDEXED, {"cogging": 8, "mass_kg": 0.6, "arm_m": 0.05}, "more than 0.286 N·m"),
         (COMPLIANT,
          INDEXED | {"rig.limits.position_minimum": -0.4, "rig.limits.position_maximum": 0.4, "homing.damping": 0.1},
          {"cogging": 8, "mass_kg": 0.35, "arm_m": 0.05}, "sag"),

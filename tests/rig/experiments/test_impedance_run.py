@@ -333,12 +333,12 @@ def test_a_recording_of_it_is_replayed_and_measured_again(on_device: Any) -> Non
 
 def test_recordings_of_no_wall_or_of_two_are_no_measurement(on_device: Any, tmp_path: Path) -> None:
     x, result = on_device
-    with pytest.raises(ConfigError, match="of 0 walls; recordings of a single wall are needed"):
+    with pytest.raises(ConfigError, match="of 0 walls or schemes; recordings of one wall with"):
         rig.read_impedance([])
     (other,) = rig.impedance(
         x, [(5e3, 10.0)], url="sim://", output=tmp_path, excitation={"realisations": 1, "seed": 5}
     )
-    with pytest.raises(ConfigError, match="of 2 walls; recordings of a single wall are needed"):
+    with pytest.raises(ConfigError, match="of 2 walls or schemes; recordings of one wall with"):
         rig.read_impedance([*result.recordings, *other.recordings])
     with pytest.raises(ConfigError, match="signal = 'truth' cannot be used with a device"):
         rig.impedance(x, url="sim://", signal="truth")

@@ -202,13 +202,13 @@ def test_a_finished_journal_needs_neither_work_nor_cluster(finished: Any) -> Non
     ("tasks", "differs"),
     [
         ([replace(task, work=sweep_work.large) for task in FEW], "work: "),
-        (FEW[:5], "tasks: 6 there, 5 here"),
+        (FEW[:5], "tasks: 6 in the file, 5 now"),
         ([*FEW[:3], replace(FEW[3], payload={"seed": 33}), *FEW[4:]], "a task after the first"),
         (
             [replace(FEW[0], payload={"seed": 0, "wait_s": 0.5}), *FEW[1:]],
-            "first.payload.wait_s: null there, 0.5",
+            "first.payload.wait_s: null in the file, 0.5",
         ),
-        ([replace(FEW[0], key="first"), *FEW[1:]], 'first.key: "seed 0" there, "first" here'),
+        ([replace(FEW[0], key="first"), *FEW[1:]], 'first.key: "seed 0" in the file, "first" now'),
     ],
 )
 def test_the_journal_of_another_plan_is_refused_with_what_differs(
@@ -225,7 +225,7 @@ def test_a_journal_of_other_code_is_refused_with_both_versions(
     finished: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.experiments.sweep._tasks.code_version", lambda: "9.9.9+0123456789ab")
-    with pytest.raises(ConfigError, match=r'version: "0\.\d.*" there, "9\.9\.9\+0123456789ab" here'):
+    with pytest.raises(ConfigError, match=r'version: "0\.\d.*" in the file, "9\.9\.9\+0123456789ab" now'):
         sweep.run(FEW, journal=finished[0])
 
 

@@ -110,7 +110,7 @@ def test_a_load_that_the_motor_cannot_hold_is_refused(
 
 
 def test_a_weight_that_friction_hides_is_no_calibration(tmp_path: Path) -> None:
-    with pytest.raises(IdentificationError, match="masked by the friction"):
+    with pytest.raises(IdentificationError, match="cannot be distinguished from friction"):
         weighed(tmp_path, mass_kg=1e-6)
 
 
