@@ -153,10 +153,7 @@ class HitResult(Shown, Drawn):
         return [self.experiment.headline(), *rows, Row("recording", str(self.path))]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return wall, sampling rates, estimator, verdict and thresholds by name, for JSON.
-
-        The recording's header contains the whole experiment.
-        """
+        """Return wall, sampling rates, estimator, verdict and thresholds by name, as values for JSON."""
         return {
             "recording": self.path,
             "rig": self.experiment.rig.name,
@@ -302,10 +299,7 @@ def _run_hit(device: FramedDevice, trial: TrialRequest, admitted: Admitted) -> H
 
 @contextmanager
 def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment]]:
-    """Open the device of a request; yield the device and the experiment as it runs on this device.
-
-    A simulated device in real time runs as a separate process.
-    """
+    """Open the device of a request; yield the device and the experiment as it runs on this device."""
     experiment = request.experiment
     if request.device is not None:
         yield request.device, in_effect(experiment, request.device, request.changes)
@@ -318,6 +312,7 @@ def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment
         experiment = (config.with_realtime if request.realtime else config.override)(
             experiment, request.changes
         )
+    # A simulated device in real time runs as a separate process.
     with open_for_run(
         url,
         config.rig_model(experiment) if simulated else _rig_behind(url, request),

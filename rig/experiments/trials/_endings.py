@@ -1,7 +1,4 @@
-"""Define an error for each reason that ends a run: what happened, and what to do next.
-
-`rig.experiments.trials._trial` calls `error_of` after each run.
-"""
+"""Define the error for each reason that ends a run: what happened, and what to do next (for `_trial`)."""
 
 from __future__ import annotations
 

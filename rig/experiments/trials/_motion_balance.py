@@ -29,10 +29,7 @@ FRICTION_SPEED_COUNTS = 2.0
 
 @dataclass(frozen=True, slots=True)
 class MotionScale:
-    """A scale of the encoder: the ratio of measured to predicted motion.
-
-    `doubt` is the largest error of `value` that a quantisation error of half a count in every sample can cause.
-    """
+    """A scale of the encoder (measured over predicted motion), and the error that half a count per sample can cause."""
 
     value: float
     doubt: float

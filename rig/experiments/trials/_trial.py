@@ -280,10 +280,7 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """Return the setting `limit_switch` of the loop.
-
-    0: no switch. n > 0: a press ends the run if the switch was open for n − 1 ticks before the press.
-    """
+    """Return the loop's `limit_switch`: 0 no switch; n > 0 a press ends the run after n − 1 ticks of open switch."""
     if experiment.rig.reference.limit_switch == "none":
         return 0
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1

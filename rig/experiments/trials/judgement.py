@@ -278,10 +278,7 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
 
 
 def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> UnexpectedVerdictError | None:
-    """Return an error for the first verdict whose kind is not in `expected` (``stable``, ``limit-cycle`` …).
-
-    Return None if all verdicts are expected, or if `expected` is empty.
-    """
+    """Return an error for the first verdict whose kind is not in `expected` (empty: all are accepted); else None."""
     words = [str(one.kind).replace(" ", "-") for one in verdicts]
     wrong = [(number, word) for number, word in enumerate(words) if expected and word not in expected]
     if not wrong:
