@@ -79,10 +79,7 @@ class DataSheetQuestion:
         return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
 
     def read(self, name: str, text: str) -> Any:
-        """Return the value (SI) of an answer's text such as ``38.5 mN·m/A``; raise `ConfigError` if it is invalid.
-
-        `name` is the name of the answer, used in the error message.
-        """
+        """Return the value (SI) of the answer `name` from a text like ``38.5 mN·m``; raise `ConfigError` if invalid."""
         if self.choices:
             return self.checked(name, text.strip())
         found = _NUMBER.fullmatch(text.strip())

@@ -439,10 +439,7 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
 
 
 def _prepare_hit(draft: _Draft) -> None:
-    """Set the keys of push, start, homing and wall.
-
-    Choose the strongest of several pushes for which a stable wall stops the handle within its travel.
-    """
+    """Set the keys of push, start, homing and wall, with the strongest push for which a stable wall is found."""
     keys = {key: value for key, (value, _) in draft.keys.items()}
     nominal, friction = keys["rig.limits.nominal_effort"], keys["rig.mechanics.motor_coulomb"]
     quantum = keys["rig.amplifier.effort_per_ampere"] * keys["rig.amplifier.current_quantum_a"]

@@ -176,10 +176,7 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
-    """Return the estimated velocity at each sample of a case (rad/s or m/s), shape (n,).
-
-    Raise `ConfigError` if the estimator cannot run with these settings, or needs an effort that the case does not have.
-    """
+    """Return the estimated velocity at each sample of a case (rad/s or m/s), (n,); raise `ConfigError` if invalid."""
     require_effort(estimators.get(variant.estimator), case.effort)
     return run(_prepared(case, variant), *case.arrays, case.effort)[0]
 

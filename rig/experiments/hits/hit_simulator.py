@@ -62,19 +62,13 @@ class HitSimulator:
         self.start = start_of(experiment) * scale
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
-        """Simulate one hit; return the numbers measured from the sampled signals and from the simulated truth.
-
-        The wall has the given stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m).
-        """
+        """Simulate one hit of a wall (SI units); return the numbers from sampled and from true signals."""
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
 
 
 def start_of(experiment: Experiment) -> float:
-    """Return the position at which a hit begins (rad or m): `trial.start` plus a random distance by `trial.seed`.
-
-    The distance is at most half of homing's tolerance.
-    """
+    """Return the start of a hit (rad or m): `trial.start` plus at most half of homing's tolerance, by the seed."""
     spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
     return experiment.trial.start + spread * float(
         np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)

@@ -79,10 +79,7 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Return the plan of a map at B = 0 with a uniform scheme for each rate (Hz).
-
-    `KMax.of` returns the curve of the finished map.
-    """
+    """Return the plan of a map at B = 0 with a uniform scheme for each rate (Hz); `KMax.of` reads the finished map."""
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

@@ -151,10 +151,7 @@ def map_into(
 
 
 def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
-    """Find the stable walls of a device by hits; store plan, journal and results in a directory.
-
-    Raise the errors of `zwidth_on_rig`.
-    """
+    """Find the stable walls of a device by hits, and store all in a directory; raise the errors of `zwidth_on_rig`."""
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)

@@ -78,10 +78,7 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` for any other text.
-
-    `name` names the text in the message.
-    """
+    """Return lowest and highest value of a text ``10:1000``; raise a `ConfigError` about `name` for any other text."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:

@@ -124,10 +124,7 @@ def work_of(url: str, realtime: bool) -> str:
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
-    """Return the pause (s) after a push that lowers the mean heat to that of the nominal effort.
-
-    Efforts are in N·m or N; `duration_s` is the duration of the push (s).
-    """
+    """Return the pause (s) after a push with which the mean heat is that of the nominal effort (N·m or N)."""
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 

@@ -316,10 +316,7 @@ def measure_impedance(
 def unexpected(
     results: Sequence[ImpedanceResult], expected: Collection[str]
 ) -> UnexpectedVerdictError | None:
-    """Return an error for the first result whose verdict is not in `expected` ("passive", "not-passive"); else None.
-
-    If `expected` is empty, return None.
-    """
+    """Return an error for the first verdict that is not in `expected` (empty: all are accepted); else None."""
     for result in results:
         word = "not measured"
         if result.judgement is not None:

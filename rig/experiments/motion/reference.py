@@ -112,10 +112,7 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device and find its position zero by the encoder's index; raise the errors of `reference`.
-
-    `tell` is called with a text before each step.
-    """
+    """Open a device and find position zero; `tell` gets a text before each step; raise the errors of `reference`."""
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
     url = devices.url_for(request.url or "sim://", x.controller.loop)

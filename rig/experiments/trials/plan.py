@@ -81,10 +81,7 @@ def make_plan(experiment: Experiment) -> Plan:
 
 
 def is_linked(url: str | None, *, realtime: bool, round_trip_s: float | None) -> bool:
-    """Return True if a plan must include the delay of a link to a device.
-
-    This is the case in real time, with a given round trip, or if `url` is the address of a real device.
-    """
+    """Return True if a plan must include a link's delay: in real time, with a round trip, or with a real device."""
     return realtime or round_trip_s is not None or (url is not None and not url.startswith("sim:"))
 
 
@@ -356,10 +353,7 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
 
 
 def _hand_travel(x: Experiment, distance: float) -> float:
-    """Return the distance that a hand would move the handle from the start if there were no wall (rad or m).
-
-    `distance` is the distance from the start to the wall (rad or m).
-    """
+    """Return how far a hand would move the handle from the start without the wall at `distance` (rad or m)."""
     operator = x.operator
     stretch = math.inf
     if operator.hand_stiffness > 0.0:
@@ -451,10 +445,7 @@ def _watch_checks(x: Experiment) -> list[Check]:
 
 
 def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
-    """Check the limits that protect a person; an exceeded limit is refused on a `real` rig, else a warning.
-
-    Return an empty list for a trial without a person.
-    """
+    """Check the limits that protect a person: refused on a `real` rig, else a warning; empty without a person."""
     if x.trial.kind != "human":
         return []
     limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
