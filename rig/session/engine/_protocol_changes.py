@@ -120,7 +120,8 @@ def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
     """Return the keys in which a protocol differs from the sessions in a study's directory; [] without sessions.
 
     The values of this protocol have the name "here" in place of a participant's code. Sessions without a trial, the
-    session of `code`, and sessions that cannot be read are ignored; the analysis rejects the last.
+    session of `code`, and sessions that cannot be read are ignored; the later analysis rejects sessions that cannot be
+    read.
     """
     there = _settings_there(study, code)
     here = settings_of(walls.protocol, config.as_mapping(walls.base))

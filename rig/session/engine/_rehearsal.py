@@ -185,7 +185,7 @@ class RehearsalDesk(Desk):
             self.day = session.clock
 
     def show(self, view: DeskView) -> None:
-        """Call the function `looks` with the view, if it is given."""
+        """Call the function `looks`, given to the class, with the view."""
         if self.looks is not None:
             self.looks(view)
 

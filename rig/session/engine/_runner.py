@@ -89,7 +89,10 @@ class TrialRunner(Protocol):
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time."""
+        """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time.
+
+        `changes` are settings of the experiment that the device must not change.
+        """
         ...
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> Sequence[Check]:

@@ -46,7 +46,7 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """Return the hit with a text for each required range that it missed, marked invalid if the protocol requires it."""
+    """Return the hit with a text for each missed range (impact speed, press), marked invalid if required."""
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)

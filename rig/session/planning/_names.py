@@ -40,7 +40,7 @@ def directory_name(title: str) -> str:
 
 
 def distinct_names(codes: Iterable[str], name_of: Callable[[str], str], allowed: str) -> dict[str, str]:
-    """Return the file or directory name of each code; raise `ConfigError` if two names are equal, ignoring case."""
+    """Return the file or directory name (`name_of`) of each code; raise `ConfigError` if two names are equal."""
     names = {code: name_of(code) for code in codes}
     sharing: dict[str, list[str]] = {}
     for code in sorted(names):

@@ -80,7 +80,7 @@ class Performance:
 
     @property
     def censored(self) -> float:
-        """Fraction of sessions with a limit above or below the levels."""
+        """Fraction of simulated sessions with a limit above or below the tested levels of stiffness."""
         return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:

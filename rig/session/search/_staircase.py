@@ -127,7 +127,7 @@ class Staircase:
     def has_ended(self, walk: _Walk) -> bool:
         """Return True if the search is finished.
 
-        A search ends after `turns` reversals, after `most` verdicts, or at an end of the levels.
+        A search ends after `turns` reversals, after `most` verdicts, or at the lowest or highest level of stiffness.
         """
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS

@@ -152,7 +152,7 @@ def full_press(experiment: Mapping[str, Any]) -> float:
 
 
 def keymap_for(keys: Keys, hand: HandKind | None) -> KeyMap:
-    """Return the key map for ``[keys]``; raise `ConfigError` if a key is invalid or moves the simulated hand."""
+    """Return the key map for ``[keys]``; raise `ConfigError` for an invalid key or one that moves the hand."""
     keymap = KeyMap.of(keys)
     for meaning, key in keymap.keys.items() if hand == "keyboard" else ():
         if key in KEYS:
