@@ -212,7 +212,7 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
             ("damping", _with(values["damping"], doubt["damping"], damping) + ", friction's share included"),
         ]
     else:
-        pairs += _effective(fidelity, stiffness, damping)
+        pairs += [*_effective(fidelity, stiffness, damping), *_note_friction(result)]
     return [
         *pairs,
         ("fidelity", f"{fidelity.rms:.4g} ± {fidelity.rms_deviation:.2g} {damping} rms off the ideal wall"),
@@ -238,6 +238,14 @@ def _effective(fidelity: Fidelity, stiffness: str, damping: str) -> list[tuple[s
             ("B", fidelity.damping, fidelity.damping_deviation, damping, fidelity.damping_percent),
         )
     ]
+
+
+def _note_friction(result: ImpedanceResult) -> list[tuple[str, str]]:
+    mechanics = result.experiment.rig.mechanics
+    if mechanics.motor_coulomb + mechanics.link_coulomb == 0.0:
+        return []
+    text = "B contains a share of friction, which ± does not cover: compare walls only with the same band and effort"
+    return [("", text)]
 
 
 def _note_untested(result: ImpedanceResult) -> list[tuple[str, str]]:

@@ -102,7 +102,8 @@ class Fidelity:
         was given (otherwise the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES`
         lines in that band.
     stiffness_deviation, damping_deviation
-        Standard deviations of `stiffness` and `damping`, misfit included.
+        Standard deviations of `stiffness` and `damping`, misfit included. They do not contain the share that Coulomb
+        friction adds to the damping, which depends on band and size of the excitation: compare with the same one only.
     stiffness_percent, damping_percent
         Effective stiffness and damping in per cent of the requested values; NaN if the requested value is zero.
     effective_band_hz, effective_lines

@@ -80,6 +80,7 @@ __all__ = [
     "prepared",
     "recorded_impedance",
     "refuse_excitations",
+    "refuse_other_excitation",
     "unexpected",
     "write_results",
 ]
@@ -419,6 +420,25 @@ def refuse_excitations(asked: Sequence[Experiment]) -> None:
         refuse(excitation_checks(one))
 
 
+def refuse_other_excitation(experiments: Sequence[Experiment]) -> None:
+    """Raise `ConfigError` if impedances that are compared differ in band or size of their excitation.
+
+    Coulomb friction adds to the measured damping the more, the smaller the motion is: with another band or size another
+    share, in every realisation. The standard deviations do not contain it.
+    """
+    kinds = []
+    for one in experiments:
+        ((name, size),) = config.excitation_size(one).items()
+        given, unit = one.excitation, unit_of("effort", one.rig.motion)
+        kinds.append(f"{given.low_hz:g} to {given.high_hz:g} Hz with {size:.3g} {unit} {name}")
+    if len(set(kinds)) > 1:
+        raise ConfigError(
+            f"the compared impedances were excited differently: {'; '.join(dict.fromkeys(kinds))}. Friction adds "
+            "another share to the damping of each, which the deviations do not contain",
+            remedy="measure all walls with the same band and size of the excitation, or show them one by one",
+        )
+
+
 def conclude(
     experiment: Experiment,
     runs: Sequence[RealisationRun],
@@ -481,10 +501,11 @@ def recorded_impedance(
     RecordingError
         A recording is not an excited trial, or is incomplete.
     ConfigError
-        No recording is given, or recordings of several walls or schemes.
+        No recording is given, or recordings of several walls, schemes or excitations.
     """
     attempts = {str(one.header["initial_state"]["law"]["parameters"]): one for one in recordings}
     experiments = [experiment_of(one) for one in attempts.values()]
+    refuse_other_excitation(experiments)
     walls = {(Scheme.of(one).text, one.wall.stiffness, one.wall.damping) for one in experiments}
     if len(walls) != 1:
         raise ConfigError(

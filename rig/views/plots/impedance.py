@@ -14,7 +14,7 @@ import numpy as np
 from rig.analysis.impedance import Impedance, ideal_wall
 from rig.core.errors import RecordingError
 from rig.core.sample import unit_of
-from rig.experiments.mapping.impedance import ImpedanceResult
+from rig.experiments.mapping.impedance import ImpedanceResult, refuse_other_excitation
 from rig.views.plots import style
 
 # Half width of the shaded bands in standard deviations.
@@ -35,7 +35,7 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
     Solid lines with a band of two standard deviations are measured. Thin dark lines are the closed form of rig and wall
     without friction and quantisation. Dashed lines are the ideal wall K/(jω) + B.
 
-    Raise `RecordingError` if no result has a measured impedance.
+    Raise `RecordingError` if no result has a measured impedance, `ConfigError` if their excitations differ.
     """
     shown = [result for result in results if result.impedance is not None]
     if not shown:
@@ -43,6 +43,7 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
             "no impedance to draw: the guard ended every run",
             remedy="choose a softer wall or a smaller excitation",
         )
+    refuse_other_excitation([result.experiment for result in shown])
     figure = style.new_figure(9.0, 10.0)
     size, phase, real = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1.4, 1.4))
     for i, result in enumerate(shown):

@@ -37,6 +37,7 @@ from rig.experiments.trials.judgement import experiment_of
 from rig.experiments.trials.plan import make_plan
 from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
+from rig.views.plots.impedance import impedance_figure
 
 CHAWDA = presets.load("chawda-linear")
 
@@ -208,6 +209,35 @@ def test_frictions_distortion_is_frozen_noise_which_only_realisations_show() -> 
 
 
 # ---------------------------------------------------------------------- results
+
+
+def test_friction_moves_the_effective_damping_with_the_band_so_bands_are_not_compared() -> None:
+    """Without friction the damping of one wall is the same in both bands."""
+    results = {}
+    for coulomb in (0.0, 0.19):
+        for high_hz in (25.0, 100.0):
+            changes = {
+                "rig.mechanics.motor_coulomb": coulomb,
+                "excitation.high_hz": high_hz,
+                "excitation.rms": 1.9,
+            }
+            x = config.override(presets.load("chawda-linear"), changes)
+            (results[coulomb, high_hz],) = measure_impedance(x, walls=[(20e3, 60.0)])
+    moved = {}
+    for coulomb in (0.0, 0.19):
+        narrow, wide = (results[coulomb, high_hz].fidelity for high_hz in (25.0, 100.0))
+        moved[coulomb] = (narrow.damping - wide.damping) / np.hypot(
+            narrow.damping_deviation, wide.damping_deviation
+        )
+    assert abs(moved[0.0]) < 0.5
+    assert moved[0.19] > 2.0
+    shown = [results[0.19, 25.0], results[0.19, 100.0]]
+    with pytest.raises(
+        ConfigError, match=r"1 to 25 Hz with 1\.9 N rms; 1 to 100 Hz with 1\.9 N rms"
+    ) as refused:
+        impedance_figure(shown)
+    assert "same band and size" in refused.value.remedy
+    assert impedance_figure(shown[:1])
 
 
 def test_results_have_verdict_fidelity_and_fit_and_are_json(tmp_path: Path) -> None:
