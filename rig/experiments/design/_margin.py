@@ -1,7 +1,7 @@
 """Compute the fraction of the recommended stiffness that remains on other rigs than described, and in other hands.
 
 `_search` calls this module. Simulated hits at one damping find the limit with each identified parameter changed alone
-by 20 %, with each hand alone, and on `SAMPLES` rigs with all parameters drawn at random. A parameter is identified if
+by 20 %, with each hand alone, and on 16 rigs with all parameters drawn at random. A parameter is identified if
 `rig identify` measures it and its value is not zero.
 """
 

@@ -36,7 +36,7 @@ def noise(controller: Controller, resolution: float) -> float:
 
 
 def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_ticks: int) -> float:
-    """Return the frequency (Hz) up to which rendered and true velocity differ by at most `ERROR` of the true velocity.
+    """Return the frequency (Hz) up to which rendered and true velocity differ by at most half of the true velocity.
 
     `lag_s` is the amplifier's lag (s), `delay_ticks` the delay from a sample to its effort (ticks).
     """
@@ -87,7 +87,7 @@ def _velocity(controller: Controller, counts: NDArray[np.int64], resolution: flo
 
 
 def _respond_to_sines(controller: Controller, resolution: float) -> Complex:
-    """Return the complex ratio of estimated to true velocity for the sines of `PERIODS`, shape (len(PERIODS),)."""
+    """Return the complex ratio of estimated to true velocity for the test sines, by ascending frequency."""
     settings = tuple(sorted(controller.parameters.items()))
     return _of_estimator(controller.estimator, settings, controller.velocity_rate, resolution)
 

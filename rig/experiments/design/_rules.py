@@ -16,13 +16,13 @@ and cost, and better in one of them. All its schemes are from one round, so that
 
 **No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme is compared with that
 of the experiment's own scheme, in pairs, on offsets and seeds that the search did not use. It is no worse if the 95 %
-interval (Student's t) of the mean difference lies above −`NEGLIGIBLE` of the own scheme's mean, and better if it lies
+interval (Student's t) of the mean difference lies above −2 % of the own scheme's mean, and better if it lies
 above zero. If it is not shown to be no worse, and the experiment's own scheme fulfils the wishes, too, the own scheme
 is recommended. A scheme without a stable wall is never recommended; if no scheme has one, this is an error.
 
 **As good as a paper's scheme** is a scheme whose K at B = 0, peak and range of B (`OF_A_PAPER`) each reach that of the
 paper's scheme, to one step of the search. On the rig of Chawda et al. it must also reach the four rows of their Table I
-(`OF_TABLE_ONE`): K-width to one step, B-width exactly, the largest fidelity error (less is better) to `NEGLIGIBLE`, all
+(`OF_TABLE_ONE`): K-width to one step, B-width exactly, the largest fidelity error (less is better) to 2 %, all
 three by the impedances of all realisations together; and it must not have more numbers to tune. *None of the listed
 set is as good* is stated only for the whole set (`rig.experiments.design._whole`): each scheme except the paper's own
 was either mapped completely, or failed a hit that is necessary to reach a measure.

@@ -1,7 +1,7 @@
 """Compare all listed schemes with the scheme of a paper, in every measure of that paper.
 
-`_search` calls this module if `paper` is requested. It must state that no listed scheme is as good as the paper's only
-if each listed scheme was mapped or failed a hit that it had to pass.
+`_search` calls this module if `paper` is requested. The statement that no listed scheme is as good as the paper's
+requires a result for each listed scheme: a complete map, or a failed hit at a wall that a measure requires.
 """
 
 from __future__ import annotations

@@ -273,7 +273,7 @@ def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Flo
 
 
 def _fastest(velocity: Floats, counts: Ints, elapsed: Ints) -> tuple[Ints, Ints]:
-    """Return counts and elapsed periods of `COSTED_SAMPLES` samples around the highest velocity."""
+    """Return counts and elapsed periods of 400 samples around the highest velocity."""
     first = max(0, int(np.abs(velocity).argmax()) - COSTED_SAMPLES // 2) if len(velocity) else 0
     return counts[first : first + COSTED_SAMPLES], elapsed[first : first + COSTED_SAMPLES]
 

@@ -34,14 +34,14 @@ class ImpactNumbers:
         Deepest penetration of the next oscillation after the peak (counts); None if the handle did not turn back and
         then move inwards again.
     rest
-        Mean penetration over the last quarter of the trace (`REST_SHARE`; counts).
+        Mean penetration over the last quarter of the trace (counts).
     bounces
         Number of times that the handle left the wall and entered it again.
     decay
         (second_peak − rest) / (peak − rest), where a negative rest counts as 0. The decay is 0 without a second peak,
         and 1 or more if the wall does not damp.
     settling_s
-        Time after which |penetration − rest| stays within `SWING_SHARE`·(peak − rest), or within one count if one count
+        Time after which |penetration − rest| stays within 10 % of peak − rest, or within one count if one count
         is more (s); None if the handle never settles.
     """
 

@@ -200,7 +200,7 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
     """Return three schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
 
     The dual-rate scheme has the experiment's velocity rate. If the velocity rate equals the position rate, use the
-    highest divisor of the position rate that is at most `USUAL_VELOCITY_RATE` (Hz) and at most half of the position
+    highest divisor of the position rate that is at most 2000 Hz and at most half of the position
     rate.
     """
     own = Scheme.of(experiment)

@@ -124,7 +124,7 @@ def _by_order(
 
 
 def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return the cosines and the sines of these orders; zero for an order without a harmonic."""
+    """Return the cosines and the sines of the harmonics `orders`; zero for a harmonic that is missing in `each`."""
     rows = [each.get(n, (0.0, 0.0)) for n in orders]
     return [c for c, _ in rows], [s for _, s in rows]
 

@@ -74,7 +74,7 @@ def choose_rate(
 
 
 def halves(rate_hz: int) -> list[int]:
-    """Return a half, a quarter … of a rate (Hz), rounded down to multiples of 50 Hz, down to `SLOWEST_HZ`."""
+    """Return a half, a quarter … of a rate (Hz), rounded down to multiples of 50 Hz, if not too slow."""
     slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 

@@ -549,8 +549,8 @@ def excited_run_of(
     """Return the signals of the whole periods of one realisation, without the periods in which the motion settles.
 
     The effort of a row is held from its sample to the next; a later effect is a delay to be identified. If the last
-    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than `LONGEST_FILLED`
-    are lost.
+    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than three are
+    lost.
     """
     n = round(rate * multisine.period_s)
     end = (settle_periods(multisine.period_s) + PERIODS) * n

@@ -40,7 +40,7 @@ class Map(Protocol):
     table_name: ClassVar[str]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Return the rows of the map's table, one for each trial: values by column."""
+        """Return the rows of the map's table: for each trial a mapping from column name to value."""
         ...
 
     def units(self) -> Mapping[str, str]:

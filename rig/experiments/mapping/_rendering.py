@@ -1,6 +1,6 @@
 """Compute the fraction of a wall's damping that remains below the effort limit during slow motion.
 
-Maps and designs call this module, and ignore a wall of which less than `RENDERED` of the damping remains. A single
+Maps and designs call this module, and ignore a wall of which less than 80 % of the damping remains. A single
 encoder count appears as a high velocity, so that B times this velocity may exceed the effort limit.
 """
 

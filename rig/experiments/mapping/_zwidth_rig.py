@@ -87,7 +87,7 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
     StoppedError
         The person did not agree, or Ctrl-C was pressed; results of finished searches stay in the journal.
     RigError
-        A hit ended early for another reason than an unstable wall, or was invalid in `ATTEMPTS` attempts.
+        A hit ended early for another reason than an unstable wall, or was invalid in three attempts.
     """
     _check(plan)
     series, tasks = plan.series(), plan.tasks
@@ -188,7 +188,7 @@ class _Hits:
         return rows
 
     def _row(self, experiment: Experiment, asked: Next) -> dict[str, Any]:
-        """Hit one wall until a hit is valid; return its numbers. Raise `RigError` after `ATTEMPTS` invalid hits."""
+        """Hit one wall until a hit is valid; return its numbers. Raise `RigError` after three invalid hits."""
         for attempt in range(1, ATTEMPTS + 1):
             moved = self.thrown_out and self.trials.device is not None
             asked = replace(asked, attempt=attempt, thrown_out=moved)

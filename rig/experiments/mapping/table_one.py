@@ -202,7 +202,7 @@ class SchemeRow:
     common
         Fidelity error at each wall of `TableOne.points`: mean and range over realisations.
     common_mean
-        Mean fidelity error over all common walls: mean and range over realisations.
+        Mean fidelity error over all walls that every scheme renders passively: mean and range over realisations.
     search
         Result of the paper's boundary search in this map.
     paper
@@ -321,7 +321,7 @@ def _papers(experiment: Experiment, scheme: Scheme, estimator: str) -> Printed |
 
 
 def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
-    """Return up to `POINTS` of the walls, evenly spaced in the order of damping times stiffness."""
+    """Return up to four of the walls, evenly spaced in the order of damping times stiffness."""
     if len(cells) == 0:
         return []
     order = np.argsort((cells[:, 0] + 1) * (cells[:, 1] + 1), kind="stable")

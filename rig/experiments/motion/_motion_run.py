@@ -149,7 +149,7 @@ def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return these rows of a recording with lost rows filled in, so that there is one row for each tick.
 
-    Up to 2 % of the rows, at most `LONGEST_FILLED` in succession, may be lost. Positions are interpolated linearly;
+    Up to 2 % of the rows, at most three in succession, may be lost. Positions are interpolated linearly;
     lost ticks get the effort that the next sample reports. The excitation stays in step, because laws count elapsed
     ticks.
 
@@ -236,7 +236,7 @@ def spoiled_by_timing(error: RigError) -> bool:
 def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int) -> tuple[Result, int]:
     """Run a motion, and again if samples are late or lost; return its result and the number of repetitions.
 
-    `rate_hz` is the rate of the loop (Hz). After `ATTEMPTS` attempts raise the error; its remedy names a rate that
+    `rate_hz` is the rate of the loop (Hz). After four attempts raise the error; its remedy names a rate that
     tolerates the longest gap between two samples.
     """
     for repeated in range(ATTEMPTS):

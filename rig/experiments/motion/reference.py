@@ -329,7 +329,7 @@ class _IndexSearch:
         )
 
     def _leave(self) -> tuple[int, int]:
-        """Move until the switch opens; return the last count with it pressed, and the earlier number of index edges."""
+        """Move until the switch opens; return its last pressed count and the number of index edges before moving."""
         step = max(1, round(LEAVE * self._every))
         for _ in range(round(1.0 / LEAVE)):
             before = self._device.reference().index_edges

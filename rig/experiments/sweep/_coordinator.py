@@ -234,7 +234,7 @@ class Coordinator:
         return False
 
     def _store_finished(self) -> None:
-        """Store the results of finished tasks; wait up to `POLL_S` (s) for the first result."""
+        """Store the results of finished tasks; wait up to 50 ms for the first result."""
         try:
             self._store_result(self._finished.get(timeout=POLL_S))
             while True:

@@ -562,14 +562,14 @@ def coulomb_of(x: Experiment) -> float:
 
 
 def push_growth(x: Experiment) -> float:
-    """Return the growth rate of a push's effort (N·m/s or N/s), with which it exceeds friction within `PUSH_S`."""
+    """Return the growth rate of a push's effort (N·m/s or N/s), with which it exceeds friction within 1.5 s."""
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
 
 
 def most_push(x: Experiment) -> float:
-    """Return the highest effort of a push (N·m or N), reached after `PUSH_S` or earlier.
+    """Return the highest effort of a push (N·m or N), reached after 1.5 s or earlier.
 
     The effort is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a
     handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
