@@ -65,7 +65,7 @@ class LawPlace:
     board: str = BOARD
 
     def delay_ticks(self, experiment: Experiment, rate: int) -> int:
-        """Return the delay from a sample to its effort (ticks), at the position rate `rate` (Hz)."""
+        """Return the delay from a sample to the effort computed from it (ticks), at the position rate `rate` (Hz)."""
         if self.loop == "host" and self.round_trip_s is not None:
             return ticks_late(self.round_trip_s, rate, experiment.host.pacing)
         return experiment.rig.simulation.computation_delay_ticks

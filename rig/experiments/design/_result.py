@@ -140,7 +140,7 @@ class Design(Shown, Drawn):
         return "\n".join(lines) + "\n"
 
     def brief(self) -> list[Item]:
-        """Return the lines of a short report: recommended scheme, comparison with the own scheme, and margin."""
+        """Return the lines of a short report: recommended scheme, gain over the experiment's scheme, and margin."""
         return [
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),

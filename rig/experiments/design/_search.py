@@ -362,7 +362,7 @@ class _Search:
 
 
 def _measure_each_series(found: ZWidth) -> list[BoundaryMeasures]:
-    """Return the measures of each single series of hits: one for each encoder offset and repeat."""
+    """Return the measures of each single run of stiffness searches: one for each encoder offset and repeat."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [

@@ -210,7 +210,7 @@ def export_estimator(
 
 
 def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str]:
-    """Return the settings of the experiment's own estimator, overridden by the settings of the variant."""
+    """Return the settings of the experiment's estimator, overridden by the settings of `variant`."""
     own = experiment.controller
     tuned = own.parameters if own.estimator == variant.estimator else {}
     return {

@@ -105,7 +105,7 @@ class Case:
 
     @cached_property
     def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
-        """Return judged samples (slice), delays to try (s), delayed true velocities (rad/s or m/s), their power."""
+        """Return data to fit a delay: sample slice, trial delays (s), delayed true velocities, sum of their squares."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
@@ -115,7 +115,7 @@ class Case:
 
 
 def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:
-    """Return the case of a reference signal, sampled from time 0 on by an ideal encoder with exact edge times.
+    """Return the test case of a reference signal, sampled from time 0 on by an ideal encoder with exact edge times.
 
     Parameters
     ----------

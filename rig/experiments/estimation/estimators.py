@@ -187,7 +187,7 @@ def _prepared(case: Case, variant: Variant) -> Prepared:
 
 
 def _settings(case: Case, variant: Variant) -> dict[str, float | str]:
-    """Return the settings of a variant, and the settings that its estimator reads from the rig of the case."""
+    """Return the settings of a variant, and those that its estimator reads from the case's rig (like inertia)."""
     return {**estimators.get(variant.estimator).settings_of(case.rig), **variant.settings}
 
 

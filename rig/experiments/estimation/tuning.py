@@ -205,7 +205,7 @@ class _Axis:
 
 
 class _TuningWalk:
-    """A search for the best values of the tuned settings (`axes`), with a cache of the objective."""
+    """A search for the best values of the tuned settings, with a cache of the objective."""
 
     def __init__(
         self,
@@ -282,7 +282,7 @@ class _TuningWalk:
         return None
 
     def settings_at(self, places: Floats) -> dict[str, float | str]:
-        """Return the settings for `places`, the value of each axis on its scale from 0 to 1."""
+        """Return the settings for `places`, the value of each tuned setting on a scale from 0 to 1."""
         found = dict(self.start)
         for axis, place in zip(self.axes, places, strict=True):
             value = axis.value(float(place))
@@ -291,7 +291,7 @@ class _TuningWalk:
         return found
 
     def descend(self) -> Floats:
-        """Return the best value of each axis on its scale from 0 to 1, by a scan and a descent."""
+        """Return the best value of each tuned setting on a scale from 0 to 1, by a scan and a descent."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
         # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning
@@ -317,7 +317,7 @@ class _TuningWalk:
         return np.asarray(found.x if found.fun <= min(values) else best, dtype=np.float64)
 
     def plain(self, best: Floats) -> Floats:
-        """Return the best point with each setting of negligible influence reset to its start value."""
+        """Return `best` (values on a scale from 0 to 1), with settings of negligible influence reset to their start."""
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))

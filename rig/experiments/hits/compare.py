@@ -158,7 +158,7 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def cutoffs(self) -> str | None:
-        """Return a sentence if damped schemes without an explicit cut-off get different cut-offs; else None."""
+        """Return a sentence if damped schemes without an explicit cut-off get different cut-offs (Hz); else None."""
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 

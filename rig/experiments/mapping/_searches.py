@@ -78,7 +78,7 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Return lowest and highest value of a text ``10:1000``; raise a `ConfigError` about `name` for any other text."""
+    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` for another text, called `name`."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:
@@ -122,7 +122,7 @@ class StiffnessSearch:
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to test and receive its outcomes by criterion, until each criterion has a limit."""
+        """Yield the next stiffness to test and receive its outcome by criterion, until each criterion has a limit."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)

@@ -129,7 +129,7 @@ def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> fl
 
 
 def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
-    """Return the error for a stopped session, with the number of finished series in its message."""
+    """Return the error for a stopped session, with the number of finished stiffness searches in its message."""
     reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
     kept = f"{where.series - 1} of {where.total} series are done" + (
         f" and stored in {journal}" if journal else ""

@@ -58,7 +58,7 @@ class Series:
 
     @property
     def key(self) -> str:
-        """Return the unique name of the series in the journal (file of finished series)."""
+        """Return the unique name of the stiffness search in the journal (file of finished searches)."""
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
@@ -132,7 +132,7 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each series; raise `ConfigError` if the experiment of a series is invalid."""
+        """Return a task for each stiffness search; raise `ConfigError` if the experiment of a search is invalid."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
@@ -320,7 +320,7 @@ class ZWidth(Shown, Drawn):
 
     @classmethod
     def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Return the map with stiffness limits computed from the rows of every series."""
+        """Return the map with stiffness limits computed from the hits of every stiffness search."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
         applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
@@ -336,12 +336,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return a scheme's limits by ascending damping; `criterion` is the ripple "felt", "heard" or "any"."""
+        """Return a scheme's limits by ascending damping; `criterion` is the judged ripple: "felt", "heard" or "any"."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Return the summary of a scheme's limits; `criterion` is the ripple "felt", "heard" or "any"."""
+        """Return the summary of a scheme's limits; `criterion` is the judged ripple: "felt", "heard" or "any"."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -447,7 +447,7 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return the columns of a measured hit by name: verdict, result for each criterion, and all numbers.
+    """Return the columns of a measured hit by name: verdict, passed or not by each criterion, and all numbers.
 
     `suffix` is appended to each name: "" for recorded signals, `TRUE` for true signals.
     """

@@ -186,7 +186,7 @@ def _tick_s(recording: Recording) -> float:
 
 @contextmanager
 def _lock(capture: Path) -> Iterator[bool]:
-    """Lock the capture; yield True, or False if another process has the lock. Raise `OSError` if it is missing."""
+    """Lock a recording's file; yield False if another process has the lock. Raise `OSError` if the file is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
@@ -198,7 +198,7 @@ def _lock(capture: Path) -> Iterator[bool]:
 
 
 def _name_user(capture: Path) -> str | None:
-    """Return a sentence that names the process whose loop writes or will seal this capture; None without a loop."""
+    """Return a sentence on the process whose loop writes or will seal this file of a recording; None without one."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")
         if not isinstance(named, str):
@@ -210,7 +210,7 @@ def _name_user(capture: Path) -> str | None:
 
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
-    """Return one error that lists all captures that could not be sealed; None if all were sealed or in use."""
+    """Return one error that lists all recordings that could not be sealed; None if all were sealed or in use."""
     broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None
