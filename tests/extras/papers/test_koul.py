@@ -179,6 +179,14 @@ def test_penetration_with_dual_rate_is_clearly_the_lowest() -> None:
     assert koul_rules.like_none({"a": (57, 30, 29)}).status is ClaimStatus.NOT
 
 
+def test_a_filter_delay_that_agrees_at_one_cut_off_is_reproduced_in_part() -> None:
+    found = koul_rules.filter_delay(koul_rules.FILTER_DELAYS_S)
+    assert (found.status, found.held) == (ClaimStatus.PARTLY, ["200 Hz"])
+    assert [round(1e3 * delay_s, 2) for row in found["found"] for delay_s in row[2:]] == [1.09, 1.34, 7.5, 7.75]
+    assert koul_rules.filter_delay({200.0: 1e-3, 30.0: 7.5e-3}).status is ClaimStatus.REPRODUCED
+    assert koul_rules.filter_delay({30.0: 1e-2}).status is ClaimStatus.NOT
+
+
 def test_noise_and_null_readings_are_about_the_rate() -> None:
     assert koul_rules.noisier({"a": 0.5}, 0.1).status is ClaimStatus.REPRODUCED
     assert koul_rules.noisier({"a": 0.5, "b": 0.1}, 0.1).verdict == "reproduced only with a"

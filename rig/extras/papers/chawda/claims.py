@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rig.analysis.impedance import ideal_wall
 from rig.control.estimators import levant_regions
 from rig.extras.papers.chawda import derived, rigs, rules
 from rig.extras.papers.chawda.parts import fidelity_without_wall
@@ -51,6 +52,10 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
         ),
         "damping-width": _damping_width(chawda),
         "lowest-error": _lowest_error(chawda),
+        "error-order": _error_order(chawda),
+        "best-gains": _best_gains(chawda),
+        "damping-widths": _damping_widths(chawda),
+        "attenuated": _attenuated(chawda),
         "common-error": rules.lower(
             {
                 (name, high): gains
@@ -229,6 +234,45 @@ def _lowest_error(chawda: Chawda) -> Ruling:
     errors = [{name: width.worst_fidelity for name, width in of.items()} for of in chawda.read]
     some = [of for of in errors if all(math.isfinite(of[name]) for name in rigs.FILTERS)]
     return judge_share(sum(of[rigs.FOAW] < min(of[rigs.FDM], of[rigs.AKF]) for of in some), len(some))
+
+
+def _error_order(chawda: Chawda) -> Ruling:
+    errors = [{name: width.worst_fidelity for name, width in of.items()} for of in chawda.read]
+    some = [of for of in errors if all(math.isfinite(value) for value in of.values())]
+    names = (rigs.FDM, rigs.LEVANT, rigs.AKF, rigs.FOAW)
+    return judge_share(
+        sum(rules.is_in_order([of[name] for name in names]) for of in some),
+        len(some),
+        highest=sum(of[rigs.FDM] > max(of[name] for name in names[1:]) for of in some),
+        second=sum(sorted(of, key=lambda name: -of[name])[1] == rigs.LEVANT for of in some),
+    )
+
+
+def _best_gains(chawda: Chawda) -> Ruling:
+    variants = {name: width.stiffness for name, width in derived.variant_widths(chawda).items()}
+    own = spread(chawda.widths(rigs.LEVANT), "stiffness").mean
+    best = max(variants, key=lambda name: variants[name])
+    return rules.unsurpassed(own, variants, chawda.scale.rung).having(best=best, stiffness=variants[best])
+
+
+def _damping_widths(chawda: Chawda) -> Ruling:
+    paper = {name: rigs.PRINTED[name].damping for name in rigs.ESTIMATORS}
+    each_ = [{name: float(np.nan_to_num(of[name].damping)) for name in paper} for of in chawda.read]
+    found = {name: spread(chawda.widths(name), "damping").mean for name in paper}
+    return judge_share(
+        sum(rules.near_table(of, paper) for of in each_),
+        len(each_),
+        found=[(n, found[n], paper[n]) for n in paper],
+    )
+
+
+def _attenuated(chawda: Chawda) -> Ruling:
+    shares = {}
+    for name, result in zip(rigs.SCHEMES, chawda.impedances[1:], strict=True):
+        if result.impedance is not None:
+            part = result.impedance.within((0.0, rules.LOW_HZ))
+            shares[name] = float(np.mean(part.magnitude / np.abs(ideal_wall(*result.wall, part.lines_hz))))
+    return judge({n: rules.ATTENUATED <= s < 1.0 for n, s in shares.items()}, shares=list(shares.items()))
 
 
 def _error_grows(chawda: Chawda) -> Ruling:

@@ -29,6 +29,10 @@ SAME_CONTROL = 0.03
 WIDER = 1.2
 BETTER_COMMON = 0.05  # share of the error
 TRACED = 0.9  # of the columns
+LOW_HZ, ATTENUATED = (
+    10.0,
+    0.8,
+)  # lines up to here; least share of the ideal magnitude that is a slight attenuation
 
 
 def is_in_order(widths: Sequence[float]) -> bool:
@@ -120,6 +124,14 @@ def wider(ratios: Mapping[str, float], step: float = 1.0) -> Ruling:
     `ratios` are simulated over measured, by estimator; `step` is the ratio of neighbouring stiffnesses of the grid.
     """
     return judge({name: r >= WIDER * step**0.5 for name, r in ratios.items()}, ratios=list(ratios.items()))
+
+
+def unsurpassed(own: float, tried: Mapping[str, float], step: float = 1.0) -> Ruling:
+    """Judge the claim that gains are the best: none of the `tried` K-widths exceeds their own by half a step or more.
+
+    `step` is the ratio of neighbouring stiffnesses of the grid.
+    """
+    return judge({name: value < STIFFER * step**0.5 * own for name, value in tried.items()}, own=own)
 
 
 def controlled(found: Mapping[str, float], theory: float) -> Ruling:

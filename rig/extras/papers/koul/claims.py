@@ -44,6 +44,7 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         "left-at-range": _left_at_range(koul),
         "penetration": rules.lower_penetration(panels),
         "like-none": rules.like_none({FLOAT: panels[f"20 kHz, {FLOAT}"], **_peaks_by_word(koul)}),
+        "filter-delay": rules.filter_delay(rules.FILTER_DELAYS_S),
         "noisier": rules.noisier(
             {name: noise for name, noise in koul.noise.items() if name.startswith("20 kHz")},
             koul.noise["2 kHz"],

@@ -7,6 +7,7 @@ neighbouring values of a search, below which a difference is not significant.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -30,6 +31,7 @@ DUAL_AT_RANGE = 280.0  # N·m/rad: remaining stiffness of the dual-rate wall at 
 DAMPING_RANGE, DAMPING_RANGE_FAST = 3.3, 1.7  # N·m·s/rad
 HALF = DAMPING_RANGE_FAST / DAMPING_RANGE
 FAST_HZ, SLOW_HZ = 20_000, 2000
+FILTER_DELAYS_S = {200.0: 1e-3, 30.0: 1e-2}  # at 2 kHz, by cut-off (Hz)
 
 # Thresholds of the rules.
 MOST_PLANTS = MOST
@@ -229,6 +231,21 @@ def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
     ratios = {name: over(uniform, none) for name, (none, uniform, _) in peaks.items()}
     cases = {name: ratio >= LIKE_NONE for name, ratio in ratios.items()}
     return judge(cases, conditions=each(cases), ratios=ratios)
+
+
+def filter_delay(paper: Mapping[float, float]) -> Ruling:
+    """Judge the claim that the velocity filter at 2 kHz has the paper's delay (s) for each cut-off (Hz).
+
+    The delay is that of a digital second-order Butterworth filter at low frequency; the difference adds half a period.
+    In part if the delay agrees at some of the cut-offs.
+    """
+    period_s, cases, found = 1.0 / SLOW_HZ, {}, []
+    for cutoff_hz, delay_s in paper.items():
+        own_s = math.sqrt(2.0) * period_s / (2.0 * math.tan(math.pi * cutoff_hz * period_s))
+        cases[f"{cutoff_hz:g} Hz"] = within(own_s, delay_s, NUMBER)
+        found.append((cutoff_hz, delay_s, own_s, own_s + 0.5 * period_s))
+    ruling = judge(cases, found=found)
+    return ruling.partly() if ruling.held and ruling.failed else ruling
 
 
 def noisier(fast: Mapping[str, float], slow: float) -> Ruling:
