@@ -6,7 +6,10 @@
 The rigs are those of `tests.benchmarks.plausible_rigs`, each with another offset of its encoder and another seed of its
 noise and of the excitation: every rig is one independent sample. Rigs that the plan or the fit refuses do not count.
 
-The rule was written before the results: each interval holds the true value in 90 to 99 of 100 rigs.
+The rule was written before the results: each interval holds the true value in 90 to 99 of 100 rigs. Seeds 20000 to
+20115, 2026-11-29: inertia 97, delay 97, lag 95, viscous damping 99, Coulomb friction 100 in each direction. So the
+interval of Coulomb friction is wider than stated. With pieces of a stroke as independent points where their residuals
+are not alike, the damping was held in 35 of 40 (seeds 21000 to 21044), so pieces of a stroke still count as one.
 """
 
 from __future__ import annotations

@@ -182,7 +182,12 @@ def test_penetration_with_dual_rate_is_clearly_the_lowest() -> None:
 def test_a_filter_delay_that_agrees_at_one_cut_off_is_reproduced_in_part() -> None:
     found = koul_rules.filter_delay(koul_rules.FILTER_DELAYS_S)
     assert (found.status, found.held) == (ClaimStatus.PARTLY, ["200 Hz"])
-    assert [round(1e3 * delay_s, 2) for row in found["found"] for delay_s in row[2:]] == [1.09, 1.34, 7.5, 7.75]
+    assert [round(1e3 * delay_s, 2) for row in found["found"] for delay_s in row[2:]] == [
+        1.09,
+        1.34,
+        7.5,
+        7.75,
+    ]
     assert koul_rules.filter_delay({200.0: 1e-3, 30.0: 7.5e-3}).status is ClaimStatus.REPRODUCED
     assert koul_rules.filter_delay({30.0: 1e-2}).status is ClaimStatus.NOT
 
