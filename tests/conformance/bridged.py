@@ -32,14 +32,14 @@ from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
 from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.socket_can import CLASSIC_BYTES, FD_BYTES, SocketCan, from_wire, to_wire
-from tests.conformance.host import RUN_PARAMETERS, Host
+from tests.conformance.host import Host
 from tests.conformance.rigs import rotary_rig
 
 UNIT_TWICE_NS = 125  # two units of device time
 TRAVEL_NS = 80_000  # of a line, each way
 CURRENT = 200  # quanta of 1 mA: 0.02 N·m at the handle, 0.01 at the output
-SAFE = {"servo.timeout_mode": "0"}
-WATCHED = {
+MOTEUS_SETUP = {"servo.timeout_mode": "0"}
+ODRIVE_SETUP = {
     odrive.WATCHDOG: "1",
     odrive.WATCHDOG_S: "0.005",
     odrive.VELOCITY_LIMITED: "0",
@@ -50,10 +50,6 @@ WATCHED = {
     "axis0.config.can.temperature_msg_rate_ms": "20",
     "axis0.config.can.bus_voltage_msg_rate_ms": "20",
 }
-SLOW = {
-    **RUN_PARAMETERS,
-    "position_rate": 100,
-}  # Hz: a simulated drive is a program, and this computer may be busy
 Way = Literal["to drive", "from drive"]
 Strike = Callable[[bytes], bytes]
 
@@ -120,7 +116,7 @@ class Moteus:
     within = 13  # as `on`, beside the drive's own wall
 
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
-        self.drive = SimulatedMoteus(model, MoteusOptions(settings={**SAFE, **settings}))
+        self.drive = SimulatedMoteus(model, MoteusOptions(settings={**MOTEUS_SETUP, **settings}))
         self.found = replace(found(self.drive, model), switches=moteus.switches_of(switches))
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
@@ -157,7 +153,7 @@ class Odrive:
 
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
         assert not switches
-        self.drive = SimulatedOdrive(model, OdriveOptions(settings={**WATCHED, **settings}))
+        self.drive = SimulatedOdrive(model, OdriveOptions(settings={**ODRIVE_SETUP, **settings}))
         self.found = found_odrive(self.drive, model)
 
     def adapter(self, socket: bool) -> SimulatedAdapter:

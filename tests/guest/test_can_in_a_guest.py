@@ -1,4 +1,4 @@
-"""SocketCAN by the kernel's own driver: simulated drives on a virtual CAN interface, a host on another socket."""
+"""Simulated drives and a host on Linux's CAN driver, in a virtual machine that `.ci/guest` starts: vcan needs root."""
 
 from __future__ import annotations
 
@@ -20,22 +20,33 @@ from rig.extras.drives import moteus, odrive
 from rig.extras.drives.bus import CanBus, open_bus
 from rig.extras.drives.faults import DriveFault
 from rig.extras.drives.library import Bridge, FittedDrive
-from sim_backend.drives.can_simple import CanSimpleCommand
+from sim_backend.drives.can_simple import AxisState, CanSimpleCommand, Error
+from sim_backend.drives.multiplex import NOP
+from sim_backend.drives.odrive_law import PASSTHROUGH, TORQUE_CONTROL
 from sim_backend.drives.process import serve
-from tests.conformance.bridged import SAFE, WATCHED, bridged_rig, endpoints
+from sim_backend.drives.socket_can import BIT_RATE_SWITCH, CLASSIC_BYTES, FD_BYTES
+from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, endpoints
 from tests.conformance.drives import drive_rig
 from tests.guest.boot import BUSYBOX
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="no vcan here: run .ci/guest")
 
-FD_MTU = 72  # include/uapi/linux/can.h: an interface that passes frames of CAN FD too
-RATE = 50  # Hz
-SLOWLY = {odrive.ENCODER_MS: "20", odrive.TORQUES_MS: "20", odrive.WATCHDOG_S: "0.05"}
-WAIT_S = 60.0  # an emulated processor loads the kernels
-FREE = {
-    "axis0.controller.config.enable_torque_mode_vel_limit": "0",
-    "axis0.controller.config.enable_overspeed_error": "0",
-}
+CAN_FRAME = struct.Struct("=IB3x8s")  # identifier, length, padding, data: include/uapi/linux/can.h
+CANFD_FRAME = struct.Struct("=IBB2x64s")  # identifier, length, flags, padding, data
+RATE_HZ = 50
+WAIT_S = 60.0  # an emulated processor loads the compiled functions slowly
+SLOW_ODRIVE_SETUP = {odrive.ENCODER_MS: "20", odrive.TORQUES_MS: "20", odrive.WATCHDOG_S: "0.05"}
+UNLIMITED_ODRIVE_SETUP = {odrive.VELOCITY_LIMITED: "0", odrive.OVERSPEED: "0"}
+HEARTBEAT = "IBBBx"  # of an ODrive: error, axis state, result, trajectory done
+VERSION = "4x3Bx"  # of an ODrive: protocol and hardware; firmware (major, minor, revision), unreleased
+IDLE = struct.pack("<I", AxisState.IDLE)
+
+# A moteus (docs/protocol/can.md of mjbots/moteus): host 0 sends to drive 1, which must reply to host 0.
+QUERY_ID, REPLY_ID = 0x8001, 0x0100
+QUERY = bytes.fromhex("140400 1f0d 505050")  # read from 0 four int16, from 13 three floats; three NOP
+REPLY_HEAD = bytes.fromhex("240400")  # then four int16, "2f0d", and three floats, the voltage first
+VOLTAGE_AT, SUPPLY_V = 13, 24.0
+REPLY_END, REPLY_BYTES = 25, 32  # the drive pads its reply with NOP to a length that CAN FD allows
 
 
 def ip_link(*words: str) -> None:
@@ -43,15 +54,15 @@ def ip_link(*words: str) -> None:
 
 
 @contextmanager
-def on_the_bus(
+def served_drive(
     kind: str, interface: str, *, model: RigModel | None = None, **options: object
 ) -> Iterator[socket.socket]:
-    """Serve a drive on a new interface; give the socket of a host."""
+    """Serve a drive on a new interface in a thread; yield the socket of a host."""
     ip_link("add", interface, "type", "vcan")
-    ip_link("set", interface, "mtu", str(FD_MTU))
+    ip_link("set", interface, "mtu", str(FD_BYTES))  # the interface transmits frames of CAN FD, too
     ip_link("set", interface, "up")
-    there, stop = threading.Event(), threading.Event()
-    options |= {"place": interface, "stop": stop, "announce": lambda _: there.set()}
+    announced, stop = threading.Event(), threading.Event()
+    options |= {"place": interface, "stop": stop, "announce": lambda _: announced.set()}
     drive = threading.Thread(target=serve, args=(kind, model or drive_rig()), kwargs=options)
     host = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     host.settimeout(WAIT_S)
@@ -59,7 +70,7 @@ def on_the_bus(
     host.bind((interface,))
     drive.start()
     try:
-        assert there.wait(WAIT_S)
+        assert announced.wait(WAIT_S)
         yield host
     finally:
         stop.set()
@@ -71,114 +82,122 @@ def on_the_bus(
 def send(host: socket.socket, command: CanSimpleCommand, form: str, *values: float) -> None:
     """Send a message to node 0."""
     data = struct.pack("<" + form, *values)
-    host.send(struct.pack("=IB3x8s", command, len(data), data))
+    host.send(CAN_FRAME.pack(command, len(data), data))
 
 
 def receive(host: socket.socket, command: CanSimpleCommand, form: str) -> tuple[float, ...]:
     while True:
-        identifier, _, data = struct.unpack("=IB3x8s", host.recv(16))
+        identifier, _, data = CAN_FRAME.unpack(host.recv(CLASSIC_BYTES))
         if identifier == command:
             return struct.unpack("<" + form, data)
 
 
 def test_an_odrive_is_driven_over_the_kernels_own_can() -> None:
-    with on_the_bus("odrive", "vcan0", settings=FREE) as host:
-        assert receive(host, CanSimpleCommand.HEARTBEAT, "IBBBx")[:2] == (0, 1)
-        host.send(struct.pack("=IB3x8s", socket.CAN_RTR_FLAG | CanSimpleCommand.GET_VERSION, 0, b""))
-        assert receive(host, CanSimpleCommand.GET_VERSION, "8B")[4:7] == (0, 6, 11)
-        send(host, CanSimpleCommand.SET_CONTROLLER_MODE, "II", 1, 1)
-        send(host, CanSimpleCommand.SET_AXIS_STATE, "I", 8)
-        send(host, CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.02)
+    with served_drive("odrive", "vcan0", settings=UNLIMITED_ODRIVE_SETUP) as host:
+        error, state, *_ = receive(host, CanSimpleCommand.HEARTBEAT, HEARTBEAT)
+        assert (error, state) == (0, AxisState.IDLE)
+        host.send(CAN_FRAME.pack(socket.CAN_RTR_FLAG | CanSimpleCommand.GET_VERSION, 0, b""))
+        assert receive(host, CanSimpleCommand.GET_VERSION, VERSION) == (0, 6, 11)
+        send(host, CanSimpleCommand.SET_CONTROLLER_MODE, "II", TORQUE_CONTROL, PASSTHROUGH)
+        send(host, CanSimpleCommand.SET_AXIS_STATE, "I", AxisState.CLOSED_LOOP_CONTROL)
+        send(host, CanSimpleCommand.SET_INPUT_TORQUE, "f", 0.02)  # N·m
         until = time.monotonic() + WAIT_S
-        velocity = 0.0
+        velocity = 0.0  # rev/s
         while velocity <= 0.1 and time.monotonic() < until:
             _, velocity = receive(host, CanSimpleCommand.GET_ENCODER_ESTIMATES, "ff")
         assert velocity > 0.1
         send(host, CanSimpleCommand.ESTOP, "")
-        while (beat := receive(host, CanSimpleCommand.HEARTBEAT, "IBBBx"))[1] != 1:
+        state = AxisState.CLOSED_LOOP_CONTROL
+        while state != AxisState.IDLE:
             assert time.monotonic() < until
-        assert beat[0] == 0x02000000
+            error, state, *_ = receive(host, CanSimpleCommand.HEARTBEAT, HEARTBEAT)
+        assert error == Error.ESTOP_REQUESTED
 
 
 def test_a_moteus_answers_in_frames_of_can_fd() -> None:
-    with on_the_bus("moteus", "vcan1") as host:
-        query = bytes.fromhex("1404001f0d505050")  # int16 from 0, four registers; float from 13, three
-        host.send(struct.pack("=IBB2x64s", socket.CAN_EFF_FLAG | 0x8001, len(query), 1, query))
-        identifier, size, _, data = struct.unpack("=IBB2x64s", host.recv(72))
-        assert (identifier, size) == (0x0100, 32)
-        assert data[:3] == bytes.fromhex("240400")
-        assert struct.unpack_from("<f", data, 13) == (24.0,)
-        assert data[25:32] == b"\x50" * 7
+    with served_drive("moteus", "vcan1") as host:
+        host.send(CANFD_FRAME.pack(socket.CAN_EFF_FLAG | QUERY_ID, len(QUERY), BIT_RATE_SWITCH, QUERY))
+        identifier, size, _, data = CANFD_FRAME.unpack(host.recv(FD_BYTES))
+        assert (identifier, size) == (REPLY_ID, REPLY_BYTES)
+        assert data.startswith(REPLY_HEAD)
+        assert struct.unpack_from("<f", data, VOLTAGE_AT) == (SUPPLY_V,)
+        assert data[REPLY_END:REPLY_BYTES] == bytes((NOP,)) * (REPLY_BYTES - REPLY_END)
 
 
-def found(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
-    """Find a drive; its response time is that of the emulated processor and is not used."""
+def find_drive(kind: str, bus: CanBus, model: RigModel) -> FittedDrive:
+    """Find a drive; its measured response time is that of the emulated processor and is not used."""
     if kind == "moteus":
         return moteus.fit(moteus.find(moteus.MoteusConversation(bus, 1), 1), model)
     facts = odrive.find(odrive.OdriveConversation(bus, 0, endpoints()))
     return odrive.fit(replace(facts, quickest_s=0.0), model)
 
 
+@pytest.mark.parametrize("interface_lost", [False, True])
 @pytest.mark.parametrize(
-    ("kind", "settings", "end"),
+    ("kind", "settings", "stop_frame"),
     [
-        ("moteus", SAFE, (0x01, bytes.fromhex("010000"))),  # to drive 1: mode 0
-        ("odrive", WATCHED | SLOWLY, (CanSimpleCommand.SET_AXIS_STATE, bytes((1, 0, 0, 0)))),  # idle
+        # Lower byte of the identifier, first bytes; for drive 1: write 0 (stopped) to register 0 (mode)
+        ("moteus", MOTEUS_SETUP, (0x01, bytes.fromhex("010000"))),
+        ("odrive", ODRIVE_SETUP | SLOW_ODRIVE_SETUP, (CanSimpleCommand.SET_AXIS_STATE, IDLE)),
     ],
 )
-def test_a_bridge_on_the_kernels_own_can(kind: str, settings: dict[str, str], end: tuple[int, bytes]) -> None:
-    """The bridge receives the samples, sends the stop at its end, and reports a lost interface."""
-    model, interface = bridged_rig(), f"bridge-{kind}"
-    with on_the_bus(kind, interface, model=model, settings=settings) as other:
+def test_a_bridge_on_the_kernels_own_can(
+    kind: str, settings: dict[str, str], stop_frame: tuple[int, bytes], interface_lost: bool
+) -> None:
+    """The bridge receives samples; at its end it sends the stop, or reports that the interface is lost."""
+    # An interface persists after its test, so each test has its own; a name has at most 15 characters.
+    model, interface = bridged_rig(), f"{'lost' if interface_lost else 'stop'}-{kind}"
+    with served_drive(kind, interface, model=model, settings=settings) as host:
         bus = open_bus(DeviceUrl(kind, interface, {}, f"{kind}://{interface}"))
         with closing(bus):
             assert isinstance(bus, CanBus)
-            drive = found(kind, bus, model)
-            for goes in (False, True):  # without a lost interface the bridge sends the stop
-                bridge = Bridge(model, drive, socket=True, rate=RATE)
-                with running(bridge, bus):
-                    wait_until(lambda bridge=bridge: bridge.facts.replies > 10)
-                    waiting_frames(other, 0)  # make room for the stop
-                    if goes:
-                        ip_link("set", interface, "down")
-                        wait_until(lambda bridge=bridge: bridge.fault != 0)
-                assert goes or end in waiting_frames(other, len(end[1]))
-            slow = DriveFault.DRIVE_SILENT  # an emulated processor may be, before it went
-            assert bridge.fault in {DriveFault.BUS_LOST, slow}
+            bridge = Bridge(model, find_drive(kind, bus, model), socket=True, rate=RATE_HZ)
+            with running(bridge, bus):
+                wait_until(lambda: bridge.facts.replies > 10)
+                take_waiting_frames(host)  # discard them: the stop needs room in the receive buffer
+                if interface_lost:
+                    ip_link("set", interface, "down")
+                    wait_until(lambda: bridge.fault != 0)
+            if interface_lost:
+                # On a slow emulator the drive may time out before the interface is lost.
+                assert bridge.fault in {DriveFault.BUS_LOST, DriveFault.DRIVE_SILENT}
+            else:
+                _, data = stop_frame
+                starts = {(frame[0], frame[8 : 8 + len(data)]) for frame in take_waiting_frames(host)}
+                assert stop_frame in starts
 
 
-def waiting_frames(host: socket.socket, size: int) -> set[tuple[int, bytes]]:
-    """Return the lower byte of the identifier and the first bytes of all waiting frames."""
+def take_waiting_frames(host: socket.socket) -> list[bytes]:
     frames = []
     host.setblocking(False)
     with suppress(BlockingIOError):
         while True:
-            frames.append(host.recv(FD_MTU))
-    return {(frame[0], frame[8 : 8 + size]) for frame in frames}
+            frames.append(host.recv(FD_BYTES))
+    return frames
 
 
 @contextmanager
 def running(bridge: Bridge, bus: CanBus) -> Iterator[None]:
-    """Run a bridge in a thread, without a host, until the block ends."""
-    ours, host = socket.socketpair()
-    ear, mouth = os.pipe()
-    ours.setblocking(False)
-    ends = {"host": ours.fileno(), "bus": bus.descriptor, "wake": ear, "host_stays": True}
+    """Run a bridge in a thread until the block ends; its host is silent."""
+    bridge_end, host_end = socket.socketpair()
+    wake_read, wake_write = os.pipe()
+    bridge_end.setblocking(False)
+    ends = {"host": bridge_end.fileno(), "bus": bus.descriptor, "wake": wake_read, "host_stays": True}
     thread = threading.Thread(target=bridge.run, kwargs=ends)
     thread.start()
     try:
         yield
     finally:
-        os.write(mouth, b"x")
+        os.write(wake_write, b"x")
         thread.join(WAIT_S)
-        for end in (ours, host):
+        for end in (bridge_end, host_end):
             end.close()
-        os.close(ear)
-        os.close(mouth)
+        os.close(wake_read)
+        os.close(wake_write)
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(condition: Callable[[], bool]) -> None:
     until = time.monotonic() + WAIT_S
-    while not true():
+    while not condition():
         assert time.monotonic() < until
         time.sleep(0.02)

@@ -19,7 +19,7 @@ from rig.core.model import Encoder, Reference, RigModel
 from rig.extras.drives.bus import CanFrame
 from rig.extras.drives.moteus import MoteusConversation, find, fit, switches_of
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
-from tests.conformance.bridged import SAFE, Bridged, MemoryBus, bridged_rig, found
+from tests.conformance.bridged import MOTEUS_SETUP, Bridged, MemoryBus, bridged_rig, found
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.extras.drives.conftest import other
 
@@ -28,7 +28,7 @@ TURN = 4 * 4096  # counts
 
 def moteus(**settings: str) -> SimulatedMoteus:
     named = {name.replace("__", "."): text for name, text in settings.items()}
-    return SimulatedMoteus(bridged_rig(), MoteusOptions(settings={**SAFE, **named}))
+    return SimulatedMoteus(bridged_rig(), MoteusOptions(settings={**MOTEUS_SETUP, **named}))
 
 
 def refusal(

@@ -31,7 +31,7 @@ from sim_backend.drives.can_simple import CanSimpleCommand, Error
 from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from tests.conformance.bridged import (
     CURRENT,
-    WATCHED,
+    ODRIVE_SETUP,
     Bridged,
     MemoryBus,
     armed,
@@ -48,7 +48,7 @@ TURN = 4 * 4096  # counts
 
 
 def drive_with(settings: dict[str, str] | None = None, **options: Any) -> SimulatedOdrive:
-    return SimulatedOdrive(bridged_rig(), OdriveOptions(settings={**WATCHED, **(settings or {})}, **options))
+    return SimulatedOdrive(bridged_rig(), OdriveOptions(settings=ODRIVE_SETUP | (settings or {}), **options))
 
 
 def refusal(

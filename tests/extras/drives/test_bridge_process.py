@@ -29,14 +29,17 @@ from rig.extras.drives.link import BridgeLink
 from rig.extras.drives.serve import look
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.process import serve as serve_drive
-from tests.conformance.bridged import SAFE, SLOW, WATCHED, bridged_rig, plain_drive, write_endpoints
+from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, plain_drive, write_endpoints
+from tests.conformance.host import RUN_PARAMETERS
 
+# The tick rate (Hz) is low because a simulated drive is a program, and this computer may be busy.
+SLOW_RUN_PARAMETERS = {**RUN_PARAMETERS, "position_rate": 100}
 PATIENCE_S = 30.0  # ends a test that would hang
 
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[str]:
-    with simulated_drive("moteus", bridged_rig(), settings=SAFE) as served:
+    with simulated_drive("moteus", bridged_rig(), settings=MOTEUS_SETUP) as served:
         yield served.path
 
 
@@ -48,7 +51,7 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
     """The drive's own watchdog ends the torque then; the next bridge takes the drive as it is."""
     with opened(port) as device:
         assert isinstance(device.link, BridgeLink)
-        device.configure(SLOW)
+        device.configure(SLOW_RUN_PARAMETERS)
         device.arm()
         os.kill(device.link.process, signal.SIGKILL)
         with pytest.raises(LinkLostError):
@@ -60,7 +63,7 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
         bridge = device.link.process
         assert device.dictionary.firmware == "bridge to moteus 1.0.0"
         assert not device.dictionary.simulated
-        device.configure(SLOW)
+        device.configure(SLOW_RUN_PARAMETERS)
         device.arm()
         assert len(device.states(0.3)) > 5
         assert device.link.bus_facts()["replies"] > 20
@@ -70,7 +73,7 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
 
 def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
     there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
-    options = {"place": bus, "settings": SAFE, "stop": stop, "announce": lambda _: there.set()}
+    options = {"place": bus, "settings": MOTEUS_SETUP, "stop": stop, "announce": lambda _: there.set()}
     drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
     drive.start()
     try:
@@ -88,8 +91,8 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
     """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
     there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
-    slow = {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
-    options = {"place": bus, "settings": WATCHED | slow, "stop": stop, "announce": lambda _: there.set()}
+    slow = ODRIVE_SETUP | {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
+    options = {"place": bus, "settings": slow, "stop": stop, "announce": lambda _: there.set()}
     drive = threading.Thread(target=serve_drive, args=("odrive", bridged_rig()), kwargs=options)
     drive.start()
     try:
@@ -98,7 +101,7 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
         with devices.open_device(f"odrive://{bus}?endpoints={file}", bridged_rig()) as device:
             assert isinstance(device.link, BridgeLink)
             assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
-            device.configure(SLOW)
+            device.configure(SLOW_RUN_PARAMETERS)
             device.arm()
             assert len(device.states(0.3)) > 5
             facts = device.link.bus_facts()
