@@ -1,6 +1,4 @@
-"""Limit cycles of the quantum: what is measured of one, and that describing functions predict the simulated ones."""
-
-from typing import Any
+"""Limit cycles of the encoder's quantisation: their measurement, and predictions beside simulations."""
 
 import numpy as np
 import pytest
@@ -8,79 +6,93 @@ import pytest
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.core.errors import PlanError
-from rig.extras.papers.disagreement import limit_cycles as searched
-from rig.extras.papers.disagreement.limit_cycles import Cycle, limit_cycles
+from rig.extras.papers.disagreement import limit_cycles as limit_cycles_module
+from rig.extras.papers.disagreement.limit_cycles import Cycle, HeldWall, LimitCycles, limit_cycles
 
-RATE = 20_000.0
+RATE_HZ = 20_000.0
+EDGE, BELOW, ABOVE = 3.5, 3, 4  # counts: an edge of the encoder, and the counts on both sides of it
+AMPLITUDE, FREQUENCY_HZ = 0.3, 600.0  # counts, Hz: of an oscillation about the edge
+COMPLIANT = presets.load("koul-compliant")
+UNIFORM, DUAL = Scheme.parse("uniform:20k"), Scheme.parse("dual:20k/2k")
+KOUL_WALL = (400.0, 0.6)  # K (N·m/rad), B (N·m·s/rad)
+WALL_OF_TWO_CYCLES = (574.7, 2.22)  # K, B: the capstan can ring, too
+SOFT_WALL = (80.0, 0.5)  # K, B: friction can hold the handle
 
 
 def test_a_cycle_is_measured_though_its_phase_wanders() -> None:
     wander = np.cumsum(np.random.default_rng(1).normal(0.0, 0.02, 40_000))
-    turn = 2.0 * np.pi * 600.0 * np.arange(40_000) / RATE + wander
-    found = Cycle.of(3.5 + 0.3 * np.cos(turn), np.where(np.cos(turn) > 0.0, 4, 3), RATE)
-    assert found.amplitude == pytest.approx(0.3, rel=0.01)
-    assert found.frequency_hz == pytest.approx(600.0, rel=0.01)
-    assert found.share > 0.98
-    both = Cycle.of(0.3 * np.cos(turn) + 0.3 * np.cos(0.1 * turn), np.where(np.cos(turn) > 0.0, 4, 3), RATE)
-    assert both.share == pytest.approx(0.5, abs=0.02)
+    phase = 2.0 * np.pi * FREQUENCY_HZ * np.arange(40_000) / RATE_HZ + wander
+    motion = EDGE + AMPLITUDE * np.cos(phase)
+    counts = np.where(motion > EDGE, ABOVE, BELOW)
+    cycle = Cycle.of(motion, counts, RATE_HZ)
+    assert cycle.amplitude == pytest.approx(AMPLITUDE, rel=0.01)
+    assert cycle.frequency_hz == pytest.approx(FREQUENCY_HZ, rel=0.01)
+    assert cycle.share > 0.98
+    with_slow_motion = Cycle.of(motion + AMPLITUDE * np.cos(0.1 * phase), counts, RATE_HZ)
+    assert with_slow_motion.share == pytest.approx(0.5, abs=0.02)  # half of the variance is in the band
 
 
-def test_a_motion_between_two_edges_rests() -> None:
-    found = Cycle.of(np.linspace(3.1, 3.2, 100), np.full(100, 3), RATE)
-    assert (found.amplitude, found.frequency_hz, found.share) == (0.0, 0.0, 0.0)
+def test_a_motion_that_crosses_no_edge_is_measured_as_rest() -> None:
+    cycle = Cycle.of(np.linspace(3.1, 3.2, 100), np.full(100, BELOW), RATE_HZ)
+    assert (cycle.amplitude, cycle.frequency_hz, cycle.share) == (0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
-def cycles() -> Any:
-    schemes = [Scheme.parse("uniform:20k"), Scheme.parse("dual:20k/2k")]
-    return limit_cycles(presets.load("koul-compliant"), schemes, [(400.0, 0.6)])
+def cycles() -> LimitCycles:
+    return limit_cycles(COMPLIANT, [UNIFORM, DUAL], [KOUL_WALL])
 
 
-def test_amplitude_and_frequency_are_as_predicted(cycles: Any) -> None:
-    """Of the two, frequency within 3 % and amplitude within 12 %: both were measured at 1 to 2 % and 1 to 9 %."""
+def wall_of(cycles: LimitCycles, scheme: Scheme, *, friction: bool) -> HeldWall:
+    return {(wall.scheme, wall.friction): wall for wall in cycles.walls}[scheme.label(COMPLIANT), friction]
+
+
+def test_amplitude_and_frequency_are_as_predicted(cycles: LimitCycles) -> None:
+    """Largest measured errors: frequency 2 %, amplitude 9 %; the bounds leave room."""
     for wall in cycles.walls:
         assert wall.simulated.share > 0.85
-        assert abs(wall.frequency_error) < 0.03, wall
-        assert abs(wall.amplitude_error) < 0.12, wall
+        assert wall.frequency_error == pytest.approx(0.0, abs=0.03), wall
+        assert wall.amplitude_error == pytest.approx(0.0, abs=0.12), wall
 
 
-def test_friction_makes_it_smaller(cycles: Any) -> None:
-    for free, rubbed in (cycles.walls[:2], cycles.walls[2:]):
-        assert (free.friction, rubbed.friction) == (False, True)
-        assert rubbed.predicted.amplitude < free.predicted.amplitude
-        assert rubbed.simulated.amplitude < free.simulated.amplitude
+@pytest.mark.parametrize("scheme", [UNIFORM, DUAL], ids=["uniform", "dual"])
+def test_friction_makes_a_limit_cycle_smaller(scheme: Scheme, cycles: LimitCycles) -> None:
+    free, rubbed = (wall_of(cycles, scheme, friction=friction) for friction in (False, True))
+    assert rubbed.predicted.amplitude < free.predicted.amplitude
+    assert rubbed.simulated.amplitude < free.simulated.amplitude
 
 
-def test_where_a_cycle_is_not_alone_the_start_decides_which_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The capstan's ringing at 142 Hz, which friction should end, beside the predicted 678 Hz."""
-    x, wall = presets.load("koul-compliant"), [(574.7, 2.22)]
-    seen = []
-    for away in (3.0, 2.0):
-        monkeypatch.setattr(searched, "AWAY", away)
-        _, rubbed = limit_cycles(x, [Scheme.parse("dual:20k/2k")], wall).walls
+def test_the_release_decides_which_of_two_cycles_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The capstan can ring at 142 Hz, which friction should end; the predicted limit cycle has 678 Hz."""
+
+    def simulate_from(depth_counts: float) -> HeldWall:
+        # The handle is released this many counts deeper than the position where the wall balances the push.
+        monkeypatch.setattr(limit_cycles_module, "AWAY", depth_counts)
+        _, rubbed = limit_cycles(COMPLIANT, [DUAL], [WALL_OF_TWO_CYCLES]).walls
         assert not rubbed.predicted.alone
-        seen.append(rubbed.simulated.frequency_hz)
-    assert seen[0] < 0.4 * seen[1]
-    assert abs(rubbed.frequency_error) < 0.1
+        return rubbed
+
+    from_three_counts, from_two_counts = simulate_from(3.0), simulate_from(2.0)
+    assert from_three_counts.simulated.frequency_hz < 0.4 * from_two_counts.simulated.frequency_hz
+    assert from_two_counts.frequency_error == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_only_cycle_is_as_predicted(cycles: Any) -> None:
-    fast, slow = cycles.walls[1], cycles.walls[3]
-    assert fast.predicted.alone
-    assert not slow.predicted.alone
+def test_only_the_uniform_scheme_has_a_single_predicted_cycle(cycles: LimitCycles) -> None:
+    uniform, dual = (wall_of(cycles, scheme, friction=True) for scheme in (UNIFORM, DUAL))
+    assert uniform.predicted.alone
+    assert not dual.predicted.alone
     assert cycles.tally(True).alone.walls == 1
 
 
 def test_a_soft_wall_rests_where_friction_can_hold_it() -> None:
-    found = limit_cycles(presets.load("koul-rigid"), [Scheme.parse("dual:20k/2k")], [(80.0, 0.5)])
-    free, rubbed = found.walls
+    soft = limit_cycles(presets.load("koul-rigid"), [DUAL], [SOFT_WALL])
+    free, rubbed = soft.walls
     assert free.simulated.amplitude > 0.3
     assert rubbed.predicted.may_rest
     assert rubbed.simulated.amplitude == 0.0
-    assert (found.tally(True).both_rest, found.tally(True).only_predicted) == (1, 0)
+    assert (soft.tally(True).both_rest, soft.tally(True).only_predicted) == (1, 0)
 
 
-@pytest.mark.parametrize("wall", [(0.0, 0.1), (-1.0, 0.1), (100.0, -0.1), (float("nan"), 0.0)])
-def test_a_wall_that_rests_nowhere_is_refused(wall: tuple[float, float]) -> None:
+@pytest.mark.parametrize("wall", [(0.0, 0.1), (-1.0, 0.1), (float("nan"), 0.0), (100.0, -0.1)])
+def test_a_wall_without_stiffness_or_with_negative_damping_is_refused(wall: tuple[float, float]) -> None:
     with pytest.raises(PlanError, match="stiffness above zero"):
         limit_cycles(presets.load("koul-rigid"), (), [wall])
