@@ -1,8 +1,8 @@
-"""A process that dies at a call that changes the disk, simulated: from the chosen call on all such calls raise.
+"""Simulate a process that dies at a call that changes the disk: from the chosen call on all such calls raise an error.
 
-Whatever clean-up the code still tries does nothing then, as if the process were gone. A write that dies leaves the
-first half of its bytes. What compiled code writes (the rows of a capture) does not pass here; where such a file is cut
-makes no difference to who finds it.
+Clean-up code of the session then has no effect, as if the process were gone. A write at which the process dies stores
+the first half of its bytes. Rows of a capture are written by compiled code and not counted here: a resumed session
+moves an incomplete capture aside, at whichever row it ends.
 """
 
 from __future__ import annotations
@@ -18,25 +18,27 @@ import pytest
 
 from rig.recording import files, lines
 
+Call = Callable[[], Any]
+
 
 class DeadError(BaseException):
     """The process is gone."""
 
 
 class Fuse:
-    """Counts calls that change the disk, and dies at one of them, before it or after it.
+    """Count calls that change the disk, and die at call `dies_at` (None: never), before it or after it.
 
-    `names` says what each call so far was.
+    `names` contains a description of each call so far.
     """
 
-    def __init__(self, dies_at: int = -1, *, after: bool = False) -> None:
+    def __init__(self, dies_at: int | None = None, *, after: bool = False) -> None:
         self.calls = 0
         self.names: list[str] = []
         self.dies_at = dies_at
         self.after = after
         self.dead = False
 
-    def through(self, name: str, call: Callable[[], Any], half: Callable[[], Any] | None = None) -> Any:
+    def call_or_die(self, name: str, call: Call, partial_call: Call | None = None) -> Any:
         if self.dead:
             raise DeadError
         self.names.append(name)
@@ -46,76 +48,80 @@ class Fuse:
         self.dead = True
         if self.after:
             call()
-        elif half is not None:
-            half()
+        elif partial_call is not None:
+            partial_call()
         raise DeadError
 
 
-class Full(Fuse):
-    """A disk that is full from some call on; cutting and removing still works."""
+class FullDisk:
+    """A disk that is full from call `full_from` on; cutting and removing files still work."""
 
-    def through(self, name: str, call: Callable[[], Any], half: Callable[[], Any] | None = None) -> Any:
+    def __init__(self, full_from: int) -> None:
+        self.calls = 0
+        self.full_from = full_from
+
+    def call_or_die(self, name: str, call: Call, partial_call: Call | None = None) -> Any:
         number, self.calls = self.calls, self.calls + 1
-        if number < self.dies_at or half is None:
+        if number < self.full_from or partial_call is None:
             return call()
-        half()
+        partial_call()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 class FusedFile(io.FileIO):
-    """A file whose writes and cuts go through the fuse."""
+    """A file whose writes and cuts are calls of the fuse."""
 
-    fuse: Fuse
+    fuse: Fuse | FullDisk
 
-    def write(self, data: Any) -> int:  # type: ignore[override]
+    def write(self, data: Any) -> Any:
         whole = bytes(data)
-        kept = whole[: len(whole) // 2]
-        return self.fuse.through(  # type: ignore[no-any-return]
+        return self.fuse.call_or_die(
             f"write {_name(self.name)}",
             lambda: io.FileIO.write(self, whole),
-            lambda: io.FileIO.write(self, kept),
+            lambda: io.FileIO.write(self, whole[: len(whole) // 2]),
         )
 
-    def truncate(self, size: int | None = None) -> int:
-        return self.fuse.through(  # type: ignore[no-any-return]
-            f"truncate {_name(self.name)}", lambda: io.FileIO.truncate(self, size)
-        )
+    def truncate(self, size: int | None = None) -> Any:
+        return self.fuse.call_or_die(f"truncate {_name(self.name)}", lambda: io.FileIO.truncate(self, size))
 
 
 @contextmanager
-def fused(monkeypatch: pytest.MonkeyPatch, fuse: Fuse) -> Iterator[None]:
-    """Put the fuse into everything through which a session changes the disk."""
-    file = type("Fused", (FusedFile,), {"fuse": fuse})
-    make, write = os.open, os.write
+def fused(monkeypatch: pytest.MonkeyPatch, fuse: Fuse | FullDisk) -> Iterator[None]:
+    """Send each call of a session that changes the disk through the fuse; paths must be absolute."""
+    file_class = type("FusedFileOfThisFuse", (FusedFile,), {"fuse": fuse})
+    real_open, real_write = os.open, os.write
 
-    def opened(path: Any, flags: int, *args: Any, **more: Any) -> int:
+    def fused_open(path: Any, flags: int, *args: Any, **options: Any) -> Any:
+        assert not flags & os.O_CREAT or os.path.isabs(path), path
         if not flags & os.O_CREAT or _is_device(path):
-            return make(path, flags, *args, **more)
-        return fuse.through(f"create {_name(path)}", lambda: make(path, flags, *args, **more))  # type: ignore[no-any-return]
+            return real_open(path, flags, *args, **options)
+        return fuse.call_or_die(f"create {_name(path)}", lambda: real_open(path, flags, *args, **options))
 
-    def written(descriptor: int, data: bytes) -> int:
+    def fused_write(descriptor: int, data: bytes) -> Any:
         path = _path_of(descriptor)
         if _is_device(path):
-            return write(descriptor, data)
-        return fuse.through(  # type: ignore[no-any-return]
+            return real_write(descriptor, data)
+        return fuse.call_or_die(
             f"write {_name(path)}",
-            lambda: write(descriptor, data),
-            lambda: write(descriptor, data[: len(data) // 2]),
+            lambda: real_write(descriptor, data),
+            lambda: real_write(descriptor, data[: len(data) // 2]),
         )
 
     with monkeypatch.context() as patch:
-        patch.setattr(lines, "FileIO", file)
-        patch.setattr(files, "open", lambda path, mode: file(path, mode.replace("b", "")), raising=False)
-        patch.setattr(os, "open", opened)
-        patch.setattr(os, "write", written)
+        patch.setattr(lines, "FileIO", file_class)
+        # Shadows the builtin in that module, which has no attribute of this name: `raising=False`.
+        patch.setattr(files, "open", lambda path, mode: file_class(path, mode[0]), raising=False)
+        patch.setattr(os, "open", fused_open)
+        patch.setattr(os, "write", fused_write)
         for name in ("fsync", "replace", "rename", "mkdir", "unlink"):
-            call = getattr(os, name)
+            real_call = getattr(os, name)
 
-            def through(*args: Any, _name_of: str = name, _call: Any = call, **more: Any) -> Any:
-                about = _path_of(args[0]) if isinstance(args[0], int) else args[0]
-                return fuse.through(f"{_name_of} {_name(about)}", lambda: _call(*args, **more))
+            # The name of a call contains its first argument only: for `replace` and `rename`, the source.
+            def fused_call(*args: Any, _call_name: str = name, _call: Any = real_call, **options: Any) -> Any:
+                path = _path_of(args[0]) if isinstance(args[0], int) else args[0]
+                return fuse.call_or_die(f"{_call_name} {_name(path)}", lambda: _call(*args, **options))
 
-            patch.setattr(os, name, through)
+            patch.setattr(os, name, fused_call)
         yield
 
 
@@ -124,11 +130,11 @@ def _path_of(descriptor: int) -> str:
 
 
 def _is_device(path: Any) -> bool:
-    """Not of a file system: a pipe, a terminal, shared memory."""
+    """Return True for a pipe, a terminal or shared memory: `pipe:[…]`, or a path that no disk stores."""
     return not str(path).startswith("/") or str(path).startswith(("/dev/", "/proc/", "/memfd:"))
 
 
 def _name(path: Any) -> str:
-    """Last part of a path; of a draft, the name that it will get."""
+    """Return the last part of a path; of a draft, `.NAME.PID.draft`, without its PID, which differs between runs."""
     name = os.path.basename(str(path))
     return f"draft of {name.split('.', 1)[1].rsplit('.', 2)[0]}" if name.endswith(".draft") else name

@@ -1,4 +1,4 @@
-"""The console's own loop in this process: what STOP does first, and how often it looks and prints."""
+"""The console's own loop in this process: where STOP is stored first, and how often the console reads and prints."""
 
 from __future__ import annotations
 
@@ -21,81 +21,84 @@ from rig.session.planning._protocol import Keys
 from rig.session.terminal import _program as program
 from rig.session.terminal._conversation import StopPressed
 from rig.session.terminal._messages import line_of
+from rig.session.terminal._program import QUIET_S
+
+START_S, DURATION_S = 100.0, 10.0
 
 
 @dataclass
-class Ends:
-    """The session's ends of the console's pipes."""
+class SessionEnds:
+    """The session's ends of the console's pipes (file descriptors)."""
 
     to_console: int
     from_console: int
 
 
 @pytest.fixture
-def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console, Ends]]:
-    """A console whose session is this process; nothing is typed."""
-    hear, to_console = os.pipe()
-    from_console, say = os.pipe()
-    typed, types = os.pipe()
-    monkeypatch.setattr(program, "IN", typed)
+def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console, SessionEnds]]:
+    """A console whose session is this process; no key is typed."""
+    console_reads, to_console = os.pipe()
+    from_console, console_writes = os.pipe()
+    keyboard_read, keyboard_write = os.pipe()
+    monkeypatch.setattr(program, "IN", keyboard_read)
     keys = plain(KeyMap.of(Keys()))
     os.write(to_console, line_of("setup", pid=os.getpid(), keys=keys, attributes=None, hand=None))
-    yield program._Console(hear, say), Ends(to_console, from_console)
-    for descriptor in (hear, to_console, from_console, say, typed, types):
+    yield program._Console(console_reads, console_writes), SessionEnds(to_console, from_console)
+    pipes = (console_reads, to_console, from_console, console_writes, keyboard_read, keyboard_write)
+    for descriptor in pipes:
         os.close(descriptor)
 
 
-def test_stop_is_in_the_loops_memory_before_the_session_receives_it(
-    console: tuple[program._Console, Ends], monkeypatch: pytest.MonkeyPatch
+def test_stop_is_in_the_shared_control_words_before_the_session_receives_it(
+    console: tuple[program._Console, SessionEnds],
 ) -> None:
-    """Also when the session's program hangs, and its pipe takes nothing any more."""
-    one, _ = console
-    os.set_blocking(one._to, False)
-    while select.select([], [one._to], [], 0.0)[1]:
-        os.write(one._to, bytes(4096))
-    assert one._talk.moving
+    """STOP acts on the realtime loop also if the session's program hangs and no longer reads its pipe."""
+    under_test, _ = console
+    to_session = under_test._to  # the console's end of the pipe to the session, which is filled here
+    os.set_blocking(to_session, False)
+    while select.select([], [to_session], [], 0.0)[1]:
+        os.write(to_session, bytes(4096))
+    # No question is open, so the handle may move; only then the console's seat also sends STOP to the session.
+    assert under_test._talk.moving
     with Ring.allocate(16, info={}, shared=True) as ring:
         with pytest.raises(BlockingIOError):
-            one._seat.do([StopPressed()])
+            under_test._seat.do([StopPressed()])
         assert ring.peek(STOP) != 0
 
 
 @pytest.mark.parametrize("moving", [True, False])
-def test_lines_come_ten_to_twenty_times_a_second_while_the_handle_moves(
-    moving: bool, console: tuple[program._Console, Ends], monkeypatch: pytest.MonkeyPatch
+def test_the_console_prints_ten_to_twenty_times_a_second_while_the_handle_moves(
+    moving: bool, console: tuple[program._Console, SessionEnds], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of every moment that has something to show; while nothing moves, fewer. A clock that only waiting moves."""
-    one, ends = console
-    clock = [100.0]
-    looks: list[float] = []
-    printed: list[float] = []
+    """It prints 12.5 times a second while the handle moves, at most 5 otherwise; only `select` advances the clock."""
+    under_test, ends = console
+    clock = [START_S]
+    position_read_at: list[float] = []
+    printed_at: list[float] = []
 
     def wait(sources: list[int], *rest: Any) -> tuple[list[int], list[int], list[int]]:
         clock[0] += rest[-1]
         return [], [], []
 
-    def look() -> None:
-        looks.append(clock[0])
-
     def lines(*shown: Any) -> list[str]:
-        printed.append(clock[0])
+        printed_at.append(clock[0])
         return []
 
-    monkeypatch.setattr(one._printer, "lines", lines)
-    one._handle_message({"kind": "view", "view": plain(DeskView(state="hit"))})
+    monkeypatch.setattr(under_test._printer, "lines", lines)
+    under_test._handle_message({"kind": "view", "view": plain(DeskView(state="hit"))})
     if not moving:
         question = Question(kind="ready", text="ready?", actions=("go",))
-        one._handle_message({"kind": "ask", "number": 1, "question": plain(question)})
+        under_test._handle_message({"kind": "ask", "number": 1, "question": plain(question)})
     monkeypatch.setattr(program, "select", SimpleNamespace(select=wait))
     monkeypatch.setattr(program, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(one._seat.live, "look", look)
-    while clock[0] < 110.0:
-        assert one._round()
-        os.read(ends.from_console, 65536)  # that it is alive
+    monkeypatch.setattr(under_test._seat.live, "look", lambda: position_read_at.append(clock[0]))
+    while clock[0] < START_S + DURATION_S:
+        assert under_test._round()
+        os.read(ends.from_console, 65536)  # discard the alive messages, or the pipe fills
+    rate_hz = len(printed_at) / DURATION_S
     if moving:
-        assert 10.0 <= len(printed) / 10.0 <= 20.0
-        assert len(looks) == len(printed)  # each shows how things stand then
-        gaps = [after - before for before, after in pairwise(printed)]
-        assert max(gaps) <= 0.1
+        assert 10.0 <= rate_hz <= 20.0
+        assert position_read_at == printed_at  # the handle's position is read once before each print
+        assert max(after - before for before, after in pairwise(printed_at)) <= 0.1
     else:
-        assert 1.0 <= len(printed) / 10.0 <= 5.1
+        assert 1.0 <= rate_hz <= 1.0 / QUIET_S + 1.0 / DURATION_S  # one round more than intervals

@@ -23,7 +23,7 @@ from tests.rig.session.session_fakes import (
     rehearsed,
     started,
 )
-from tests.rig.session.session_fuse import DeadError, Full, Fuse, fused
+from tests.rig.session.session_fuse import DeadError, FullDisk, Fuse, fused
 
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, lapse_rate=0.1)
 
@@ -107,8 +107,7 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
         finish(started(tmp_path / "counted" / "P01", short()))
     for place in range(0, whole.calls - 1, 3):  # the very last call is a flush
         directory = tmp_path / str(place) / "P01"
-        full = Full(place)
-        with fused(monkeypatch, full), pytest.raises(RecordingError, match="No space left"):
+        with fused(monkeypatch, FullDisk(place)), pytest.raises(RecordingError, match="No space left"):
             finish(started(directory, short()))
         continue_session(directory)
         check_equal(directory, calm)
@@ -118,9 +117,6 @@ def test_death_in_the_middle_of_coming_back(
     tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Recordings are moved aside, listed and named in the log: each of that may be the last thing that happens."""
-    first = Fuse(28)
-    with fused(monkeypatch, first), suppress(DeadError):
-        finish(started(tmp_path / "model" / "P01", short()))
     for place in range(12):
         directory = tmp_path / str(place) / "P01"
         with fused(monkeypatch, Fuse(28)), suppress(DeadError):
