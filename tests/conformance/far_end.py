@@ -335,14 +335,7 @@ def _pty_port() -> Iterator[tuple[str, DevicePort, Callable[[], None]]]:
         yield f"serial://{port.place}", port, hang_up
 
 
-def _serve(
-    model: RigModel,
-    script: Script,
-    witness_path: Path,
-    rate: int,
-    firmware: bool,
-    pipe: Any,
-) -> None:
+def _serve(model: RigModel, script: Script, witness_path: Path, rate: int, firmware: bool, pipe: Any) -> None:
     die_with_parent()
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
@@ -393,13 +386,7 @@ class FarEnd:
     _numbers = itertools.count()
 
     def __init__(
-        self,
-        directory: Path,
-        model: RigModel,
-        script: Script,
-        rate: int,
-        *,
-        firmware: bool = False,
+        self, directory: Path, model: RigModel, script: Script, rate: int, *, firmware: bool = False
     ) -> None:
         path = directory / f"witness-{next(self._numbers)}"
         np.zeros(1, WITNESS).tofile(path)
@@ -407,10 +394,7 @@ class FarEnd:
         context = processes()
         receiver, sender = context.Pipe(duplex=False)
         self.process = context.Process(
-            target=_serve,
-            args=(model, script, path, rate, firmware, sender),
-            name="far-end",
-            daemon=True,
+            target=_serve, args=(model, script, path, rate, firmware, sender), name="far-end", daemon=True
         )
         self.process.start()
         sender.close()

@@ -184,10 +184,7 @@ INEFFECTIVE: dict[str, tuple[Callable[[FarEnd], bytes], tuple[str, ...]]] = {
     "requests": (lambda far: far.host.connection.send(m.GetTime(far.host.nonce(), 0)), ()),
     "noise": (lambda far: _noise.randbytes(_noise.randrange(1, 30)) + b"\0", BROKEN),
     "damaged commands": (_damaged, BROKEN),
-    "commands of another session": (
-        lambda far: far.frame(session=far.session % 255 + 1),
-        ("stale_session",),
-    ),
+    "commands of another session": (lambda far: far.frame(session=far.session % 255 + 1), ("stale_session",)),
     "the same command again": (lambda far: far.frame(behind=0), ("duplicated",)),
     "commands with an older sequence number": (lambda far: far.frame(behind=1), ("reordered",)),
     "commands that were under way for longer than they live": (

@@ -26,9 +26,7 @@ RELAXED, NORMAL = GRIPS["relaxed"], GRIPS["normal"]
 
 def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigModel:
     return replace(
-        rig,
-        mechanics=replace(rig.mechanics, **mechanics),
-        simulation=Simulation(inner_step_s=inner_step_s),
+        rig, mechanics=replace(rig.mechanics, **mechanics), simulation=Simulation(inner_step_s=inner_step_s)
     )
 
 

@@ -55,9 +55,8 @@ def test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes(
     name: Any, changes: Any, tmp_path: Path
 ) -> None:
     preset = presets.load(name)
-    press = (
-        {"operator.press": preset.operator.press} if "operator.grip" in changes else {}
-    )  # what its motor can bear
+    # The preset's own press is what its motor can bear.
+    press = {"operator.press": preset.operator.press} if "operator.grip" in changes else {}
     experiment = config.override(preset, {**SHORT, **changes, **press})
     recording = over_the_wire(experiment, tmp_path / "hit.rigcap")
     rows = recording.rows

@@ -185,9 +185,7 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
 
 
 @pytest.mark.signals
-def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(
-    tmp_path: Path,
-) -> None:
+def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(tmp_path: Path) -> None:
     """A shell starts `nohup … &` with Ctrl-C ignored; Ctrl-C that is not ignored: `test_nothing_is_left`."""
     options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
     command = ("env", "--ignore-signal=INT", sys.executable, "-m", "rig", "hit", *options)

@@ -141,8 +141,7 @@ def test_a_trial_is_amended_by_its_number(study: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("code", "words"),
-    [("P01", "already contains a rehearsal with a simulated person"), ("../P03", "path")],
+    ("code", "words"), [("P01", "already contains a rehearsal with a simulated person"), ("../P03", "path")]
 )
 def test_a_refused_code_changes_nothing(
     study: Path, capsys: pytest.CaptureFixture[str], code: str, words: str

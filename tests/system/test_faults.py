@@ -56,12 +56,7 @@ STRIKE = 900  # ticks of the link: in a long trial, some hundred behind the impa
 
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
-    {
-        "trial.duration_s": 0.03,
-        "trial.release_s": 0.003,
-        "homing.settle_s": 0.003,
-        "verdict.tail_s": 0.01,
-    },
+    {"trial.duration_s": 0.03, "trial.release_s": 0.003, "homing.settle_s": 0.003, "verdict.tail_s": 0.01},
 )
 LONG = config.override(
     presets.load("koul-compliant"),

@@ -18,13 +18,7 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.core.errors import (
-    DeviceFaultError,
-    DeviceNotFoundError,
-    LinkLostError,
-    RecordingError,
-    StoppedError,
-)
+from rig.core.errors import DeviceFaultError, DeviceNotFoundError, LinkLostError, RecordingError, StoppedError
 from rig.devices import open_device
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.recording.reader import open_recording

@@ -54,10 +54,7 @@ def test_losses_within_the_limits_leave_the_limit_of_a_ladder_and_those_beyond_a
         assert recorded.kind is without.kind is Kind.STABLE
 
     often = range(span.contact + 2, span.end, 50)
-    for beyond in (
-        delays(span.end, span.tail + 5, longest + 1),
-        delays(span.end, span.contact, 0, often),
-    ):
+    for beyond in (delays(span.end, span.tail + 5, longest + 1), delays(span.end, span.contact, 0, often)):
         for stiffness in walls:
             recorded, _ = rig.hit(stiffness, beyond, judged=True)
             assert recorded.found & MACHINE

@@ -49,9 +49,8 @@ def human_limits(experiment: config.Experiment) -> Check:
 # ---------------------------------------------------------------------- ways to a person's trial
 
 
-@pytest.mark.parametrize(
-    "preset", [name for name in presets.names() if name != "smartknob"]
-)  # too weak for a hand
+# The motor of the preset "smartknob" is too weak for a hand.
+@pytest.mark.parametrize("preset", [name for name in presets.names() if name != "smartknob"])
 def test_a_persons_trial_on_a_preset_for_automated_trials_has_the_limits_for_people(
     preset: str, tmp_path: Path
 ) -> None:

@@ -96,9 +96,8 @@ def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
     active = header["identity"]["parameters"]
     assert active["verified"] == 1, "a simulation; a plan alone arms nothing"
     planned = {**run.parameters, "verified": 1}
-    assert {name: active[name] for name in planned} == pytest.approx(
-        planned, rel=2.0**-24
-    )  # float32 on the wire
+    # The wire carries float32.
+    assert {name: active[name] for name in planned} == pytest.approx(planned, rel=2.0**-24)
 
 
 def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(

@@ -54,9 +54,7 @@ def calm(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     return study / "P01", fuse.names
 
 
-def test_a_recording_is_on_disk_under_its_name_before_the_log_names_it(
-    calm: tuple[Path, list[str]],
-) -> None:
+def test_a_recording_is_on_disk_under_its_name_before_the_log_names_it(calm: tuple[Path, list[str]]) -> None:
     _, calls = calm
     last = max(number for number, name in enumerate(calls) if name == "write draft of t0001.parquet")
     assert calls[last : last + 7] == [

@@ -213,10 +213,7 @@ def remembers(memory: Memory) -> float:
 @pytest.mark.parametrize(
     ("function", "message"),
     [
-        (
-            named,
-            r"argument 'penetraton' is unknown; did you mean penetration\?",
-        ),
+        (named, r"argument 'penetraton' is unknown; did you mean penetration\?"),
         (
             unknown,
             r"argument 'colour' is .*; choose from penetration: depth inside the wall \(rad or m\); velocity",

@@ -128,13 +128,7 @@ def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, paramet
 
 @kernel(ESTIMATOR_SIGNATURE)
 def recorder(
-    count: Any,
-    edge_age_s: Any,
-    elapsed_ticks: Any,
-    effort: Any,
-    state_f: Any,
-    state_i: Any,
-    parameters: Any,
+    count: Any, edge_age_s: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
     """Store the arguments; return the number of calls."""
     state_i[0] += 1
@@ -146,13 +140,7 @@ def recorder(
 
 @kernel(ESTIMATOR_SIGNATURE)
 def blind(
-    count: Any,
-    edge_age_s: Any,
-    elapsed_ticks: Any,
-    effort: Any,
-    state_f: Any,
-    state_i: Any,
-    parameters: Any,
+    count: Any, edge_age_s: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
     return math.nan
 

@@ -81,10 +81,7 @@ class Place(ABC):
 
     def sees(self, *texts: str) -> None:
         """Wait until they stand there."""
-        until(
-            lambda: all(text in self.screen for text in texts),
-            f"{texts} on the screen:\n{self.screen}",
-        )
+        until(lambda: all(text in self.screen for text in texts), f"{texts} on the screen:\n{self.screen}")
 
     @property
     @abstractmethod

@@ -130,9 +130,7 @@ class Slow(WallClock):
         self.calls.append(at)
 
 
-def test_a_desk_follows_the_session_and_its_clock_receives_the_duration_of_hits(
-    tmp_path: Path,
-) -> None:
+def test_a_desk_follows_the_session_and_its_clock_receives_the_duration_of_hits(tmp_path: Path) -> None:
     desk = Attends()
     with started(tmp_path / "P01", protocol_of(stop={"trials": 2})) as session:
         session.clock = clock = Slow()

@@ -271,8 +271,7 @@ def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
 
 
 @pytest.mark.parametrize(
-    ("rule", "settings", "hits"),
-    [("psi", {"hits": 17}, 17), ("psi", {}, 25), ("grid", {"repeats": 3}, 27)],
+    ("rule", "settings", "hits"), [("psi", {"hits": 17}, 17), ("psi", {}, 25), ("grid", {"repeats": 3}, 27)]
 )
 def test_rules_of_fixed_length_take_that_many(rule: Any, settings: dict[str, Any], hits: int) -> None:
     search = Search(lowest=100.0, highest=900.0, step=100.0, rule=rule, settings=settings)

@@ -14,13 +14,7 @@ import numpy as np
 import pytest
 
 from rig.config.presets import load as preset
-from rig.core.errors import (
-    ConfigError,
-    GuardError,
-    LinkLostError,
-    OverrunError,
-    StoppedError,
-)
+from rig.core.errors import ConfigError, GuardError, LinkLostError, OverrunError, StoppedError
 from rig.core.present import plain
 from rig.extras.study import analyse
 from rig.session.engine._conduct import conduct

@@ -119,7 +119,7 @@ def test_death_in_the_middle_of_coming_back(
     """Recordings are moved aside, listed and named in the log: each of that may be the last thing that happens."""
     for place in range(12):
         directory = tmp_path / str(place) / "P01"
-        with fused(monkeypatch, Fuse(28)), suppress(DeadError):
+        with fused(monkeypatch, Fuse(28)), suppress(DeadError):  # at the write of the second recording
             finish(started(directory, short()))
         with fused(monkeypatch, Fuse(place)), suppress(DeadError):
             continue_session(directory)

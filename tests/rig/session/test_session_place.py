@@ -118,10 +118,7 @@ def test_the_same_device_is_accepted_at_any_port(tmp_path: Path) -> None:
         (REAL, ""),
         (SIMULATED, "P01: the session mixes a real rig with a simulated one (trials 3, 4)"),
         ({**REAL, "serial_number": "E662"}, "serial number E661) and bench-3 (real, serial number E662)"),
-        (
-            {**REAL, "versions": {"haptic-rig": "0.2.0"}},
-            "P01: from trial 3 on, haptic-rig changed",
-        ),
+        ({**REAL, "versions": {"haptic-rig": "0.2.0"}}, "P01: from trial 3 on, haptic-rig changed"),
     ],
 )
 def test_an_analysis_says_what_changed_within_a_session(
