@@ -43,6 +43,10 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         "peaks": _peaks(koul),
         "left-at-range": _left_at_range(koul),
         "penetration": rules.lower_penetration(panels),
+        "oscillation": rules.lower_penetration(
+            {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.decays for p in koul.figure_7}
+        ),
+        "between": rules.between({name: of for name, of in panels.items() if name.startswith("10 kHz")}),
         "like-none": rules.like_none({FLOAT: panels[f"20 kHz, {FLOAT}"], **_peaks_by_word(koul)}),
         "filter-delay": rules.filter_delay(rules.FILTER_DELAYS_S),
         "noisier": rules.noisier(

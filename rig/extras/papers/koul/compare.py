@@ -57,6 +57,12 @@ class Panel:
         none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
         return none, uniform, dual
 
+    @property
+    def decays(self) -> tuple[float, float, float]:
+        """Return the mean decay of the oscillation with no, uniform and dual-rate damping (0: none, 1: undamped)."""
+        none, uniform, dual = (self.comparison[name].numbers.decay for name in ("none", "uniform", "dual"))
+        return none, uniform, dual
+
     def as_mapping(self) -> dict[str, Any]:
         """Return rates, arithmetic and the simulated impacts for JSON."""
         return {"position_rate": self.position_rate, "arithmetic": self.arithmetic, **plain(self.comparison)}

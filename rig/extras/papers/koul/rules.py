@@ -48,6 +48,7 @@ HIGHER = 1.05
 ONCE_ADDED = 0.1  # of the range of damping: from here on damping counts as added
 LESS = 0.9  # of the undamped penetration
 LIKE_NONE = 0.95
+SLIGHTLY = 0.8  # of the undamped penetration, at least
 NOISIER = 3.0
 NULL, SEEN = 0.2, 0.5  # of the true velocity
 
@@ -210,9 +211,9 @@ def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> R
 
 
 def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Judge the claim that dual-rate damping gives the lowest peak penetration.
+    """Judge the claim that dual-rate damping gives the lowest peak penetration, or the lowest decay.
 
-    A value of `peaks` has the penetrations (counts) with no, uniform and dual-rate damping.
+    A value of `peaks` has the penetrations (counts), or decays, with no, uniform and dual-rate damping.
     """
     cases = {
         name: dual <= LESS * none and dual <= LESS * uniform for name, (none, uniform, dual) in peaks.items()
@@ -221,6 +222,19 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
     for name in cases:
         arithmetic.setdefault(name.partition(", ")[2], []).append(name)
     return judge(cases, conditions=arithmetic, peaks=peaks)
+
+
+def between(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
+    """Judge the claim that uniform damping is slightly better than none, and dual-rate damping clearly better than it.
+
+    A value of `peaks` has the penetrations (counts) with no, uniform and dual-rate damping; the last word of its key is
+    the arithmetic, which can be set.
+    """
+    cases = {
+        name: dual <= LESS * uniform and SLIGHTLY * none <= uniform < LIKE_NONE * none
+        for name, (none, uniform, dual) in peaks.items()
+    }
+    return judge(cases, conditions={name.partition(", ")[2]: [name] for name in cases}, peaks=peaks)
 
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
