@@ -192,6 +192,13 @@ def test_a_filter_delay_that_agrees_at_one_cut_off_is_reproduced_in_part() -> No
     assert koul_rules.filter_delay({30.0: 1e-2}).status is ClaimStatus.NOT
 
 
+def test_an_equal_decay_of_zero_is_not_more_damped() -> None:
+    decays = {"20 kHz, floating point": (0.5, 0.0, 0.0), "20 kHz, fixed point": (0.5, 0.5, 0.0)}
+    assert koul_rules.lower_penetration(decays).condition == "fixed point"
+    assert koul_rules.between({"10 kHz, fixed point": (57.0, 50.0, 29.0)}).status is ClaimStatus.REPRODUCED
+    assert koul_rules.between({"10 kHz, fixed point": (57.0, 40.0, 29.0)}).status is ClaimStatus.NOT
+
+
 def test_noise_and_null_readings_are_about_the_rate() -> None:
     assert koul_rules.noisier({"a": 0.5}, 0.1).status is ClaimStatus.REPRODUCED
     assert koul_rules.noisier({"a": 0.5, "b": 0.1}, 0.1).verdict == "reproduced only with a"

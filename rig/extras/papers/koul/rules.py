@@ -216,7 +216,8 @@ def lower_penetration(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling
     A value of `peaks` has the penetrations (counts), or decays, with no, uniform and dual-rate damping.
     """
     cases = {
-        name: dual <= LESS * none and dual <= LESS * uniform for name, (none, uniform, dual) in peaks.items()
+        name: dual < uniform and dual <= LESS * none and dual <= LESS * uniform
+        for name, (none, uniform, dual) in peaks.items()
     }
     arithmetic: dict[str, list[str]] = {}
     for name in cases:
