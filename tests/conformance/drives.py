@@ -18,6 +18,8 @@ from sim_backend.drives.odrive import OdriveOptions, SimulatedOdrive
 from sim_backend.drives.serving import Serving
 from tests.conformance.rigs import rotary_rig
 
+CAN_FRAME = struct.Struct("=IB3x8s")  # identifier, length, padding, data: include/uapi/linux/can.h
+CANFD_FRAME = struct.Struct("=IBB2x64s")  # identifier, length, flags, padding, data
 MS = 1_000_000
 RATIO = 2.0  # turns of the drive's shaft for one of the link
 INERTIA = 1e-3  # kg·m² at the link

@@ -26,13 +26,11 @@ from sim_backend.drives.odrive_law import PASSTHROUGH, TORQUE_CONTROL
 from sim_backend.drives.process import serve
 from sim_backend.drives.socket_can import BIT_RATE_SWITCH, CLASSIC_BYTES, FD_BYTES
 from tests.conformance.bridged import MOTEUS_SETUP, ODRIVE_SETUP, bridged_rig, endpoints
-from tests.conformance.drives import drive_rig
+from tests.conformance.drives import CAN_FRAME, CANFD_FRAME, drive_rig
 from tests.guest.boot import BUSYBOX
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/sys/module/vcan"), reason="no vcan here: run .ci/guest")
 
-CAN_FRAME = struct.Struct("=IB3x8s")  # identifier, length, padding, data: include/uapi/linux/can.h
-CANFD_FRAME = struct.Struct("=IBB2x64s")  # identifier, length, flags, padding, data
 RATE_HZ = 50
 WAIT_S = 60.0  # an emulated processor loads the compiled functions slowly
 SLOW_ODRIVE_SETUP = {odrive.ENCODER_MS: "20", odrive.TORQUES_MS: "20", odrive.WATCHDOG_S: "0.05"}

@@ -16,8 +16,8 @@ from sim_backend.drives.faults import DriveEvent, DriveScript
 from sim_backend.drives.fdcanusb import Fdcanusb, LineSplitter, Uart, checksum, seal
 from sim_backend.drives.outlets import DriveSockets, UnpluggableTerminal
 from sim_backend.drives.process import serve
-from sim_backend.drives.socket_can import SocketCan, from_wire, to_wire
-from tests.conformance.drives import MS, Moteus, Odrive, Wire, drive_rig, served
+from sim_backend.drives.socket_can import ERROR, EXTENDED, REMOTE, SocketCan, from_wire, to_wire
+from tests.conformance.drives import CAN_FRAME, CANFD_FRAME, MS, Moteus, Odrive, Wire, drive_rig, served
 from tests.conformance.rigs import linear_rig
 
 FRAME = Frame(0x8001, bytes.fromhex("01000a"))
@@ -87,12 +87,12 @@ def test_frames_are_those_of_socketcan() -> None:
     can = SocketCan()
     sent = Frame(0x2E, b"\1\2\3\4")
     (unit,) = can.close(sent)
-    message = struct.pack("=IB3x8s", 0x2E, 4, sent.data)
+    message = CAN_FRAME.pack(0x2E, 4, sent.data)
     assert (to_wire(unit), from_wire(message)) == (message, unit)
     assert can.open(unit) == (sent, [])
-    asked = from_wire(struct.pack("=IB3x8s", 0x40000009, 8, b""))
+    asked = from_wire(CAN_FRAME.pack(REMOTE | 0x09, 8, b""))
     assert can.open(asked) == (Frame(0x09, b"", remote=True), [])
-    report = from_wire(struct.pack("=IB3x8s", 0x20000004, 8, b""))  # the controller's own
+    report = from_wire(CAN_FRAME.pack(ERROR | 0x04, 8, b""))  # from this computer's CAN controller
     assert can.open(report) == (None, [])
     assert can.splitter().split(unit + asked) == [unit, asked]
     assert from_wire(b"no frame") == b""
@@ -101,11 +101,10 @@ def test_frames_are_those_of_socketcan() -> None:
 def test_frames_of_can_fd_are_padded_and_dropped_by_classic_can() -> None:
     can = SocketCan(fd=True, padding=0x50)
     (unit,) = can.close(Frame(0x0100, bytes(9)))
-    message = struct.pack("=IBB2x64s", 0x0100, 12, 0x05, bytes(9) + b"\x50" * 3)
+    message = CANFD_FRAME.pack(0x0100, 12, 0x05, bytes(9) + b"\x50" * 3)
     assert (to_wire(unit), from_wire(message)) == (message, unit)
-    query = from_wire(
-        struct.pack("=IBB2x64s", 0x80008001, 2, 0x01, b"\x11\0")
-    )  # an old kernel sets no flag of its own
+    # An old kernel does not set the flag of CAN FD.
+    query = from_wire(CANFD_FRAME.pack(EXTENDED | 0x8001, 2, 0x01, b"\x11\0"))
     assert can.open(query) == (Frame(0x8001, b"\x11\0", extended=True), [])
     assert SocketCan().open(query) == (None, [])
 

@@ -25,8 +25,8 @@ import pytest
 from sim_backend.drives import simulated_drive
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.can_simple import CanSimpleCommand, Error
-from sim_backend.drives.socket_can import CLASSIC_BYTES
-from tests.conformance.drives import NAN, Moteus, Odrive, drive_rig
+from sim_backend.drives.socket_can import CLASSIC_BYTES, REMOTE
+from tests.conformance.drives import CAN_FRAME, NAN, Moteus, Odrive, drive_rig
 from tests.conformance.started import started
 
 WAIT_S = 20.0
@@ -200,13 +200,13 @@ class Bus:
         self._end.connect(place)
 
     def send(self, message: Any) -> None:
-        word = message.arbitration_id | (0x40000000 if message.is_remote_frame else 0)
-        self._end.send(struct.pack("=IB3x8s", word, len(message.data), bytes(message.data)))
+        word = message.arbitration_id | (REMOTE if message.is_remote_frame else 0)
+        self._end.send(CAN_FRAME.pack(word, len(message.data), bytes(message.data)))
 
     def recv(self, timeout: float) -> Any:
         self._end.settimeout(timeout)
         try:
-            word, size, data = struct.unpack("=IB3x8s", self._end.recv(16))
+            word, size, data = CAN_FRAME.unpack(self._end.recv(CLASSIC_BYTES))
         except TimeoutError:
             return None
         return self._can.Message(arbitration_id=word, data=data[:size], is_extended_id=False)
@@ -238,10 +238,10 @@ def test_an_odrive_is_on_a_bus_of_several_hosts_and_driven_by_a_library(tmp_path
                 host.settimeout(WAIT_S)
                 host.connect(place)
             receive(two, CanSimpleCommand.HEARTBEAT)  # it is on the bus
-            question = struct.pack("=IB3x8s", 0x40000000 | CanSimpleCommand.GET_VERSION, 0, b"")
+            question = CAN_FRAME.pack(REMOTE | CanSimpleCommand.GET_VERSION, 0, b"")
             one.send(question)
             assert receive(one, CanSimpleCommand.GET_VERSION)[12:15] == bytes((0, 6, 11))
-            assert receive(two, 0x40000000 | CanSimpleCommand.GET_VERSION) == question
+            assert receive(two, REMOTE | CanSimpleCommand.GET_VERSION) == question
         odrive_can = pytest.importorskip("odrive_can")
         bus = Bus(place)
         asyncio.run(asyncio.wait_for(odrive_session(odrive_can, bus), WAIT_S))

@@ -72,12 +72,12 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
 
 
 def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
-    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
-    options = {"place": bus, "settings": MOTEUS_SETUP, "stop": stop, "announce": lambda _: there.set()}
+    announced, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    options = {"place": bus, "settings": MOTEUS_SETUP, "stop": stop, "announce": lambda _: announced.set()}
     drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
     drive.start()
     try:
-        assert there.wait(PATIENCE_S)
+        assert announced.wait(PATIENCE_S)
         found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
     finally:
         stop.set()
@@ -90,13 +90,13 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
 )
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
     """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
-    there, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    announced, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
     slow = ODRIVE_SETUP | {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
-    options = {"place": bus, "settings": slow, "stop": stop, "announce": lambda _: there.set()}
+    options = {"place": bus, "settings": slow, "stop": stop, "announce": lambda _: announced.set()}
     drive = threading.Thread(target=serve_drive, args=("odrive", bridged_rig()), kwargs=options)
     drive.start()
     try:
-        assert there.wait(PATIENCE_S)
+        assert announced.wait(PATIENCE_S)
         file = write_endpoints(tmp_path / "flat_endpoints.json")
         with devices.open_device(f"odrive://{bus}?endpoints={file}", bridged_rig()) as device:
             assert isinstance(device.link, BridgeLink)
