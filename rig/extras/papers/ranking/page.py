@@ -83,12 +83,8 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     )
     yield _wrap(
         "`rig design` may recommend a tracking loop, a disturbance observer or another law only where this table does: "
-        + (
-            "; ".join(sorted(new))
-            if new
-            else "nowhere. Laws of one observer tie with each other, so none of them wins"
-        )
-        + "."
+        + ("; ".join(sorted(new)) if new else "nowhere")
+        + ". A pair does not win where it ties with another law of the same estimator."
     )
     yield from _dual(found, delays)
     yield _wrap(
