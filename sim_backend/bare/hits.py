@@ -53,9 +53,7 @@ def render(effort: Any, penetration: Any, rate: Any, rendering: Any) -> None:
         rendering[DAMPING] = (vf * xx - xf * xv) / determinant
 
 
-@kernel(
-    types.int64(*RUN_TYPES, types.float64[:, ::1], METER_TYPE, NUMBERS_TYPE, NUMBERS_TYPE, types.float64[::1])
-)
+@kernel(types.int64(*RUN_TYPES, types.float64[:, ::1], METER_TYPE, NUMBERS_TYPE, types.float64[::1]))
 def hit(
     controller: ControllerArguments,
     plant: PlantArguments,
@@ -67,16 +65,15 @@ def hit(
     trace: Trace,
     signals: Any,
     meter: MeterArguments,
-    recorded: Any,
-    true: Any,
+    numbers: Any,
     rendering: Any,
 ) -> int:
     """Run one trial and measure its trial phase; return the number of ticks of the whole run.
 
     The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
-    rows. `meter` contains the filters of the measurement. The measured numbers are written to `recorded` (from the
-    values that a rig records) and `true` (from the plant's state), both of dtype `rig.control.judging.NUMBERS`, and
-    the values of a `Rendering` to `rendering`.
+    rows. `meter` contains the filters of the measurement. The measured numbers are written to the two records of
+    `numbers` (dtype `rig.control.judging.NUMBERS`): those of the values that a rig records, and those of the plant's
+    state. The values of a `Rendering` are written to `rendering`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.
@@ -113,7 +110,7 @@ def hit(
         meter.recorded,
         meter.sections,
         meter.scratch,
-        recorded,
+        numbers[:1],
     )
     measure(
         moved[:, plant.handle_position],
@@ -124,7 +121,7 @@ def hit(
         meter.true,
         meter.sections,
         meter.scratch,
-        true,
+        numbers[1:],
     )
     return ticks
 
@@ -153,10 +150,10 @@ class RigOfHits:
             gamma[:, 0] *= ratio
             parameters[EFFORT_LIMIT] /= ratio
             plant = replace(plant, gamma=gamma, parameters=parameters)
-        recorded, true, rendering = np.zeros(1, NUMBERS), np.zeros(1, NUMBERS), np.zeros(3)
+        numbers, rendering = np.zeros(2, NUMBERS), np.zeros(3)
         state, script = plant.at_rest(start), OperatorScript.of(self._model, plant.tick_s, start)
         arguments = run_arguments(controller, plant, state, 0.0, OLDEST_EDGE, script)
-        ticks = hit(*arguments, trace, self._signals, meter.arguments(), recorded, true, rendering)
+        ticks = hit(*arguments, trace, self._signals, meter.arguments(), numbers, rendering)
         ended = int(trace.flags[ticks - 1])
         if ended & _NONFINITE:
             raise LawError(
@@ -168,8 +165,8 @@ class RigOfHits:
         pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE
         thrown_out = bool(ended & THROWN_OUT) and not pushed
         return SimulatedHit(
-            Measured(recorded[0], self._thresholds, thrown_out),
-            Measured(true[0], self._thresholds, thrown_out),
+            Measured(numbers[0], self._thresholds, thrown_out),
+            Measured(numbers[1], self._thresholds, thrown_out),
             Rendering(*rendering.tolist()),
             ticks,
         )

@@ -135,7 +135,7 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
     ("script", "says"),
     [
         ("#!/bin/sh\necho 'cannot do this' >&2\nexit 1\n", "cannot do this"),
-        ("#!/no/such/thing\n", "does not run"),
+        ("#!/no/such/thing\n", "cannot start the C compiler"),
     ],
 )
 def test_a_compiler_that_fails_is_quoted(

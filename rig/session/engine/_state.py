@@ -206,7 +206,7 @@ class SessionState:
         """
         if not events or events[0].kind != "began":
             raise RecordingError(
-                "the session's log does not begin with the event `began`, which contains the protocol",
+                "the session's log does not begin with the event 'began', which contains the protocol",
                 remedy="restore the log from a copy, or start a new session",
             )
         began = events[0].content

@@ -81,7 +81,8 @@ class Staircase:
         check_whole("most", self.most, 1, 100_000)
         if not self.steps:
             raise ConfigError(
-                "the staircase has no step sizes", remedy="give `steps` in numbers of levels, like [4, 2, 1]"
+                "the staircase has no step sizes",
+                remedy="give settings.steps in numbers of levels, like [4, 2, 1]",
             )
         for step in self.steps:
             check_whole("steps", step, 1, len(levels) - 1)
