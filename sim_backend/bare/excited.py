@@ -26,10 +26,9 @@ from sim_backend.board.safety import UNITS_PER_SECOND
 from sim_backend.mechanics.inner import Vector
 from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
-# At an excitation of 100 Hz a period then has 160 steps.
-SLOWEST_INNER_HZ = 16_000.0
+MIN_INNER_RATE_HZ = 16_000.0  # 160 steps in a period of a 100 Hz excitation
 
-_BOUND = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
+_LIMITED = int(RowFlag.SATURATED | RowFlag.SLEW_BOUND)
 _NONFINITE = int(RowFlag.NONFINITE)
 
 
@@ -37,11 +36,12 @@ _NONFINITE = int(RowFlag.NONFINITE)
 class ExcitedTrace(NamedTuple):
     """Recording of a run, in arrays that `excite` fills.
 
-    `bound` (length 1) counts the ticks with a clipped effort. `counts`, `positions` (rad or m) and `velocities` (rad/s
-    or m/s) are those of the handle; `withheld` is the sent minus the wanted effort in each tick (N·m or N).
+    `limited_ticks` (length 1) counts the ticks whose effort a limit changed. `counts`, `positions` (rad or m) and
+    `velocities` (rad/s or m/s) are those of the handle; `withheld` is the sent minus the wanted effort in each tick
+    (N·m or N).
     """
 
-    bound: Ints
+    limited_ticks: Ints
     counts: Ints
     positions: Floats
     velocities: Floats
@@ -59,48 +59,48 @@ def excite(
     plant: PlantArguments,
     kept: ExcitedTrace,
     count: int,
-    ratio: int,
-    every: int,
+    steps_per_tick: int,
+    steps_per_row: int,
     excitation: Any,
     ramp_steps: int,
 ) -> int:
     """Run the law until the array `kept.withheld` is full or the guard ends the run; return the number of whole ticks.
 
-    The plant is discretised at the inner step, and `count` is its present encoder count. `ratio` is the number of inner
-    steps in a tick, `every` the number of inner steps between two recorded positions. `excitation` is the effort of the
-    second actuator in each inner step of one period (N·m or N); it rises from zero during the first `ramp_steps` inner
-    steps.
+    The plant is discretised at the inner step, and `count` is its present encoder count. `steps_per_tick` is the number
+    of inner steps in a tick, `steps_per_row` that between two recorded positions. `excitation` is the effort of the
+    second actuator in the middle of each inner step of one period (N·m or N): taken at the beginning it would be late
+    by half a step, which shows in a phase. It rises from zero during the first `ramp_steps` inner steps.
     """
     state, withheld = plant.state, kept.withheld
     m = controller.memory[0]
-    j, row, phase = 0, 0, 0  # inner step, next row, place in the excitation
+    inner_step, row, excitation_index = 0, 0, 0
     for k in range(withheld.shape[0]):
+        # Rounded to the units of a STATE message, as over the byte link.
         units = min(state[plant.edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        step(controller, count, edge_age_ns * 1e-9, 1, m["current_sent"])
+        current_active = m["current_sent"]  # no link delays it
+        step(controller, count, edge_age_ns * 1e-9, 1, current_active)
         if m["phase"] != TRIAL:
             return k
         effort = m["effort_sent"]
         withheld[k] = effort - m["effort_wanted"]
-        if m["flags"] & _BOUND != 0:
-            kept.bound[0] += 1
-        for _ in range(ratio):
-            # A separate instrument samples faster than the law: `every` inner steps, not a tick.
-            if row * every == j:
+        if m["flags"] & _LIMITED != 0:
+            kept.limited_ticks[0] += 1
+        for _ in range(steps_per_tick):
+            # A separate instrument samples faster than the law.
+            if row * steps_per_row == inner_step:
                 kept.counts[row] = count
                 kept.positions[row] = state[plant.handle_position]
                 kept.velocities[row] = state[plant.handle_position + 1]
                 row += 1
-            # The excitation's value is that of the middle of the step. Taken at its beginning it would be late by half
-            # a step, which is 11° at 250 Hz with steps of 250 µs: negligible in a hit, visible in a phase.
-            push = excitation[phase]
-            if j < ramp_steps:
-                push *= ramp(j, ramp_steps)
+            push = excitation[excitation_index]
+            if inner_step < ramp_steps:
+                push *= ramp(inner_step, ramp_steps)
             count = advance(plant, effort, push)
-            j += 1
-            phase += 1
-            if phase == excitation.shape[0]:
-                phase = 0
+            inner_step += 1
+            excitation_index += 1
+            if excitation_index == excitation.shape[0]:
+                excitation_index = 0
     return int(withheld.shape[0])
 
 
@@ -108,16 +108,16 @@ class ExcitedPlant:
     """A simulated rig that makes many impedance measurements, each from rest (`rig.devices.simulated`)."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
-        inner_s = min(model.simulation.inner_step_s, 1.0 / SLOWEST_INNER_HZ)
+        inner_s = min(model.simulation.inner_step_s, 1.0 / MIN_INNER_RATE_HZ)
         # Minus 1e-9: a quotient that rounding left just above a whole number must not add a step.
-        self._ratio = max(1, math.ceil(tick_s / inner_s - 1e-9))
+        self._steps_per_tick = max(1, math.ceil(tick_s / inner_s - 1e-9))
         # The plant's tick is now an inner step, so the same delay in seconds is more of its ticks.
-        delay = model.simulation.computation_delay_ticks * self._ratio
+        delay = model.simulation.computation_delay_ticks * self._steps_per_tick
         finer = replace(model, simulation=replace(model.simulation, computation_delay_ticks=delay))
-        self._plant = DiscretePlant.build(finer, tick_s / self._ratio)
+        self._plant = DiscretePlant.build(finer, tick_s / self._steps_per_tick)
         self._tick_s = tick_s
-        self._every = self._divisor(acquisition_hz)
-        rows = most_ticks * self._ratio // self._every + 1
+        self._steps_per_row = self._divisor(acquisition_hz)
+        rows = most_ticks * self._steps_per_tick // self._steps_per_row + 1
         self._counts = np.zeros(rows, np.int64)
         self._positions, self._velocities = np.zeros(rows), np.zeros(rows)
         self._withheld = np.zeros(most_ticks)
@@ -125,15 +125,15 @@ class ExcitedPlant:
     @property
     def inner_rate_hz(self) -> float:
         """Return the number of inner steps of the plant in a second (Hz)."""
-        return self._ratio / self._tick_s
+        return self._steps_per_tick / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:
         """Return the inner steps between two recorded positions: a divisor of the inner steps in a tick.
 
         It is the largest divisor that gives a rate of at least `acquisition_hz` (Hz), else 1.
         """
-        most = max(1, min(self._ratio, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
-        return next(n for n in range(most, 0, -1) if self._ratio % n == 0)
+        most = max(1, min(self._steps_per_tick, math.floor(self.inner_rate_hz / acquisition_hz + 1e-9)))
+        return next(n for n in range(most, 0, -1) if self._steps_per_tick % n == 0)
 
     def excite(
         self, controller: ControllerState, position: float, excitation: Vector, ramp_s: float, ticks: int
@@ -148,10 +148,10 @@ class ExcitedPlant:
         memory = controller.memory
         # The run begins at rest in the trial's phase, so nothing is homed. With the rig's own motor as the actuator
         # (`rig.control.bilateral`) the counts equal those of the same trial over the byte link to the last bit.
-        memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1
-        bound = np.zeros(1, np.int64)
+        memory["phase"], memory["phase_ticks"] = int(Phase.TRIAL), -1  # `step` adds 1 first: tick 0
+        limited_ticks = np.zeros(1, np.int64)
         kept = ExcitedTrace(
-            bound=bound,
+            limited_ticks=limited_ticks,
             counts=self._counts,
             positions=self._positions,
             velocities=self._velocities,
@@ -162,8 +162,8 @@ class ExcitedPlant:
             plant.arguments(state),
             kept,
             plant.count(state),
-            self._ratio,
-            self._every,
+            self._steps_per_tick,
+            self._steps_per_row,
             excitation,
             round(ramp_s * self.inner_rate_hz),
         )
@@ -173,13 +173,13 @@ class ExcitedPlant:
                 f"is not finite, {ran * self._tick_s:.4g} s into the run",
                 remedy="correct the law, or check its settings",
             )
-        rows = ran * self._ratio // self._every
+        rows = ran * self._steps_per_tick // self._steps_per_row
         return ExcitedMotion(
             counts=self._counts[:rows].copy(),
             position=self._positions[:rows].copy(),
             velocity=self._velocities[:rows].copy(),
             withheld=self._withheld[:ran].copy(),
-            saturated=int(bound[0]),
+            saturated=int(limited_ticks[0]),
             ticks=ran,
-            acquisition_s=self._tick_s * self._every / self._ratio,
+            acquisition_s=self._tick_s * self._steps_per_row / self._steps_per_tick,
         )

@@ -51,8 +51,10 @@ def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
     study = study if isinstance(study, Mapping) else {}
     preset, file = study.get("preset"), study.get("experiment")
     if (preset is None) == (file is None):
-        given = "" if preset is None else f"{shown(preset)}, and experiment = {shown(file)}"
-        must = "and study.experiment: exactly one of the two must name the rig"
+        given, must = "", "is missing, and so is study.experiment: one of the two must name the rig"
+        if preset is not None:
+            given = shown(preset)
+            must = f"must not be given beside study.experiment = {shown(file)}: only one of the two may name the rig"
         choice = f"write preset = {shown(DEFAULT_PRESET)}, or the name of an experiment file"
         return [Problem("study.preset", given, must, choice)]
     if preset is not None:

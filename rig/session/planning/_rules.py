@@ -29,13 +29,15 @@ MOST_RUNS = 10_000
 MOST_STEPS_OF_A_SCALE = 100
 # Keys of mechanical or electrical parts: only a person can change these on a rig, not a command.
 MACHINE = ("rig.mechanics.", "rig.amplifier.", "rig.encoder.")
-# A pattern of codes that matches one of these texts allows names of people, or texts that are not valid codes.
-NAMES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
-LETTERS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
+# A pattern of codes must match none of these: names of people, a path, and the empty code.
+REFUSED_CODES = ("Anna", "Li Wei", "Jean-Paul", "Müller", "anna.k", "a.k@lab.org", "../anna", "")
+FIRST_NAMES = ("anna", "Anna", "ANNA", "AnnaSchmidt")
+# Stand for names of any length: two letters are initials, and a pattern for names of 16 letters matches shorter ones.
+LETTER_WORDS = tuple(word for n in range(3, 17) for word in ("a" * n, "A" * n, "A" + "a" * (n - 1)))
 # Prefixes and suffixes that such a pattern may require around a name.
 BEFORE = ("", "P", "P-", "P01", "P01-", "P01_", "1", "01", "01-", "01_")
 AFTER = ("", "1", "-1", "01", "-01", "_01", "85", "001", "1985")
-_FREE = re.compile(r"[^\W\d_]{3,}")
+_THREE_LETTERS = re.compile(r"[^\W\d_]{3,}")
 # The parts of a pattern that are not literal text: escapes, character classes, heads of groups.
 _NO_TEXT = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]|\(\?(?:P?<\w+>|P=\w+|[a-zA-Z-]*:?)")
 
@@ -56,9 +58,11 @@ def spells_a_name(code: str, pattern: str) -> bool:
 
     The pattern SUB[0-9]{2} prescribes the letters SUB.
     """
-    own = sorted(_FREE.findall(_NO_TEXT.sub(" ", pattern)), key=len, reverse=True)
-    left = re.sub("|".join(map(re.escape, own)), " ", code, flags=re.IGNORECASE) if own else code
-    return _FREE.search(left) is not None
+    prescribed = sorted(_THREE_LETTERS.findall(_NO_TEXT.sub(" ", pattern)), key=len, reverse=True)
+    remaining = (
+        re.sub("|".join(map(re.escape, prescribed)), " ", code, flags=re.IGNORECASE) if prescribed else code
+    )
+    return _THREE_LETTERS.search(remaining) is not None
 
 
 # Every log of a study has its protocol with it, which is checked whenever the log is read.
@@ -71,11 +75,10 @@ def _find_names(pattern: str) -> tuple[str, ...]:
 def _iterate_names(compiled: re.Pattern[str]) -> Iterator[str]:
     begins = re.match(r"[\w-]*", compiled.pattern)
     before = dict.fromkeys((*BEFORE, begins[0] if begins else ""))
-    yield from (name for name in NAMES if compiled.fullmatch(name))
-    for word in ("anna", "Anna", "ANNA", "AnnaSchmidt", *LETTERS):
-        for code in (f"{first}{word}{last}" for first in before for last in AFTER):
-            known = not word.startswith(("aaa", "AAA", "Aaa"))
-            if compiled.fullmatch(code) and (known or spells_a_name(code, compiled.pattern)):
+    yield from (code for code in REFUSED_CODES if compiled.fullmatch(code))
+    for words, always in ((FIRST_NAMES, True), (LETTER_WORDS, False)):
+        for code in (f"{first}{word}{last}" for word in words for first in before for last in AFTER):
+            if compiled.fullmatch(code) and (always or spells_a_name(code, compiled.pattern)):
                 yield code
 
 
@@ -86,7 +89,11 @@ def rig_of(protocol: Protocol) -> Iterator[Problem]:
         yield Problem(
             "study.preset",
             "" if study.preset is None else shown(study.preset),
-            "and study.experiment: exactly one of the two must name the rig",
+            (
+                "is missing, and so is study.experiment: one of the two must name the rig"
+                if study.preset is None
+                else "must not be given beside study.experiment: only one of the two may name the rig"
+            ),
             "name a preset, or an experiment file",
         )
 
@@ -161,7 +168,7 @@ def searches(protocol: Protocol) -> Iterator[Problem]:
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
         if wanted is not None:
-            yield from _levels(key, wanted) or ()
+            yield from _levels(key, wanted)
 
 
 def _levels(key: str, wanted: Search) -> list[Problem]:
@@ -169,14 +176,14 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
         must = f"must be below {key}.highest, {wanted.highest:g}"
         return [Problem(f"{key}.lowest", f"{wanted.lowest:g}", must, "swap lowest and highest")]
     if (wanted.step is None) == (wanted.ratio is None):
-        given = "" if wanted.step is None else f"{wanted.step:g}, and ratio = {wanted.ratio:g}"
+        must = (
+            f"is missing, and so is {key}.ratio: one of the two must give the distance between levels"
+            if wanted.step is None
+            else f"must not be given beside {key}.ratio = {wanted.ratio:g}: only one of the two may give the distance"
+        )
+        given = "" if wanted.step is None else f"{wanted.step:g}"
         return [
-            Problem(
-                f"{key}.step",
-                given,
-                f"and {key}.ratio: exactly one of the two must be given",
-                "give the distance between levels",
-            )
+            Problem(f"{key}.step", given, must, "give either the step or the ratio of neighbouring levels")
         ]
     steps = level_steps(wanted)
     if not 1 <= steps < MOST_LEVELS:

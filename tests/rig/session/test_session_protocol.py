@@ -174,7 +174,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"study.participants": 0}, "≥ 1 and ≤ 10000"),
         ({"study.participants": 12.0}, "write a whole number in this range"),
         ({"study.seed": -1}, "study.seed = -1"),
-        ({"study.experiment": "rig.toml"}, "exactly one of the two must"),
+        ({"study.experiment": "rig.toml"}, "only one of the two may name the rig"),
         (
             {"study.changes": {"wall.side": [1]}},
             "study.changes.wall.side = [1]: must be a finite number, text",
@@ -196,7 +196,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
             "must be below condition 2.search.highest, 5",
         ),
         ({"search.lowest": 0}, "search.lowest = 0: must be a number > 0"),
-        ({"search.ratio": 1.1}, "exactly one of the two must"),
+        ({"search.ratio": 1.1}, "only one of the two may give the distance"),
         ({"search.step": 1e-6}, "choose a larger step"),
         ({"search.step": 1e6}, "choose a smaller step"),
         ({"search.rule": "stairs"}, "did you mean staircase?"),
