@@ -8,8 +8,8 @@ It has a text form for the command line::
     uniform:20k,cutoff_hz=1000         settings of the estimator
     dual:20k/2k,prediction=extrapolate,slow_velocity_rate=500,slow_below=0.1
 
-If a scheme gives no cut-off, the experiment's cut-off is scaled with the velocity rate: 200 Hz at 2 kHz become 2 kHz at
-20 kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" it is not scaled.
+If a sampling scheme gives no cut-off, the experiment's cut-off is scaled with the velocity rate: 200 Hz at 2 kHz become
+2 kHz at 20 kHz, as Koul et al. compare their schemes. With `controller.scheme_cutoff` = "same" it is not scaled.
 
 Theory, maps, comparisons, the design, sessions and the console call it. It must not run or judge a scheme.
 """
@@ -43,7 +43,7 @@ Prediction = Literal["hold", "extrapolate"]
 class Scheme:
     """A sampling scheme: rates, velocity estimator and prediction.
 
-    Fields that are None are taken from the experiment to which the scheme is applied.
+    Fields that are None are taken from the experiment to which the sampling scheme is applied.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Scheme:
 
     @classmethod
     def parse(cls, text: str) -> Scheme:
-        """Return the scheme of a text like ``dual:20k/2k,cutoff_hz=200``; raise `ConfigError` for an invalid text."""
+        """Read a sampling scheme from text like ``dual:20k/2k,cutoff_hz=200``; raise `ConfigError` if it is invalid."""
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
@@ -98,7 +98,7 @@ class Scheme:
 
     @classmethod
     def of(cls, experiment: Experiment) -> Scheme:
-        """Return the scheme of an experiment: its rates, estimator, estimator settings and prediction."""
+        """Return the sampling scheme of an experiment: its rates, estimator, estimator settings and prediction."""
         controller = experiment.controller
         return cls(
             position_rate=controller.position_rate,
@@ -117,7 +117,7 @@ class Scheme:
 
     @cached_property
     def text(self) -> str:
-        """Return the scheme as text like ``dual:20k/2k,cutoff_hz=200``, from which `parse` returns an equal scheme."""
+        """Return the sampling scheme as text like ``dual:20k/2k,cutoff_hz=200``, which `parse` reads."""
         rates = f"{_kilo(self.position_rate)}"
         if self.kind == "dual":
             rates += f"/{_kilo(self.velocity_rate)}"
@@ -127,7 +127,7 @@ class Scheme:
         return ",".join([f"{self.kind}:{rates}", *shown])
 
     def label(self, experiment: Experiment) -> str:
-        """Return a legend text for the scheme applied to an experiment: rates, estimator and its settings."""
+        """Return a legend text for the sampling scheme applied to an experiment: rates, estimator and its settings."""
         controller = self.on(experiment).controller
         fast, slow = controller.position_rate / 1e3, controller.velocity_rate / 1e3
         rates = f"{fast:g} kHz" if fast == slow else f"{fast:g}/{slow:g} kHz"
@@ -145,7 +145,7 @@ class Scheme:
         return text
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with the rates and the estimator of this scheme; check all values and rules.
+        """Return the experiment with the rates and the estimator of this sampling scheme; check all values and rules.
 
         Raises
         ------
@@ -194,7 +194,7 @@ class Scheme:
 
 
 def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
-    """Return a sentence that lists the cut-offs by velocity rate, if schemes inherit different ones; else None."""
+    """Return a sentence with the cut-offs by velocity rate if sampling schemes inherit different ones; else None."""
     own = experiment.controller
     unstated = [
         own,
@@ -253,7 +253,7 @@ def _setting(text: str, whole: str) -> tuple[str, float | str]:
 
 
 def _check_types(own: Mapping[str, float | str], text: str) -> dict[str, Any]:
-    """Return the scheme's keys of ``[controller]`` with checked types; their ranges are checked with the experiment."""
+    """Return the sampling scheme's keys of ``[controller]`` with checked types; `applied` checks their ranges."""
     checked: dict[str, Any] = dict(own)
     for key in ("slow_velocity_rate", "slow_below"):
         if isinstance(checked.get(key, 0.0), str):

@@ -322,8 +322,8 @@ class Multisine:
     def _divide_by(self, by: Complexes) -> Multisine:
         if not (np.isfinite(by) & (by != 0.0)).all():
             raise ConfigError(
-                "the impedance is zero or not a finite number at some line of the multisine",
-                remedy="check that the model's impedance is finite and not zero at every line",
+                "the impedance is zero or not a finite number at some spectral line of the multisine",
+                remedy="check that the model's impedance is finite and not zero at every spectral line",
             )
         return self.through(1.0 / by)
 
@@ -347,8 +347,8 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
     low, high = band
     if not (math.isfinite(high) and 0.0 < low <= high and period_s > 0.0 and spacing >= 1):
         raise ConfigError(
-            f"no line fits the band of {low:g} to {high:g} Hz with a period of {period_s:g} s and spacing {spacing}",
-            remedy="give 0 < low ≤ high, a period above zero and a spacing of 1 or more",
+            f"a band of {low:g} to {high:g} Hz, period of {period_s:g} s and spacing {spacing} have no spectral line",
+            remedy="give 0 < lowest ≤ highest frequency of the band, a period above 0 s and a spacing of at least 1",
         )
     first, last = math.ceil(low * period_s - ON_GRID), math.floor(high * period_s + ON_GRID)
     first = max(first, 1)
@@ -358,7 +358,7 @@ def _lines(band: tuple[float, float], period_s: float, spacing: int, odd: bool) 
         harmonics = np.arange(first, last + 1, spacing)
     if len(harmonics) == 0:
         raise ConfigError(
-            f"no line lies between {low:g} and {high:g} Hz: lines are multiples of 1/period, {1.0 / period_s:g} Hz",
+            f"no spectral line (multiple of {1.0 / period_s:g} Hz, 1/period) lies between {low:g} and {high:g} Hz",
             remedy="widen the band or lengthen the period",
         )
     return harmonics / period_s

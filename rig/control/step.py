@@ -309,7 +309,7 @@ class ControllerState:
                 ),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise _version_error(f"{error!r}") from error
+            raise _version_error(f"reading its fields fails with {error!r}") from error
         # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
             raise _version_error("the memory of the estimator or the law has a different size")

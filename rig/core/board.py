@@ -116,7 +116,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
 
 
 def constants(model: RigModel) -> tuple[ConstantInfo, ...]:
-    """Return the rig's constants for the device's monitors (overcurrent, stall), as entries of its dictionary."""
+    """Return the rig's constants for the device's monitors (overcurrent, stall): name, unit and value of each."""
     mechanics = moved_mechanics(model)
     return (
         ConstantInfo("over_current", "quantum", over_current(model)),

@@ -173,7 +173,7 @@ class UnexpectedVerdictError(RigError):
 
 
 class NoStableWallError(RigError):
-    """A design found no sampling scheme that renders the wall's damping in a stable way, and recommends no scheme."""
+    """A design found no sampling scheme that renders the wall's damping in a stable way, so none is recommended."""
 
     exit_code = 18
 

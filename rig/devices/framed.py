@@ -136,7 +136,8 @@ class FramedDevice:
         with self._translate_errors():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError(
-                    "the hash of the received dictionary differs from the hash that the device reported"
+                    "the device's dictionary (its list of messages and parameters) was not received correctly: its "
+                    "hash differs from the hash that the device reported; connect again"
                 )
             read = dictionaries.decode(reader.content)
         while len(_dictionaries) >= DICTIONARIES_KEPT:

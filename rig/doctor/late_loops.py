@@ -142,7 +142,7 @@ def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
-    """Return the schemes to compute, one for each velocity rate, and a sentence on a replaced estimator, or "".
+    """Return a sampling scheme for each velocity rate, and a sentence on a replaced estimator ("" if none is).
 
     A nonlinear estimator is replaced by the filter `STAND_IN`; the sentence says why.
     """

@@ -230,7 +230,7 @@ def compare(
         Preset's name, path of a file, or experiment (as in `load`); the motor pushes, without a hand.
     schemes
         For example ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping. If empty, three
-        schemes at the experiment's rates: no damping, uniform and dual-rate.
+        sampling schemes at the experiment's rates: no damping, uniform and dual-rate.
     offsets
         Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). One hit is simulated
         for each offset, and the result has the mean of the hits' numbers.
@@ -283,8 +283,8 @@ def zwidth(
         Preset's name, path of a file, or experiment (as in `load`). A simulated hand with a normal grip pushes a
         preset, unless the settings have `operator`, `effort` or ``trial.kind``.
     schemes
-        Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's scheme, and
-        the uniform schemes at its rates.
+        Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's
+        scheme, and the uniform schemes at its rates.
     dampings, offsets, repeats, judged
         Dampings of the map, encoder offsets, hits of each wall, and ripples that the verdict judges:
         `rig.experiments.mapping._ranges.hit_plan`.
@@ -371,7 +371,7 @@ def design(
     schemes
         Schemes to choose from; if empty, the set in `rig.experiments.design._listing`.
     paper
-        True to add the schemes of the paper that describes the rig.
+        True to add the sampling schemes of the paper that describes the rig.
     directory
         Directory in which the search is stored; a stopped search resumes from it. None: not stored.
     workers, scheduler, watch

@@ -51,7 +51,7 @@ def impedance(
     watch: Callable[[int, int], None] | None = None,
     **settings: Unpack[Settings],
 ) -> tuple[ImpedanceResult, ...]:
-    """Measure the impedance that a rig renders: excite it at each wall with each scheme (`rig impedance measure`).
+    """Measure the impedance that a rig renders at each wall with each sampling scheme (`rig impedance measure`).
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def impedance_map(
     Raises
     ------
     ConfigError, PlanError
-        A scheme or a grid is invalid, or the excitation exceeds a limit.
+        A sampling scheme or a grid is invalid, or the excitation exceeds a limit.
     StoppedError
         Ctrl-C was pressed; the results of finished parts stay in the directory.
     """

@@ -1,8 +1,8 @@
-"""Test on a board whether its port (board-specific code) fulfils the duties in `firmware_protocol.duties`.
+"""Test on a board whether its port (board-specific code) provides the functions in `firmware_protocol.duties`.
 
 The board runs `firmware/port_check/port_check.c` in place of the core, with the port's files unchanged. That program
-calls the port's functions and sends its observations, which this file judges. Each broken duty has its own message; a
-duty that could not be tested has a message about what is missing.
+calls the port's functions and sends its observations, which this file judges. Each function that fails (broken duty)
+has its own message; for a function that could not be tested, the message states what is missing.
 """
 
 from __future__ import annotations
@@ -118,23 +118,23 @@ class PortCheckRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheck:
-    """Result of a port check: a check for each duty of the port, in the order of `firmware_protocol.duties`."""
+    """Result of a port check: a check for each function (duty) that a board port must provide, in their order."""
 
     url: str
     checks: tuple[Check, ...]
 
     @reported
     def passed(self) -> bool:
-        """Return True if no duty of the port is broken."""
+        """Return True if the board's own code (port) passes all checks."""
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return the checks of the port's duties as items to print."""
+        """Return the checks of the board's own code (port) as items to print."""
         return list(self.checks)
 
 
 def failure(found: PortCheck) -> DeviceRefusedError | None:
-    """Return the error that lists all broken duties of a port, or None if no duty is broken."""
+    """Return the error that lists all functions (duties) in which a board's own code fails; None if it passes."""
     broken = check.refused(found.checks)
     if not broken:
         return None
@@ -287,7 +287,7 @@ def check_port(
     request: PortCheckRequest,
     on_progress: Progress = lambda _what, _share: None,
 ) -> PortCheck:
-    """Test all duties of the port of a connected board.
+    """Test on a connected board all functions (duties) that a board port (the board's own code) must provide.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
-    """Store the clock exchange and return 1 if the `length` bytes in `buffers.raw` are the expected TIME; else 0."""
+    """If the `length` bytes in `buffers.raw` are the TIME message requested last, store its times; return 1 or 0."""
     p, times, exchanges = buffers.progress[0], buffers.times, buffers.exchanges
     device_tick_ps = settings[0]["device_tick_ps"]
     if p["asking"] == 0 or codec.decode_time(buffers.raw, length, buffers.header, times) != 0:

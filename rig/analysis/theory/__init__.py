@@ -6,7 +6,7 @@
     theory.spectral_radius("my-rig.toml", "uniform:20k", stiffness=560.0, damping=0.0)
     theory.passivity_bound("koul-rigid", "dual:20k/2k").beta
 
-A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigModel`; a scheme is a text or a
+A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigModel`; a sampling scheme is a text or a
 `rig.config.schemes.Scheme`. The docstring of `rig.analysis.theory._loop` lists what the theory leaves out (Coulomb
 friction, the encoder's quantum, saturation, release) and how much each changes the result.
 

@@ -106,7 +106,7 @@ def limit_cycle(
     Raises
     ------
     ConfigError
-        The rig, the scheme or the hand is not valid.
+        The rig, the sampling scheme or the hand is not valid.
     NotLinearError
         Linear theory does not cover the estimator or the wall.
     """

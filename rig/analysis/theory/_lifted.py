@@ -104,7 +104,9 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """Return the transition matrices of the first tick (P·V) and of each other tick (P·E) in a velocity period.
+        """Return the loop's transition matrices of the first tick (P·V) and of each other tick (P·E).
+
+        They are those of a velocity period (time between two velocity samples), which starts with the first tick.
 
         Stiffness and damping (SI) may have any shapes that broadcast; the matrices have shape (…, n, n).
         """
@@ -114,14 +116,14 @@ class Lifted:
         return closed @ self.first, closed @ self.other
 
     def period(self, stiffness: ArrayLike, damping: ArrayLike) -> Matrix:
-        """Return the transition matrix Φ of the loop over one velocity period for each wall, shape (…, n, n)."""
+        """Return the loop's transition matrix Φ from one velocity sample to the next for each wall, shape (…, n, n)."""
         first, other = self.ticks(stiffness, damping)
         return (
             first if self.loop.divider == 1 else np.linalg.matrix_power(other, self.loop.divider - 1) @ first
         )
 
     def radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Vector:
-        """Return the spectral radius of the loop over one velocity period for each wall; below 1 the wall is stable.
+        """Return each wall's spectral radius from one velocity sample to the next; below 1 the wall is stable.
 
         Stiffness is in N·m/rad or N/m, damping in N·m·s/rad or N·s/m, of any shapes that broadcast.
         """
@@ -231,7 +233,7 @@ def spectral_radius(
 
 
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
-    """Return the matrix V: the estimator reads the position and updates the velocity and its slope per tick."""
+    """Return the matrix V of a velocity sample: the estimator updates the velocity and its slope per tick."""
     e = loop.estimator
     held, slope = plant + e.order, plant + e.order + 1
     matrix = np.eye(len(position))
@@ -250,7 +252,7 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
 
 
 def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
-    """Return the matrix E: the velocity changes by its slope, which is zero without extrapolation."""
+    """Return the matrix E of a tick without a velocity sample: the velocity changes by its slope (0 if held)."""
     matrix = np.eye(size)
     held = plant + loop.estimator.order
     matrix[held, held + 1] = 1.0

@@ -140,7 +140,7 @@ def linear_loop(
     operator: str | Operator | None = None,
     estimator: Realisation | None = None,
 ) -> LinearLoop:
-    """Return the linear model of a rig under a sampling scheme; None selects the experiment's own scheme.
+    """Return the linear model of a rig under a sampling scheme; None selects the experiment's own sampling scheme.
 
     `rig` and `operator` are the same as for `resolve`. `estimator` is the estimator's realisation, if it is known from
     another hand on the same rig and scheme: to compute it takes longer than all other computations here.

@@ -1,4 +1,4 @@
-"""Collect all results of linear theory for a rig under several schemes; `rig theory walls` prints and draws them."""
+"""Collect the results of linear theory for a rig under several sampling schemes; `rig theory walls` prints them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class SchemeTheory:
     scheme, label
         Text form of the scheme, and its name in a legend.
     delay_s
-        Computation delay: whole ticks of this scheme (s).
+        Computation delay: whole ticks of this sampling scheme (s).
     at_zero, at_wall
         Results at B = 0 and at the requested damping of the wall.
     damping_limit, rigid_rule
@@ -95,7 +95,7 @@ class NotLinear:
 
 @dataclass(frozen=True, slots=True)
 class InHand:
-    """Stability limits of each scheme at B = 0 while the experiment's hand holds the handle."""
+    """Stability limits of each sampling scheme at B = 0 while the experiment's hand holds the handle."""
 
     operator: str
     limits: tuple[Limit, ...]
@@ -120,7 +120,7 @@ class Theory(Shown, Drawn):
     not_linear
         Schemes that are left out because they are not linear.
     cutoffs
-        Note on cut-offs that differ between schemes; None if they do not differ.
+        Note on cut-offs that differ between sampling schemes; None if they do not differ.
     """
 
     rig: str
@@ -177,8 +177,8 @@ def theory_of(
     Raises
     ------
     ConfigError
-        The rig, the hand or a scheme is not valid. Schemes that are not linear are left out and listed in the result;
-        if no scheme is linear, the error of the first scheme is raised.
+        The rig, the hand or a sampling scheme is not valid. Schemes that are not linear are left out and listed in the
+        result; if no scheme is linear, the error of the first scheme is raised.
     """
     subject = resolve(rig, operator)
     experiment = subject.experiment
@@ -240,7 +240,7 @@ def _label(scheme: Scheme, experiment: Experiment | None) -> str:
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """Return the experiment's scheme and, if it is dual-rate, the uniform schemes at each of its two rates."""
+    """Return the experiment's sampling scheme and, if it is dual-rate, the uniform schemes at each of its two rates."""
     own = Scheme.of(experiment)
     if own.kind == "uniform":
         return (own,)

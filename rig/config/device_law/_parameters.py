@@ -280,8 +280,8 @@ def _excitation(controller: ControllerState) -> Values:
     law = controller.law.law
     if law.name == "excited" and not law.device:
         raise PlanError(
-            'wall.law = "excited" with controller.loop = "device": a table of the host cannot be '
-            "sent to the device",
+            'wall.law = "excited" with controller.loop = "device": the excitation is a table of values computed on '
+            "the host, and the device cannot receive such a table",
             remedy="measure with rig impedance measure, for which the device computes the excitation "
             f"itself, or {ELSE_HOST}",
         )

@@ -22,7 +22,10 @@ def load(name: str) -> Experiment:
 
 
 def load_named(name: str | Path | Experiment) -> Experiment:
-    """Return the experiment of a file (path or text with .toml) or a preset; return an `Experiment` unchanged."""
+    """Return the experiment from a TOML file or a preset; return an `Experiment` unchanged.
+
+    A `Path`, and text that ends in ``.toml`` or contains ``/``, is the path of a file; other text is a preset's name.
+    """
     if isinstance(name, Experiment):
         return name
     if isinstance(name, Path) or name.endswith(".toml") or "/" in name:

@@ -254,7 +254,7 @@ def _type_error(array_name: str, kind: str, name: str) -> ConfigError:
     else:
         remedy = _REMEDIES.get((array_name, kind), "give whole numbers, as integers or floats")
     return ConfigError(
-        f"{array_name} are {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
+        f"{array_name} contains {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
     )
 
 

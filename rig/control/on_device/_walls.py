@@ -43,7 +43,7 @@ class DeviceWall:
 
 
 def common_parameters(name: str, law: Floats) -> Values:
-    """Return the device parameters of a wall that are the same in integers and in float32.
+    """Return a wall's device parameters that do not depend on its arithmetic (integers or float32).
 
     `name` is the name of the law, `law` its parameters. Raises `PlanError` if the device does not have the law.
     """

@@ -2,8 +2,8 @@
 Current drive and voltage drive
 ===============================
 
-Without a current loop the motor's back-EMF acts as damping behind the lag of the winding. The same rig and scheme
-with both drives.
+Without a current loop the motor's back-EMF acts as damping behind the lag of the winding. The same rig and sampling
+scheme with both drives.
 """
 
 import matplotlib.pyplot as plt

@@ -1,4 +1,4 @@
-"""Compute by linear theory, for each listed scheme and damping, the largest stable stiffness, with delay and lag.
+"""Compute by linear theory the largest stable stiffness of each listed sampling scheme and damping, with delay and lag.
 
 `_search` calls this module for its first stage. Schemes must not be chosen by theory alone, because theory neglects
 quantisation and friction.

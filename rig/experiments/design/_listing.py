@@ -103,11 +103,11 @@ class Candidate:
 
     @cached_property
     def key(self) -> str:
-        """Return the candidate's unique name in the journal (file of finished tasks): place, delay and scheme."""
+        """Return the candidate's unique name in the journal (file of finished tasks): place, delay, sampling scheme."""
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with this candidate's place and delay of the law, but with its scheme unchanged."""
+        """Return the experiment with this candidate's place and delay of the law; its sampling scheme is unchanged."""
         rig = experiment.rig
         late = replace(rig.simulation, computation_delay_ticks=self.delay_ticks)
         return replace(
@@ -121,7 +121,7 @@ class Candidate:
         return self.scheme.applied(self.condition(experiment))
 
     def same_law(self, other: Candidate, experiment: Experiment) -> bool:
-        """Return True if both candidates run the same law, even if the texts of their schemes differ."""
+        """Return True if both candidates run the same law, even if the texts of their sampling schemes differ."""
         return (self.loop, self._rates) == (other.loop, other._rates) and self.law(experiment) == other.law(
             experiment
         )
@@ -141,7 +141,7 @@ class Candidate:
 
     @classmethod
     def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
-        """Return the candidate with the experiment's own scheme and place of the law, and the delay of that place."""
+        """Return the candidate with the experiment's own sampling scheme and place of the law, with its delay."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
@@ -182,7 +182,7 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """Return a candidate for each place of the law and each of `schemes`; if empty, for all built-in schemes.
+    """Return a candidate for each place of the law and each of `schemes`; if empty, for all built-in sampling schemes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Define the result of a design: best schemes, recommended scheme with its margin, and ``[controller]`` section.
+"""Result of a design: best sampling schemes, the recommended one with its margin, and its ``[controller]`` section.
 
 `_search` creates the result; commands, plots and the console show it.
 """
@@ -36,7 +36,7 @@ class Standing:
     boundary
         Limits of K at the dampings of the round; a passed wall is stable and has no ripple above the verdict's limits.
     stands_in
-        True if linear theory replaced the scheme's estimator by the usual filter.
+        True if linear theory replaced the sampling scheme's estimator by the usual filter.
     """
 
     candidate: Candidate
@@ -61,7 +61,7 @@ class Design(Shown, Drawn):
     experiment, wishes, places
         Rig and push, wishes, and places where the law may run, as requested.
     listed, kept
-        Number of schemes in linear theory, and in the first round of hits.
+        Number of sampling schemes in linear theory, and in the first round of hits.
     standings
         Schemes of the second round, all tested at the same walls; front and comparisons are computed from them.
     finalists
@@ -97,13 +97,13 @@ class Design(Shown, Drawn):
 
     @property
     def front(self) -> list[Standing]:
-        """Return the schemes of the second round that no other scheme dominates (Pareto front), the stiffest first."""
+        """Return sampling schemes of the second round that no other dominates (Pareto front), the stiffest first."""
         chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
         return sorted(chosen, key=lambda one: -one.measures.stiffness)
 
     @property
     def as_good(self) -> list[Standing]:
-        """Return the schemes of the second round whose K at B = 0, peak K and range of B reach the experiment's own."""
+        """Return sampling schemes of the second round whose K at B = 0, peak K and range of B reach the own one's."""
         own = self._own_before.measures
         return [
             one
@@ -165,11 +165,11 @@ class Design(Shown, Drawn):
         ]
 
     def against_tables(self) -> list[Table]:
-        """Return a table for each scheme of the paper that compares this scheme with the best listed scheme."""
+        """Return a table for each sampling scheme of the paper; it compares the best listed scheme with this scheme."""
         return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
-        """Return a table called `caption` with the measures of the given schemes, a row for each scheme."""
+        """Return a table called `caption` with the measures of the given schemes, a row for each sampling scheme."""
         unit = self._unit
         head = (
             "scheme",

@@ -73,7 +73,7 @@ class Sweeper:
         )
 
     def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
-        """Find the stable walls of each scheme by simulated hits, and return the maps in the order of `work`."""
+        """Find the stable walls of each sampling scheme by simulated hits; return the maps in the order of `work`."""
         plans = [
             MapPlan(
                 experiment=experiment,

@@ -1,10 +1,10 @@
 """Criteria of a design, written down before any result: measures, goals, wishes, front, no worse, margin.
 
-A scheme has seven measures (`Measures`). Four describe its walls, by simulated hits under the criterion *any* (stable,
-and neither felt, heard nor moved), judged by recorded signals, as means over encoder offsets: the largest K at B = 0,
-the peak of K over B, the largest B at which a wall passes, and the area of the K–B plane below the boundary up to that
-B. A damping that is not rendered (`rig.experiments.mapping._rendering`) counts as one at which no wall passes. Three
-measures describe its velocity path (`rig.experiments.design._paths`): noise, fidelity and cost.
+A sampling scheme has seven measures (`Measures`). Four describe its walls, by simulated hits under the criterion *any*
+(stable, and neither felt, heard nor moved), judged by recorded signals, as means over encoder offsets: the largest K at
+B = 0, the peak of K over B, the largest B at which a wall passes, and the area of the K–B plane below the boundary up
+to that B. A damping that is not rendered (`rig.experiments.mapping._rendering`) counts as one at which no wall passes.
+Three measures describe its velocity path (`rig.experiments.design._paths`): noise, fidelity and cost.
 
 **Best** is the scheme with the largest value of the goal: the peak (*stiffness*), the range of B (*damping*) or the
 area (*area*). With the goal *quiet* it is the scheme with the least noise among those whose area is not smaller than
@@ -59,7 +59,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measures:
-    """A set of measures of one scheme on one rig.
+    """A set of measures of one sampling scheme on one rig.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def dominates(one: Measures, other: Measures) -> bool:
 
 
 def front(found: Sequence[Measures]) -> list[int]:
-    """Return the indices of the schemes (given by their measures) that no other scheme dominates: the Pareto front."""
+    """Return the indices of the Pareto front: sampling schemes (given by their measures) that no other dominates."""
     return [i for i, one in enumerate(found) if not any(dominates(other, one) for other in found)]
 
 
@@ -139,7 +139,7 @@ def reaches(name: str, one: float, other: float, step: float) -> bool:
 
 
 class UnmetError(PlanError):
-    """An error: no listed scheme fulfils all wishes. The message names the limiting wish and how far it is reached."""
+    """An error: no listed sampling scheme fulfils all wishes. The message has the limiting wish and its best result."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +149,7 @@ class Wishes:
     Attributes
     ----------
     goal
-        Measure by which schemes that fulfil the other wishes are ranked.
+        Measure by which sampling schemes that fulfil the other wishes are ranked.
     wall
         K and B of a wall that must be stable (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     fidelity_hz
@@ -193,7 +193,7 @@ class Wishes:
 
 
 def measure_of(goal: Goal) -> str:
-    """Return the name of the measure by which two schemes are compared for this goal."""
+    """Return the name of the measure by which two sampling schemes are compared for this goal."""
     return "area" if goal == "quiet" else goal
 
 
@@ -203,7 +203,7 @@ def fulfilled(shares: Mapping[str, float]) -> bool:
 
 
 def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
-    """Raise `UnmetError` if no scheme fulfils all wishes; `shares` has the reached fractions of each scheme.
+    """Raise `UnmetError` if no sampling scheme fulfils all wishes; `shares` has the reached fractions of each scheme.
 
     The error names the limiting wish: the one with the lowest best fraction, among the schemes that fulfil all other
     wishes, or among all schemes if no scheme fulfils all others.
@@ -231,7 +231,7 @@ def key(
 ) -> tuple[float, ...]:
     """Return a sort key for schemes, the best last: first by fulfilled wishes, then by goal, then by less noise.
 
-    `own_area` is the area of the experiment's own scheme, which a scheme must reach if the goal is "quiet".
+    `own_area` is the area of the experiment's own scheme, which a sampling scheme must reach if the goal is "quiet".
     """
     met = min([1.0, *shares.values()])
     if wishes.goal == "quiet":
@@ -242,7 +242,7 @@ def key(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A comparison in pairs: the goal's measure of the recommended scheme and of the experiment's own scheme.
+    """A comparison in pairs: the goal's measure of the recommended sampling scheme and of the experiment's own scheme.
 
     `recommended` and `own` have one value for each encoder offset and seed.
     """
@@ -252,7 +252,7 @@ class Comparison:
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Return the mean difference of recommended and own scheme relative to the own mean, and its 95 % interval."""
+        """Return the mean gain over the experiment's own sampling scheme (share of its mean), and the 95 % interval."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)
@@ -263,10 +263,10 @@ class Comparison:
 
     @property
     def no_worse(self) -> bool:
-        """Return True if the recommended scheme is shown to be no worse than the experiment's own."""
+        """Return True if the recommended sampling scheme is shown to be no worse than the experiment's own."""
         return self.interval[1] >= -NEGLIGIBLE
 
     @property
     def better(self) -> bool:
-        """Return True if the recommended scheme is shown to be better than the experiment's own."""
+        """Return True if the recommended sampling scheme is shown to be better than the experiment's own."""
         return self.interval[1] > 0.0

@@ -49,7 +49,7 @@ HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """A round of hits: number of schemes that enter the round; search, number of dampings and offsets of their maps."""
+    """A round of hits: number of sampling schemes that enter; search, number of dampings and offsets of their maps."""
 
     name: str
     enter: int
@@ -75,7 +75,7 @@ class DesignRequest:
     Attributes
     ----------
     experiment
-        Rig, push and thresholds; all other schemes are compared with the experiment's own scheme.
+        Rig, push and thresholds; all other sampling schemes are compared with the experiment's own scheme.
     wishes
         Goal and limits that the recommended scheme must fulfil (`rig.experiments.design._rules`).
     places
@@ -96,7 +96,10 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all that determines the search as JSON values; `paper` is left out, because it only adds stages."""
+        """Return the fields of this request that determine the result of the search as JSON values, by name.
+
+        `paper` is left out, because it only adds a comparison after the search.
+        """
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -121,7 +124,7 @@ def design(
     workers: int | None = None,
     watch: Watch | None = None,
 ) -> Design:
-    """Find the scheme that fulfils the wishes for a rig best.
+    """Find the sampling scheme that fulfils the wishes for a rig best.
 
     Parameters
     ----------
@@ -136,7 +139,7 @@ def design(
     Raises
     ------
     NoStableWallError
-        No scheme has a stable wall whose damping is rendered.
+        No sampling scheme has a stable wall whose damping is rendered.
     UnmetError
         No listed scheme fulfils the wishes; the message names the limiting wish.
     ConfigError
@@ -202,10 +205,10 @@ class _Search:
         if best.measures.stiffness <= 0.0:
             lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
             raise NoStableWallError(
-                f"none of {len(candidates)} schemes has a stable wall at K = {lowest:.4g} or above "
-                "whose ripples of velocity, effort and position stay within the limits and whose damping is rendered",
-                remedy="push harder (`effort`, `operator`), raise the limits (`felt`, `heard`, `moved`), or use a "
-                "finer encoder",
+                f"none of {len(candidates)} sampling schemes has a stable wall with K = {lowest:.4g} or more: a ripple "
+                "is above its limit, or the effort limit cuts more than 20 % of the wall's damping",
+                remedy="push harder (`effort`, `operator`), raise the limits of the ripples of velocity (`felt`), "
+                "effort (`heard`) and position (`moved`), or use a finer encoder",
             )
         held_out = None if best is of_own else self._compare_held_out(best, of_own, dampings)
         if held_out is not None and not held_out.no_worse and self._may_be_own(of_own, places):
@@ -234,7 +237,7 @@ class _Search:
         )
 
     def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
-        """Return True if the experiment's own scheme fulfils the wishes and can run at a place of `places`."""
+        """Return True if the experiment's own sampling scheme fulfils the wishes and can run at a place of `places`."""
         applied = own.candidate.applied(self.request.experiment)
         return rules.fulfilled(own.shares) and any(
             place.loop == own.candidate.loop and place.allows(applied) for place in places
@@ -282,7 +285,7 @@ class _Search:
         known: Mapping[str, Linear],
         own: Candidate,
     ) -> list[Standing]:
-        """Find the stable walls of the schemes in a round by simulated hits; return the schemes, the best first."""
+        """Find the stable walls of a round's sampling schemes by simulated hits; return the schemes, best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
@@ -340,7 +343,7 @@ class _Search:
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
     def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
-        """Hit walls with both schemes on offsets and seeds that the search did not use; return the comparison."""
+        """Compare two sampling schemes by hits on encoder offsets and seeds that the search did not use."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]

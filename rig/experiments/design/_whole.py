@@ -1,4 +1,4 @@
-"""Compare all listed schemes with the scheme of a paper, in every measure of that paper.
+"""Compare all listed sampling schemes with the scheme of a paper, in every measure of that paper.
 
 `_search` calls this module if `paper` is requested. The statement that no listed scheme is as good as the paper's
 requires a result for each listed scheme: a complete map, or a failed hit at a wall that a measure requires.
@@ -73,7 +73,7 @@ class PaperSchemes:
 
     @classmethod
     def of(cls, rig: str) -> PaperSchemes:
-        """Return schemes and measures of the paper that describes a rig; raise `ConfigError` if no paper does."""
+        """Return sampling schemes and measures of the paper on a rig; raise `ConfigError` if no paper describes it."""
         if rig in KOUL:
             return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
         if rig == PAPERS_RIG:
@@ -99,7 +99,7 @@ class MappedScheme:
         return ("≥ " if name in self.capped else "") + written(self.values[name], 3)
 
     def misses(self, other: MappedScheme) -> list[str]:
-        """Return the names of the measures in which this scheme is worse than the other scheme."""
+        """Return the names of the measures in which this sampling scheme is worse than the other scheme."""
         return [
             name
             for name, value in self.values.items()
@@ -109,7 +109,7 @@ class MappedScheme:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Against:
-    """A comparison of one scheme of a paper with all listed schemes.
+    """A comparison of one sampling scheme of a paper with all listed schemes.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """Return the mapped scheme that is worse than the paper's in the fewest measures; None if no scheme was mapped.
+        """Return the mapped sampling scheme that is worse than the paper's in the fewest measures; None without maps.
 
         Of several such schemes return the one with the largest product of K peak and range of B.
         """
@@ -142,7 +142,7 @@ class Against:
 
     @property
     def as_good(self) -> bool:
-        """Return True if a listed scheme is as good as the paper's scheme in every measure."""
+        """Return True if a listed sampling scheme is as good as the paper's scheme in every measure."""
         return self.best is not None and not self.best.misses(self.paper)
 
     @property
@@ -156,7 +156,7 @@ class Against:
         )
 
     def table(self, motion: str) -> Table:
-        """Return a table with a row for each measure: paper's scheme, best listed scheme, schemes ruled out."""
+        """Return a table, a row for each measure: paper's sampling scheme, best listed scheme, schemes ruled out."""
         best, missed = self.best, [] if self.best is None else self.best.misses(self.paper)
         rows = []
         for name in self.paper.values:
@@ -193,7 +193,7 @@ class Against:
 def against_paper(
     experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
 ) -> tuple[Against, ...]:
-    """Compare each scheme of the rig's paper with all candidates, which must be sorted, the most promising first."""
+    """Compare each sampling scheme of the rig's paper with all candidates, which are sorted most promising first."""
     return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
 
 
@@ -255,7 +255,7 @@ class _Whole:
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
         """Yield each measure's name, with a function that returns the candidates which may still reach the measure.
 
-        `asked` has the values of the paper's scheme by measure.
+        `asked` has the values of the paper's sampling scheme by measure.
         """
         softest = self._search.lowest
         reach = next(b for b in self._dampings if rules.reaches("damping", b, asked["damping"], RATIO))

@@ -70,7 +70,7 @@ class Entry:
     damping: float | None = None
 
     def applied(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with this scheme and damping; raise `ConfigError` if the scheme is invalid."""
+        """Return the experiment with this sampling scheme and damping; raise `ConfigError` if the scheme is invalid."""
         changed = self.scheme.applied(experiment)
         if self.damping is None:
             return changed
@@ -93,7 +93,7 @@ class SchemeImpacts:
 
     @reported
     def name(self) -> str:
-        """Return the scheme's name in tables, like "uniform" or "dual"."""
+        """Return the sampling scheme's name in tables, like "uniform" or "dual"."""
         return self.entry.name
 
     @reported
@@ -103,7 +103,7 @@ class SchemeImpacts:
 
     @reported
     def damping(self) -> float:
-        """Return the damping of the scheme's wall (N·m·s/rad or N·s/m)."""
+        """Return the damping of the sampling scheme's wall (N·m·s/rad or N·s/m)."""
         return self.experiment.wall.damping
 
     @reported
@@ -118,7 +118,7 @@ class SchemeImpacts:
         return min(peaks), max(peaks)
 
     def cells(self) -> tuple[str, ...]:
-        """Return the texts of this scheme's row in the table of a full report, one text for each column."""
+        """Return the texts of this sampling scheme's row in the table of a full report, one text for each column."""
         n, (least, most) = self.numbers, self.peaks
         return (
             self.label + ("" if self.complete else ", ended by the guard"),
@@ -135,7 +135,7 @@ class SchemeImpacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SchemeComparison(Shown, Drawn):
-    """A comparison of sampling schemes: the results of all schemes for one rig, wall and start of the hit."""
+    """A comparison of sampling schemes: the results of all sampling schemes for one rig, wall and start of the hit."""
 
     experiment: Experiment = field(repr=False)
     start: Start
@@ -153,17 +153,17 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def wall(self) -> Wall:
-        """Return the wall of the experiment; the damping of a compared scheme can differ from the wall's damping."""
+        """Return the wall of the experiment; a compared sampling scheme can have another damping."""
         return self.experiment.wall
 
     @reported
     def cutoffs(self) -> str | None:
-        """Return a sentence if damped schemes without an explicit cut-off get different cut-offs (Hz); else None."""
+        """Return a sentence if damped sampling schemes with no cut-off of their own get different ones; else None."""
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 
     def brief(self) -> list[Item]:
-        """Return the lines of a short report: the wall, then each scheme's mean peak and rest penetration (counts)."""
+        """Return a short report: the wall, then each sampling scheme's mean peak and rest penetration (counts)."""
         return [
             self._headline(),
             *(
@@ -189,7 +189,7 @@ class SchemeComparison(Shown, Drawn):
         )
 
     def __getitem__(self, name: str) -> SchemeImpacts:
-        """Return the result of the scheme with this name; raise `KeyError` if there is no such scheme."""
+        """Return the result of the sampling scheme with this name; raise `KeyError` if there is no such scheme."""
         for outcome in self.outcomes:
             if outcome.entry.name == name:
                 return outcome
@@ -197,7 +197,7 @@ class SchemeComparison(Shown, Drawn):
 
 
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
-    """Return three schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
+    """Return three sampling schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
 
     The dual-rate scheme has the experiment's velocity rate. If the velocity rate equals the position rate, use the
     highest divisor of the position rate that is at most 2000 Hz and at most half of the position
@@ -216,7 +216,7 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
 
 
 def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
-    """Return an `Entry` for each scheme (`default_entries` if empty); the scheme "none" is a wall without damping.
+    """Return an `Entry` for each sampling scheme (if empty: `default_entries`); "none" is a wall without damping.
 
     Raise `ConfigError` if two schemes have the same name.
     """
@@ -270,8 +270,8 @@ def compare(
     Raises
     ------
     ConfigError
-        A scheme is invalid, no scheme or no offset is given, an offset is out of range, the trial's kind is not
-        constant effort, or the handle never reaches the wall.
+        A sampling scheme is invalid, no scheme or no offset is given, an offset is out of range, the trial's kind is
+        not constant effort, or the handle never reaches the wall.
     DeviceNotFoundError
         The package of the simulation, `sim_backend`, is not installed.
     """

@@ -1,7 +1,7 @@
 """Map the stiffest stable undamped wall against the sampling rate: Koul et al. 2013, Fig. 5.
 
-`rig zwidth` and the reproduced papers use this module. The map is a Z-width map with a uniform scheme for each rate and
-B = 0, where the estimator has no effect.
+`rig zwidth` and the reproduced papers use this module. The map is a Z-width map with a uniform sampling scheme for each
+rate and B = 0, where the estimator has no effect.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class KMax(Drawn):
 
     @staticmethod
     def is_of(plan: MapPlan) -> bool:
-        """Return True if `plan` has B = 0 only and uniform schemes in ascending order of their rates."""
+        """Return True if `plan` has B = 0 only and uniform sampling schemes in ascending order of their rates."""
         rates = [scheme.position_rate for scheme in plan.schemes]
         uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
         return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
@@ -40,13 +40,16 @@ class KMax(Drawn):
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return the stiffness limit for each rate, ascending; `criterion` is the ripple "felt", "heard" or "any"."""
+        """Return the stiffness limit for each sampling rate, lowest rate first.
+
+        `criterion` is the ripple that a wall must not exceed: "felt", "heard" or "any" (felt, heard or moved).
+        """
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
-        """Return the ratio of K_max at the highest rate to K_max at 20 kHz; `criterion` is "felt", "heard" or "any".
+        """Return K_max (stiffest stable wall) at the highest sampling rate divided by K_max at 20 kHz.
 
-        Return None if no rate exceeds 20 kHz, if 20 kHz is missing, or if one of both limits is zero or a lower bound.
+        None if no rate exceeds 20 kHz, if 20 kHz is missing, or if a limit is 0 or a lower bound; see `curve`.
         """
         if 20_000 not in self.rates or self.rates[-1] <= 20_000:
             return None
@@ -65,7 +68,7 @@ class KMax(Drawn):
 
 
 def undamped_schemes(rates: Sequence[int] = RATES) -> tuple[Scheme, ...]:
-    """Return a uniform scheme for each rate (Hz), in ascending order."""
+    """Return a uniform sampling scheme for each rate (Hz), in ascending order."""
     return tuple(
         Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm") for rate in sorted(set(rates))
     )
@@ -79,7 +82,7 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Return the plan of a map at B = 0 with a uniform scheme for each rate (Hz); `KMax.of` reads the finished map."""
+    """Return the plan of a map at B = 0 with a uniform sampling scheme for each rate (Hz), for `KMax.of`."""
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

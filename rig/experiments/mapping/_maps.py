@@ -103,7 +103,7 @@ def zwidth(
     Raises
     ------
     ConfigError
-        A scheme cannot run on this rig, or the journal belongs to another plan.
+        A sampling scheme cannot run on this rig, or the journal belongs to another plan.
     PlanError
         The excitation exceeds a limit; nothing was run.
     StoppedError

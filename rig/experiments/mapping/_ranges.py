@@ -1,4 +1,4 @@
-"""Choose default ranges of a map, and compute the limits that linear theory predicts for each scheme of the map.
+"""Choose default ranges of a map of walls, and compute the limits by linear theory for each of its sampling schemes.
 
 Commands, pages and papers call this module through `rig.experiments.mapping.interface`.
 """
@@ -107,9 +107,9 @@ def search_for(
     """Return a search for the stiffness limit between `lowest` and `highest` (N·m/rad or N/m), with default bounds.
 
     By default `highest` is `highest_stiffness`, and `lowest` is `highest`/`span` or less: down to a fourth of the
-    lowest linear limit at B = 0 among the schemes (`theory.default_schemes` if empty), while the handle stays within
-    its window. On a device `lowest` is at least the softest wall that may be hit. `way` is the search's method, `ratio`
-    the ratio of two tested stiffnesses.
+    lowest linear limit at B = 0 among the sampling schemes (`theory.default_schemes` if empty), while the handle stays
+    within its window. On a device `lowest` is at least the softest wall that may be hit. `way` is the search's method,
+    `ratio` the ratio of two tested stiffnesses.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def search_for(
 
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
-    """Return the lowest linear limit of K at B = 0 among the schemes (SI units); inf if a drive renders the wall."""
+    """Return the lowest linear limit of K at B = 0 of the sampling schemes (SI); inf if a drive renders the wall."""
     if experiment.controller.wall_is_elsewhere:
         return math.inf
     experiment = theory.with_linear_wall(experiment)
@@ -187,7 +187,7 @@ def schemes_for(
     *,
     on_device: bool = False,
 ) -> tuple[Scheme, ...]:
-    """Return the schemes of a map of hits: the given schemes, or by default the experiment's and uniform schemes.
+    """Return the sampling schemes of a map of hits: `schemes`, or by default the experiment's and uniform ones.
 
     The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default schemes are uniform
     from 100 Hz to 50 kHz, because without damping the velocity rate has no effect.
@@ -202,7 +202,7 @@ def schemes_for(
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
-    """Return `columns` dampings (SI units), evenly spaced from 0 to 1.1 times the schemes' highest linear limit."""
+    """Return `columns` equally spaced dampings (SI units), 0 to 1.1 times the highest linear limit of all schemes."""
     widest = max(_damping_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
@@ -271,7 +271,7 @@ def hit_plan(
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Return dampings and linear limits of K (SI units) by the scheme's index, if the estimator is linear."""
+    """Return dampings and linear limits of K (SI units) by the sampling scheme's index, if the estimator is linear."""
     if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
@@ -293,7 +293,7 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Return rates (Hz) and linear limits of K at B = 0 (N·m/rad or N/m) of all schemes that linear theory covers."""
+    """Return rates (Hz) and linear limits of K at B = 0 (N·m/rad or N/m) of all sampling schemes with a linear loop."""
     plan = found.map.plan
     limits = _linear_only(plan.schemes, lambda scheme: theory.k_max(plan.experiment, scheme, 0.0).stiffness)
     return [float(found.rates[number]) for number in limits], list(limits.values())
@@ -349,7 +349,7 @@ def frequency_plan(
 
 
 def default_schemes(experiment: Experiment) -> tuple[Scheme, ...]:
-    """Return schemes with the four estimators of Chawda et al., at the experiment's rates.
+    """Return sampling schemes with the four estimators of Chawda et al., at the experiment's rates.
 
     At 1 kHz the estimators have the settings of the paper, at other rates their default settings.
     """
@@ -387,7 +387,7 @@ def default_grid(
 def linear_curves(
     plan: FrequencyPlan, points: int = FREQUENCY_POINTS
 ) -> dict[int, tuple[list[float], list[float], list[float]]]:
-    """Return dampings, largest stable K and largest passive K of linear theory (SI units), by the scheme's index.
+    """Return dampings, largest stable K and largest passive K by linear theory (SI), by the sampling scheme's index.
 
     Schemes with a nonlinear estimator are left out. A wall counts as passive if it is passive within the plan's band;
     the condition of Colgate and Schenkel (all frequencies) is stricter. Friction and quantisation are neglected.

@@ -83,7 +83,7 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
     ------
     PlanError
         The plan needs a simulation (judged by true signals, or several encoder offsets), or the device or its link
-        cannot run a scheme or a wall. Nothing has moved.
+        cannot run a sampling scheme or a wall. Nothing has moved.
     StoppedError
         The person did not agree, or Ctrl-C was pressed; results of finished searches stay in the journal.
     RigError
@@ -148,13 +148,14 @@ def _check(plan: MapPlan) -> None:
         )
     if len(plan.offsets) != 1:
         raise PlanError(
-            f"{len(plan.offsets)} encoder offsets are given; a device has only one, which cannot be chosen",
-            remedy="give one offset, and raise the number of repeats instead",
+            f"{len(plan.offsets)} offsets of the wall within an encoder count are given; only a simulation can vary "
+            "this offset",
+            remedy="give a single offset (any value; a device ignores it), and raise the number of repeats instead",
         )
 
 
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
-    """Raise `PlanError` before the measurement if the softest or stiffest wall of a scheme cannot be hit."""
+    """Raise `PlanError` before the measurement if the softest or stiffest wall of a sampling scheme cannot be hit."""
     rungs = plan.search.rungs
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))

@@ -262,7 +262,7 @@ def measure_impedance(
     judging: Judging | None = None,
     watch: Watch | None = None,
 ) -> tuple[ImpedanceResult, ...]:
-    """Measure the impedance of a simulated rig without the byte link, for every wall with every scheme.
+    """Measure the impedance of a simulated rig without the byte link, for every wall with every sampling scheme.
 
     Parameters
     ----------
@@ -389,7 +389,7 @@ def prepared(
     schemes: Sequence[Scheme],
     excitation: Excitation | None,
 ) -> list[list[Experiment]]:
-    """Return the experiments to run: for each scheme a list with an experiment for each wall.
+    """Return the experiments to run: for each sampling scheme a list with an experiment for each wall.
 
     Raise `ConfigError` for an invalid wall or scheme.
     """
@@ -501,7 +501,7 @@ def recorded_impedance(
     RecordingError
         A recording is not an excited trial, or is incomplete.
     ConfigError
-        No recording is given, or recordings of several walls, schemes or excitations.
+        No recording is given, or recordings of several walls, sampling schemes or excitations.
     """
     attempts = {str(one.header["initial_state"]["law"]["parameters"]): one for one in recordings}
     experiments = [experiment_of(one) for one in attempts.values()]

@@ -38,7 +38,7 @@ class PassiveIsland:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyWidth:
-    """A set of widths of one scheme's map, for one realisation (draw of the phases) or for all realisations together.
+    """A set of widths of one sampling scheme's map, for one realisation (draw of the phases) or for all together.
 
     Stiffnesses are in N·m/rad or N/m, dampings and fidelity errors in N·m·s/rad or N·s/m. A wall is connected if it and
     all softer walls of its damping are passive.
@@ -141,7 +141,7 @@ class SchemeWidths:
 
     @classmethod
     def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
-        """Return K-width, B-width and worst fidelity of the scheme with the index `scheme` in the map `found`."""
+        """Return K-width, B-width and worst fidelity of the sampling scheme with index `scheme` in the map `found`."""
         plan = found.plan
         *each, together = (
             FrequencyWidth.of(
@@ -189,7 +189,7 @@ PAPERS_RIG, PAPERS_RATE = "chawda-linear", 1000
 
 @dataclass(frozen=True, slots=True)
 class SchemeRow:
-    """A row of the table: the results of one scheme.
+    """A row of the table: the results of one sampling scheme.
 
     Attributes
     ----------
@@ -222,7 +222,7 @@ class SchemeRow:
 
 @dataclass(frozen=True, slots=True)
 class TableOne:
-    """A table like Table I of Chawda et al.: K-width, B-width and fidelity of each scheme of a map.
+    """A table like Table I of Chawda et al.: K-width, B-width and fidelity of each sampling scheme of a map.
 
     Common walls have damping above 0, and all `comparable` schemes render them and all softer walls passively.
 
@@ -251,7 +251,7 @@ class TableOne:
 
 
 def table_one(found: FrequencyMap) -> TableOne:
-    """Return a table that summarises each scheme of a map, like Table I of Chawda et al.
+    """Return a table that summarises each sampling scheme of a map, like Table I of Chawda et al.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Map the Z-width in the time domain: find by hits for which walls (K, B) a rig is stable with each sampling scheme.
 
-`_maps`, `_zwidth_rig` and designs use this module. A map consists of independent *series*. A series has one scheme,
-damping, encoder offset and repeat, and searches the stiffness limit (`rig.experiments.mapping._searches`). Each map has
-limits for all criteria (felt: velocity ripple; heard: effort ripple; any: also position ripple); its table has the
-numbers of recorded and true signals. Source: Koul et al. 2013, section III and Fig. 6.
+`_maps`, `_zwidth_rig` and designs use this module. A map consists of independent *series*. A series has one sampling
+scheme, damping, encoder offset and repeat, and searches the stiffness limit (`rig.experiments.mapping._searches`). Each
+map has limits for all criteria (felt: velocity ripple; heard: effort ripple; any: also position ripple); its table has
+the numbers of recorded and true signals. Source: Koul et al. 2013, section III and Fig. 6.
 """
 
 from __future__ import annotations
@@ -118,9 +118,10 @@ class MapPlan:
         ]
 
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
-        """Return the experiment of one series (stiffness search) of the map, except for its stiffness.
+        """Return the experiment of one series (stiffness search) of the map of stable walls; the stiffness is not set.
 
-        `under` is the plan's experiment with the scheme of the series already applied; None: apply the scheme here.
+        `under` is the plan's experiment with the sampling scheme of the series already applied; None: apply the scheme
+        here.
         """
         changes = {
             "rig.encoder.offset": series.offset,
@@ -195,7 +196,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """A stiffness limit of one scheme at one damping under one criterion, over all offsets and repeats.
+    """A stiffness limit of one sampling scheme at one damping under one criterion, over all offsets and repeats.
 
     Attributes
     ----------
@@ -310,7 +311,7 @@ class ZWidth(Shown, Drawn):
 
     @property
     def cutoffs(self) -> str | None:
-        """Return a sentence if schemes without an explicit cut-off get different cut-offs; None if all are equal."""
+        """Return a sentence if sampling schemes with no cut-off of their own get different ones; else None."""
         return describe_cutoffs(self.plan.schemes, self.plan.experiment)
 
     @property
@@ -336,12 +337,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return a scheme's limits by ascending damping; `criterion` is the judged ripple: "felt", "heard" or "any"."""
+        """Return a sampling scheme's limits by ascending damping; `criterion`: the ripple "felt", "heard" or "any"."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Return the summary of a scheme's limits; `criterion` is the judged ripple: "felt", "heard" or "any"."""
+        """Return the summary of a sampling scheme's limits; `criterion` is the ripple "felt", "heard" or "any"."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -373,7 +374,7 @@ class ZWidth(Shown, Drawn):
         return dict(why.most_common())
 
     def brief(self) -> list[Item]:
-        """Return the lines of a short report: largest stiffness and damping of each scheme's stable walls."""
+        """Return the lines of a short report: largest stiffness and damping of each sampling scheme's stable walls."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         rows = []
@@ -393,7 +394,7 @@ class ZWidth(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the lines of a full report: the short report, and a table of each scheme's limit at each damping."""
+        """Return a full report: the short report, and a table of each sampling scheme's limit at each damping."""
         x = self.plan.experiment
         stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
         curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]

@@ -4,8 +4,8 @@
     table_one(found)  # rig.experiments.mapping.table_one
 
 `_maps` uses this module for `rig impedance map`. A map tests every wall of a grid. Each task of its sweep is a column
-of the grid: one scheme and one damping. Source: Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity are
-computed by `rig.analysis.impedance._verdict`.
+of the grid: one sampling scheme and one damping. Source: Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity
+are computed by `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ class FrequencyPlan:
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 
     def columns(self) -> list[tuple[int, float]]:
-        """Return for each task the index of its scheme and its damping (N·m·s/rad or N·s/m)."""
+        """Return for each task the index of its sampling scheme and its damping (N·m·s/rad or N·s/m)."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each scheme and damping.
+        """Return a task for each sampling scheme and damping.
 
         Raise `PlanError` if the excitation exceeds a limit of the rig at the softest wall of a scheme.
         """
@@ -141,7 +141,7 @@ class FrequencyPlan:
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Excite a simulated rig at all stiffnesses of one scheme and damping; payload and returned rows are JSON values.
+    """Excite a simulated rig at all stiffnesses of one sampling scheme and damping; payload and rows are JSON values.
 
     Each wall has a row for each realisation (draw of the phases), and one row for all realisations together.
     """
@@ -233,7 +233,7 @@ class FrequencyMap(Shown, Drawn):
         return cls(plan, columns, arranged("passive", np.bool_), arranged("fidelity", np.float64))
 
     def brief(self) -> list[Item]:
-        """Return the lines of a short report: number of passive walls for each scheme."""
+        """Return the lines of a short report: number of passive walls for each sampling scheme."""
         plan, (low, high) = self.plan, self.plan.band_hz
         walls = len(plan.dampings) * len(plan.stiffnesses)
         rows = [
@@ -243,7 +243,7 @@ class FrequencyMap(Shown, Drawn):
         return [f"impedances of {plan.experiment.rig.name}, from {low:g} to {high:g} Hz", *rows]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield a row for each wall and realisation, with scheme and damping; realisation None: all together."""
+        """Yield a row for each wall and realisation (draw of the phases); realisation None: all together."""
         for (number, damping), rows in zip(self.plan.columns(), self.columns, strict=True):
             for row in rows:
                 of_row = {key: value for key, value in row.items() if key != "runs"}

@@ -120,7 +120,10 @@ class Followed:
 
 
 def attach(loop: RunningLoop, history: History) -> Followed | None:
-    """Begin to read a loop; return None if the loop has just ended, or has another version of the memory layout."""
+    """Open the shared memory of a running loop; return a reader that adds its new rows to `history`.
+
+    Return None if the loop has just ended, or if its shared memory has another version of the layout.
+    """
     with suppress(OSError, RigError):
         return Followed(loop, history) if loop.version == LAYOUT_VERSION else None
     return None

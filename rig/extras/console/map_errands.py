@@ -77,7 +77,7 @@ def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def describe_map(directory: str) -> dict[str, Any]:
-    """Return axes, schemes and units of a map, with the relative cost of each scheme."""
+    """Return axes, sampling schemes and units of a map, with the relative cost of each scheme."""
     path = Path(directory)
     plan, _ = _plan(path)
     experiment = plan.experiment

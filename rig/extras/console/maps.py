@@ -58,7 +58,7 @@ class WatchMap(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskTheory(Request):
-    """Request the stiffness limits of linear theory for the schemes of a map."""
+    """Request the stiffness limits of linear theory for the sampling schemes of a map."""
 
     map: Name
 
@@ -81,7 +81,7 @@ class Watched:
     Attributes
     ----------
     facts, columns
-        Axes and schemes of the map, and the columns of its journal that were read so far.
+        Axes and sampling schemes of the map, and the columns of its journal that were read so far.
     place
         Byte offset in the journal at which the next line will begin.
     begun_s, begun_weight

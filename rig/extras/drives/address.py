@@ -49,7 +49,7 @@ class Address(Protocol):
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Identify the drive and compare it with a rig; raise `RigError` if the drive is unusable or does not match."""
+        """Return what a bridge must know about the drive; raise `RigError` if it does not match the rig `model`."""
         ...
 
 
@@ -86,11 +86,11 @@ class MoteusAddress:
         )
 
     def look(self, bus: Bus) -> moteus.MoteusFacts:
-        """Identify the moteus without changing it; errors as `Address.look`."""
+        """Read the moteus's facts without changing it; raise `RigError` if it would not execute commands as sent."""
         return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Identify the moteus and compare it with a rig; errors as `Address.find`."""
+        """Return what the bridge must know about the moteus; raise `RigError` if it does not match the rig `model`."""
         return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
 
 
@@ -114,11 +114,11 @@ class OdriveAddress:
         return cls(number(url, "id", 0, _LARGEST_NODE), odrive.Endpoints.load(place))
 
     def look(self, bus: Bus) -> odrive.OdriveFacts:
-        """Identify the ODrive without changing it; errors as `Address.look`."""
+        """Read the ODrive's facts without changing it; raise `RigError` if it would not execute commands as sent."""
         return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Identify the ODrive and compare it with a rig; errors as `Address.find`."""
+        """Return what the bridge must know about the ODrive; raise `RigError` if it does not match the rig `model`."""
         return odrive.fit(self.look(bus), model)
 
 

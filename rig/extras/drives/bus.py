@@ -53,7 +53,9 @@ class CanFrame:
 
 
 class Bus(Protocol):
-    """Protocol of a bus on which Python finds the drive; afterwards the bridge uses its file descriptor.
+    """Interface (`typing.Protocol`) of a bus, by which Python finds the drive.
+
+    Afterwards the bridge (firmware on this computer in front of the drive) uses the bus by its file descriptor.
 
     Attributes
     ----------

@@ -46,7 +46,7 @@ _INSIDE = int(RowFlag.INSIDE)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """An event of a loop or session: its time (ns, host clock) and its content, with the kind as `mark`."""
+    """An event of a loop or session: time (ns, host clock) and a dictionary; its key "mark" is the kind of event."""
 
     time_ns: int
     content: dict[str, Any]
@@ -54,7 +54,7 @@ class Marker:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows for the stream of samples, the host time of each row (ns), and the markers since the last chunk."""
+    """Recorded rows since the last chunk that become samples, the host time of each (ns), and the new markers."""
 
     rows: NDArray[np.void]
     times_ns: NDArray[np.int64]

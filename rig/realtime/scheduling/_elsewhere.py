@@ -46,6 +46,7 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
     if host.realtime == "enforce" and not virtual:
         raise RealtimeError(
             'host.realtime = "enforce" needs Linux: this system has no real-time scheduling',
-            remedy='set host.realtime = "try": with the law on the board, the board\'s timer sets the timing',
+            remedy='set host.realtime = "try": the run then starts without real-time scheduling. With controller.loop '
+            '= "device" the control law runs on the board, and the board\'s timer sets its timing',
         )
     yield Realtime(host, virtual=virtual)

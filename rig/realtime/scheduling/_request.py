@@ -27,7 +27,7 @@ class RealtimeRequest(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BoardScheduling:
-    """Request of a simulated board; its priority is above that of a host's loop, for which its timer must not wait."""
+    """Request of a simulated board. Its priority exceeds that of a host's loop: the board's timer must not wait."""
 
     realtime: str = "try"
     priority: int = 90

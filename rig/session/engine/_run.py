@@ -349,13 +349,14 @@ def row_of(code: str) -> int:
     numbers = re.findall(r"[0-9]+", code)
     if not numbers:
         raise ConfigError(
-            f"code {code!r} contains no number, which would determine the participant's row of the order of conditions",
-            remedy="give the row with `row`, counted from 0",
+            f"code {code!r} contains no number; it would give the participant's row in the table of condition orders",
+            remedy="give a code with a number, or give the row with `row`, counted from 0",
         )
     if int(numbers[-1]) == 0:
         raise ConfigError(
             f"code {code!r} has the number 0, but participants are counted from 1",
-            remedy="give another code, or the participant's row of the order with `row`",
+            remedy="give a code whose last number is 1 or more, or give with `row` the participant's row in the table "
+            "of condition orders, counted from 0",
         )
     return int(numbers[-1]) - 1
 

@@ -1,9 +1,9 @@
 """Build the experiments of a protocol: rig and trial, with the changes of each condition.
 
 Settings are applied in this order, later ones replace earlier ones: the preset or the experiment file; the settings for
-safety with a person (`SAFE`); ``[study.changes]``; ``[trial]`` and ``[caps]``; scheme and changes of the condition;
-damping and stiffness of the wall. A simulated hand keeps the ranges of impact speed and press in ``[trial]``, unless
-other settings determine how it hits (`rig.session.planning._bands`).
+safety with a person (`SAFE`); ``[study.changes]``; ``[trial]`` and ``[caps]``; sampling scheme and changes of the
+condition; damping and stiffness of the wall. A simulated hand keeps the ranges of impact speed and press in
+``[trial]``, unless other settings determine how it hits (`rig.session.planning._bands`).
 """
 
 from __future__ import annotations

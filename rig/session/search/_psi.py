@@ -58,7 +58,8 @@ class Psi:
         if not 0.0 <= self.enough < 1.0:
             raise ConfigError(
                 f"enough = {self.enough:g} must be at least 0 and below 1",
-                remedy="give the half width of the interval as a share of K50, like 0.05; with 0 all hits are used",
+                remedy="give the half width of the confidence interval at which the search stops, as a share of K50 "
+                "(the stiffness with 50 % 'stable' answers), like 0.05; with 0 the search uses all hits",
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:

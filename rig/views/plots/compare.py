@@ -22,7 +22,7 @@ SHORTEST_S, LONGEST_S = 0.03, 0.3
 
 @style.own_style()
 def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
-    """Return the matplotlib figure of penetration and velocity after the first contact, for each compared scheme.
+    """Return the matplotlib figure of penetration and velocity after the first contact, for each sampling scheme.
 
     `offset` is the index of the encoder offset (start position between two counts) that is drawn.
     """
@@ -62,7 +62,7 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
 
 
 def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
-    """Return the length of the time axis (s): the settling time of the slowest scheme plus a margin."""
+    """Return the length of the time axis (s): the settling time of the slowest sampling scheme plus a margin."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)
     longest = max(float(impact.time_s[-1]) for outcome in outcomes for impact in outcome.impacts)

@@ -34,7 +34,7 @@ def impedance_result_figure(result: ImpedanceResult) -> Any:
 
 
 def zwidth_with_theory_figure(found: ZWidth) -> Any:
-    """Return the figure of a Z-width map (stable walls), with the stability limits of its schemes by linear theory."""
+    """Return the figure of a Z-width map (stable walls), with the linear stability limits of its sampling schemes."""
     return zwidth_figure(found, theory=theory_curves(found.plan))
 
 
@@ -44,5 +44,5 @@ def kmax_with_theory_figure(found: KMax) -> Any:
 
 
 def frequency_with_theory_figure(found: FrequencyMap) -> Any:
-    """Return the figure of a map of passive walls, with the limits of its schemes by linear theory."""
+    """Return the figure of a map of passive walls, with the limits of its sampling schemes by linear theory."""
     return frequency_figure(found, theory=linear_curves(found.plan))

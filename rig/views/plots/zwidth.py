@@ -1,4 +1,4 @@
-"""Draw Z-width maps: largest stable stiffness K of each scheme over damping B, or without damping over the rate.
+"""Draw Z-width maps: largest stable stiffness K of each sampling scheme over damping B, or at B = 0 over the rate.
 
 For a map with a single damping the limits of the schemes are drawn side by side. Circles are means over encoder offsets
 and repeats.
@@ -42,7 +42,7 @@ def draw_zwidth(
 ) -> Path:
     """Draw a map of stable walls into a file, with a panel for each criterion, and return the file's path.
 
-    `theory` contains a curve (dampings, stiffness limits) for the number of a scheme.
+    `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
     """
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
@@ -56,7 +56,7 @@ def zwidth_figure(
 ) -> Any:
     """Return the matplotlib figure of a map of stable walls, with a panel for each criterion of the verdict.
 
-    `theory` contains a curve (dampings, stiffness limits) for the number of a scheme.
+    `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
     """
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1

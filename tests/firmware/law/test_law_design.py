@@ -228,7 +228,7 @@ def test_a_foreign_law_and_a_table_of_the_host_are_refused() -> None:
     foreign = Law("mine", "", laws.get("bilateral").function, 1, laws.get("bilateral").design)
     with pytest.raises(PlanError, match=r'wall.law = "mine".*does not have this law'):
         values_of(x, foreign)
-    with pytest.raises(PlanError, match="a table of the host cannot be sent to the device"):
+    with pytest.raises(PlanError, match="the device cannot receive such a table"):
         values_of(x, bilateral.excited_law([0.1, -0.1]))
 
 

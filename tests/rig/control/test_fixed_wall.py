@@ -107,8 +107,8 @@ def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand() -> Non
     ("given", "message"),
     [
         ({"effort_limit": 10.0}, r"effort limit 10 is 42735 current quanta; allowed are 0 to 32767"),
-        ({"stiffness": 1e13}, r"stiffness is .* quanta; allowed are 0 to 2147483647.*softer"),
-        ({"stiffness": -1.0}, r"stiffness is .* quanta; allowed are 0 to"),
+        ({"stiffness": 1e13}, r"stiffness is .* current\); allowed are 0 to 2147483647.*softer"),
+        ({"stiffness": -1.0}, r"stiffness is .* current\); allowed are 0 to"),
         ({"damping": 1e-9}, r"damping is .* quanta per LSB.* can represent only as the integer 0"),
         (
             {"stiffness": 0.5625, "damping": 7.0, "velocity": Format(20, 0)},

@@ -130,10 +130,10 @@ def test_positions_become_counts_as_the_remedy_says() -> None:
 
 @pytest.mark.parametrize("text", [COUNTS.astype(str), COUNTS.astype(bytes), pd.Series(COUNTS).astype(str)])
 def test_text_becomes_numbers_as_the_remedy_says(text: Any) -> None:
-    with pytest.raises(ConfigError, match="counts are text") as caught:
+    with pytest.raises(ConfigError, match="counts contains text") as caught:
         speeds(text)
     assert speeds(**apply(caught.value.remedy, counts=text)) == pytest.approx(TRUE)
-    with pytest.raises(ConfigError, match="elapsed are text") as caught:
+    with pytest.raises(ConfigError, match="elapsed contains text") as caught:
         speeds(COUNTS, elapsed=np.ones(40, int).astype(str))
     steps = np.ones(40, int).astype(str)
     assert speeds(COUNTS, **apply(caught.value.remedy, elapsed=steps)) == pytest.approx(TRUE)

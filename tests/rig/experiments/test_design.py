@@ -304,7 +304,7 @@ def test_a_wish_that_no_scheme_fulfils_is_named_with_the_best_value(wishes: Wish
 def test_no_scheme_is_recommended_where_none_has_a_stable_wall() -> None:
     limits = {"verdict.heard_force": 1e-6, "verdict.felt_velocity": 1e-9, "verdict.moved": 1e-9}
     strict = config.override(X, limits)
-    with pytest.raises(NoStableWallError, match=r"none of \d schemes has a stable wall") as refused:
+    with pytest.raises(NoStableWallError, match=r"none of \d sampling schemes has a stable wall") as refused:
         design(replace(REQUEST, experiment=strict, rounds=QUICK))
     assert refused.value.exit_code == 18
 

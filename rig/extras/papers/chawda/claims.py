@@ -116,7 +116,7 @@ def _regions() -> Ruling:
 
 
 def _beyond(chawda: Chawda, names: Sequence[str], up_to: float = math.inf) -> dict[str, Any]:
-    """Count the dampings at which the stiffness limits of schemes `names` lie beyond the searched stiffnesses.
+    """Count the dampings at which the stiffness limits of sampling schemes `names` lie beyond the searched stiffnesses.
 
     ``dampings`` is the number of dampings in (0, `up_to`] N·s/m, ``top`` the stiffest searched wall (N/m). ``beyond``
     has (scheme, number of dampings at which its limit and that of the filtered difference both exceed ``top``).

@@ -35,14 +35,14 @@ def curve(chawda: Chawda, name: str) -> list[float]:
 def drops(chawda: Chawda) -> dict[str, float]:
     """Return, by scheme, the damping (N·s/m) from which on the stiffness limit of Fig. 3 stays below half of its peak.
 
-    The damping is infinite for a scheme whose limit never stays below half of its peak.
+    The damping is infinite for a sampling scheme whose limit never stays below half of its peak.
     """
     dampings = chawda.scale.hit_dampings
     return {name: rules.find_drop(dampings, curve(chawda, name)) for name in chawda.hit_names}
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """Return a scheme's stiffness limit divided by that of the filtered difference, for dampings up to `up_to` (N·s/m).
+    """Return a sampling scheme's stiffness limit over that of the filtered difference, at dampings to `up_to` (N·s/m).
 
     B = 0 is left out, and so are dampings at which both limits exceed the searched stiffnesses.
     """
@@ -288,7 +288,7 @@ class Ranked:
 
 
 def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
-    """Return the schemes of a grid, sorted by the area of their passive region in the K–B plane, the largest first.
+    """Return the sampling schemes of a grid, sorted by area of their passive region in the K–B plane, largest first.
 
     `reading` is the index of the passivity test.
     """
@@ -311,7 +311,7 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return a scheme's mean fidelity error divided by that of a reference scheme, with its spread.
+    """Return a sampling scheme's mean fidelity error divided by that of a reference scheme, with its spread.
 
     Means are over the walls that are passive with both schemes, the spread is over measurements; schemes are indices.
     """

@@ -131,7 +131,7 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
 def control_payload(
     experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
 ) -> Any:
-    """Return the argument of `control` (a check against theory) for one scheme; `band` is in Hz."""
+    """Return the argument of `control` (a check against theory) for one sampling scheme; `band` is in Hz."""
     applied = scheme.applied(config.excited(experiment))
     return {
         "experiment": config.as_mapping(applied),

@@ -51,7 +51,7 @@ class ExcitationGrid:
         return walls * self.experiment.excitation.realisations
 
     def part(self, weight: float = 1.0) -> Part:
-        """Return a sweep task for each scheme and damping; `weight` is the relative cost of one excitation."""
+        """Return a sweep task for each sampling scheme and damping; `weight` is the relative cost of one excitation."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
             applied = scheme.applied(config.excited(self.experiment))
@@ -71,7 +71,7 @@ class ExcitationGrid:
 
 
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
-    """Excite all walls of one scheme and damping; return a row for each stiffness, with a dict for each measurement.
+    """Excite all walls of one sampling scheme and damping; return for each stiffness a dict for each measurement.
 
     ``passive`` is a string with the digit 1 (passive) or 0 for each passivity test; ``fidelity`` is a list with the rms
     of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the
@@ -192,9 +192,9 @@ class Readings:
         )
 
     def width(self, measurement: int, reading: int, scheme: int) -> FrequencyWidth:
-        """Return the largest passive stiffness and damping, and the fidelity errors, of a scheme in one measurement.
+        """Return largest passive stiffness and damping, and fidelity errors, of a sampling scheme in one measurement.
 
-        All three arguments are indices; `reading` chooses the passivity test.
+        All three arguments are indices; `reading` is the index of the passivity test (band and tolerance).
         """
         place = measurement, reading, scheme
         return FrequencyWidth.of(
@@ -202,14 +202,17 @@ class Readings:
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Return the result of `width` (largest passive stiffness, …) of one scheme for each measurement."""
+        """Return largest passive stiffness and damping, and fidelity errors, of a scheme for each measurement.
+
+        `reading` is the index of the passivity test, `scheme` that of the sampling scheme.
+        """
         return [self.width(m, reading, scheme) for m in range(self.grid.measurements)]
 
     def common(self, reading: int, schemes: Sequence[int] | None = None) -> Flags:
         """Return an array (damping, stiffness): True for walls passive in every measurement with all `schemes`.
 
         A wall counts only if all softer walls of the same damping are passive, too. `schemes` are indices; None: all
-        schemes.
+        sampling schemes.
         """
         chosen = range(len(self.grid.schemes)) if schemes is None else schemes
         return np.asarray(connected(self.passive[:, reading])[:, list(chosen)].all(axis=(0, 1)))

@@ -182,7 +182,7 @@ class ChawdaPlan:
 
 
 def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Return the name of the scheme with Levant's gains whose stable area in the K–B plane is largest."""
+    """Return the name of the sampling scheme with Levant's gains whose stable area in the K–B plane is largest."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 

@@ -52,7 +52,7 @@ class Chawda:
     constants
         C identified at several walls, see `rig.extras.papers.chawda.parts.identify_wall`.
     hits
-        Fig. 3: stiffness limits by hits at 10 kHz; `hit_names` are the names of the schemes.
+        Fig. 3: stiffness limits by hits at 10 kHz; `hit_names` are the names of the sampling schemes.
     adjusted
         The name in `hit_names` of Levant's differentiator with the best gains.
     slow_hits
@@ -109,7 +109,7 @@ class Chawda:
 
     @property
     def figure_3(self) -> list[str]:
-        """Return the names of the schemes that Fig. 3 shows."""
+        """Return the names of the sampling schemes that Fig. 3 shows."""
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:

@@ -128,7 +128,7 @@ VARIANT_DAMPINGS = (0.0, 20.0, 60.0, 140.0)
 def levant(
     rate: int, lipschitz: float, gains: tuple[float, float], form: str = "explicit", out: str = "u"
 ) -> Scheme:
-    """Return a uniform-rate scheme with Levant's differentiator.
+    """Return a uniform-rate sampling scheme with Levant's differentiator.
 
     `rate` is in Hz, `lipschitz` is C (m/s²), `gains` are (μ1, μ2). The paper uses explicit Euler and the output u.
     """

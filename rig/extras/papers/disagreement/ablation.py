@@ -96,7 +96,7 @@ def without(experiment: Experiment, taken: Iterable[str]) -> Experiment:
 
 
 class _Column:
-    """Simulator for the walls of one scheme and damping, on the rig and on rigs without some non-linearities."""
+    """Simulator for the walls of one sampling scheme and damping, on rigs with and without some non-linearities."""
 
     def __init__(self, experiments: Sequence[Experiment], judged: str) -> None:
         self._experiments, self._judged = experiments, judged
@@ -129,7 +129,7 @@ class _Column:
 
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Hit all walls of one scheme and damping, the softest first; return the row of `ComparedWall.of` for each wall."""
+    """Hit all walls of one sampling scheme and damping, softest first; return a row of `ComparedWall.of` for each."""
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = StiffnessSearch(**payload["search"]).rungs

@@ -68,7 +68,7 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """A sweep task for each scheme and damping of the map.
+        """A sweep task for each sampling scheme and damping of the map.
 
         Raises `PlanError` for a wall that linear theory does not cover, `NotLinearError` for a non-linear scheme.
         """
@@ -134,7 +134,7 @@ class ComparedWall:
     Attributes
     ----------
     scheme, damping, stiffness
-        Index of the scheme in the map, damping B and stiffness K (SI units).
+        Index of the sampling scheme in the map, damping B and stiffness K (SI units).
     area
         Area of the wall's cell in the K–B plane (product of the units of K and B).
     radius
@@ -247,11 +247,11 @@ class Disagreement(Shown, Drawn):
     hits: int
 
     def of_scheme(self, number: int) -> list[ComparedWall]:
-        """Return the compared walls of the scheme with this index."""
+        """Return the compared walls of the sampling scheme with this index."""
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Return the shares of the K–B plane where theory and hits differ, for the scheme with this index."""
+        """Return the shares of the K–B plane where theory and hits differ, for the sampling scheme with this index."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
@@ -270,7 +270,7 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def schemes(self) -> tuple[Shares, ...]:
-        """Shares of the K–B plane where theory and hits differ, for each scheme in the order of the plan."""
+        """Shares of the K–B plane where theory and hits differ, for each sampling scheme in the order of the plan."""
         return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
 
     @reported
@@ -279,7 +279,7 @@ class Disagreement(Shown, Drawn):
         return sum(wall.holds is None for wall in self.walls)
 
     def brief(self) -> list[Item]:
-        """Return a heading, and for each scheme the differing share of the K–B plane with its causes, as text."""
+        """Return a heading, and for each sampling scheme the differing share of the K–B plane with its causes."""
         rows = [
             Row(
                 shares.label,

@@ -95,7 +95,7 @@ class HeldWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Relative errors of the prediction: number of walls, and (median, largest) of the magnitudes of the errors."""
+    """Errors of predicted limit cycles: number of walls, and (median, largest) |relative error| of their motion."""
 
     walls: int
     amplitude: tuple[float, float]
@@ -120,14 +120,14 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tally:
-    """Summary of the prediction over all walls, with or without the rig's friction.
+    """Summary of how well theory predicts the limit cycles of all walls, with or without the rig's friction.
 
     Attributes
     ----------
     sinusoids, others
-        Errors of walls whose motion is a sinusoid, and of the walls whose motion is not.
+        Errors of the predicted amplitude and frequency: for walls whose motion is a sinusoid, and for all others.
     alone
-        Errors of walls where the loop without friction has a single predicted frequency.
+        The same errors for walls where the loop without friction has a single predicted frequency.
     both_rest
         Number of walls that rest where no cycle is predicted or friction can hold the handle.
     only_predicted, only_simulated
@@ -152,11 +152,11 @@ class LimitCycles(Shown):
 
     @reported
     def tallies(self) -> tuple[Tally, ...]:
-        """Two summaries of the prediction: without friction, then with it."""
+        """Two summaries of predicted and simulated limit cycles: of walls without friction, then with it."""
         return tuple(self.tally(friction) for friction in (False, True))
 
     def tally(self, friction: bool) -> Tally:
-        """Return the summary of the prediction over the walls with (True) or without friction."""
+        """Return the summary of predicted and simulated limit cycles over the walls with or without friction."""
         walls = [wall for wall in self.walls if wall.friction is friction]
         both = [wall for wall in walls if wall.amplitude_error is not None]
         moving = [wall.simulated.amplitude > 0.0 for wall in walls]
@@ -218,7 +218,7 @@ def limit_cycles(
 ) -> LimitCycles:
     """Predict and simulate the limit cycles of walls (K, B); None: fractions of K_max and B_max by linear theory.
 
-    Without `schemes`, the experiment's scheme and the uniform schemes at its rates are used.
+    Without `schemes`, the experiment's sampling scheme and the uniform schemes at its rates are used.
 
     Raises
     ------

@@ -37,7 +37,7 @@ POINTS = 60  # of theory's edge along each axis
 
 @style.own_style()
 def disagreement_figure(found: Disagreement) -> Any:
-    """Return a matplotlib figure with a panel of the K–B plane for each scheme."""
+    """Return a matplotlib figure with a panel of the K–B plane for each sampling scheme."""
     plan = found.plan
     motion = plan.experiment.rig.motion
     figure = style.new_figure(4.2 * len(plan.schemes) + 0.6, 4.6)

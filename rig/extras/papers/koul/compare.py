@@ -110,7 +110,7 @@ def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Ex
 
 
 def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tuple[Entry, Entry, Entry]:
-    """Return three schemes to compare at a position rate (Hz): without damping, uniform and dual-rate.
+    """Return three sampling schemes to compare at a position rate (Hz): without damping, uniform and dual-rate.
 
     `uniform_share` is the cut-off of the uniform scheme divided by its velocity rate.
     """
@@ -143,7 +143,7 @@ def koul_figure_7(
     state_bits
         Fractional bits of the fixed-point filter's input and output.
     uniform_share
-        Cut-off of the uniform scheme divided by its velocity rate; the dual-rate scheme has 200 Hz at 2 kHz.
+        Cut-off of the uniform sampling scheme divided by its velocity rate; the dual-rate scheme has 200 Hz at 2 kHz.
     position_rates
         Position rates of the panels (Hz).
     offsets
@@ -261,7 +261,7 @@ class Profiles:
         for profile in self.profiles:
             if (profile.velocity_rate, profile.arithmetic) == key:
                 return profile
-        raise KeyError(f"no profile for velocity rate and arithmetic {key}")
+        raise KeyError(f"no velocity curve is stored for (velocity rate in Hz, arithmetic) = {key}")
 
 
 def koul_figure_8(

@@ -1,8 +1,8 @@
 """Map each idea that Koul et al. leave open, on a rig with the normal hand, and rank the ideas by their gain.
 
 The paper's ideas are an adaptive T2, other values of T2 (the velocity period), and finer encoders. This project adds
-first-order extrapolation, other cut-offs, and all other velocity estimators in the dual-rate scheme. Estimators have
-their default settings and are not tuned for this rig, so a low rank is a rank of the defaults.
+first-order extrapolation, other cut-offs, and all other velocity estimators in the dual-rate sampling scheme.
+Estimators have their default settings and are not tuned for this rig, so a low rank is a rank of the defaults.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Tried:
     ranges
         Largest damping of the softest wall, by criterion.
     linear
-        Peak stiffness and largest damping by linear theory; None if the scheme is not linear.
+        Peak stiffness and largest damping by linear theory; None if the sampling scheme is not linear.
     """
 
     idea: Idea
@@ -136,7 +136,7 @@ def direction(changes: Iterable[Change]) -> Literal["wider", "narrower", "same",
 
 
 def encoder_key(preset: str, scheme: str, lines: tuple[int, int]) -> str:
-    """Return the key of the idea that uses an encoder with `lines` (lines per turn, decoding factor) in a scheme."""
+    """Return the key of the idea to use an encoder with `lines` (per turn, decoding factor) in a sampling scheme."""
     if (preset, scheme, lines) == (COMPLIANT, "dual", USUAL_LINES):
         return REFERENCE
     return f"encoder-{preset}-{scheme}-{lines[0]}x{lines[1]}"
@@ -213,7 +213,7 @@ def _velocity_rates() -> list[Idea]:
 
 
 def _hertz(rate: str) -> str:
-    """Convert a rate in a scheme's notation, such as 5k, to text, such as ``5 kHz``."""
+    """Convert a rate in a sampling scheme's notation, such as 5k, to text, such as ``5 kHz``."""
     return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 

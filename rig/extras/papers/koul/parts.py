@@ -70,7 +70,7 @@ def range_tasks(
     search: StiffnessSearch,
     weight: float,
 ) -> Part:
-    """Return tasks that search the largest stable damping at one stiffness, for each scheme and encoder offset."""
+    """Return tasks that find the largest stable damping at one stiffness, by sampling scheme and encoder offset."""
     applied = [scheme.applied(experiment) for scheme in schemes]
     return tuple(
         Task(
@@ -127,7 +127,7 @@ class DampingRange:
 
 
 def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
-    """Summarise the results of `range_tasks`: return the largest stable dampings by criterion for each scheme.
+    """Summarise the results of `range_tasks`: return the largest stable dampings by criterion for each sampling scheme.
 
     `offsets` is the number of encoder offsets.
     """
@@ -176,7 +176,7 @@ def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
 
 
 def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute the limits of a scheme by exact linear theory: largest stable stiffness at each damping, largest damping.
+    """Compute a sampling scheme's limits by exact linear theory: largest stable K at each damping, largest damping.
 
     ``islands`` in the payload adds the largest damping beyond unstable gaps, ``passivity`` the limits of passive walls.
     For a payload with ``rates`` (Hz) the result is K_max at B = 0 for each uniform rate instead. For a scheme that is
@@ -233,7 +233,7 @@ LAGS_S = (3e-5, 3e-4)
 
 
 def random_plants(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Draw random plants (two masses, an amplifier lag, a hand or none); return the largest damping of each scheme.
+    """Draw random plants (two masses, amplifier lag, perhaps a hand); return each sampling scheme's largest damping.
 
     The dampings (N·m·s/rad) are those of the softest wall by linear theory.
     """
@@ -265,7 +265,7 @@ def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
 
 
 def word_lengths(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Compute figures 7 and 8 for one word length of the filter, at both possible cut-offs of the uniform scheme.
+    """Compute figures 7 and 8 for a word length of the filter, at two cut-offs of the uniform sampling scheme.
 
     Each row has the peaks of `rig.extras.papers.koul.compare.word_lengths`. ``read`` is the rms of the estimated
     velocity of figure 8 divided by the rms of the true one: early and late in the impact, at 2 and at 20 kHz.

@@ -234,7 +234,7 @@ def _search(experiment: Experiment, way: Way, ratio: float) -> StiffnessSearch:
 
 
 def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
-    """Return the dampings (N·m·s/rad) of a map: equal steps to 15 % beyond each scheme's linear range, and the paper's.
+    """Return a map's dampings (N·m·s/rad): steps to 15 % beyond each sampling scheme's linear range, and the paper's.
 
     Ranges that differ by less than 20 % count once.
     """

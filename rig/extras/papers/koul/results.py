@@ -33,7 +33,7 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """Simulated stability limits of Fig. 6 with friction, quantisation, both or neither, by scheme."""
+    """Simulated stability limits of Fig. 6 with friction, quantisation, both or neither, by sampling scheme."""
 
     undamped: Mapping[str, float]  # K at B = 0, stable in any sense
     ranges: Mapping[str, dict[str, DampingRange]]
@@ -41,7 +41,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class OverLinear:
-    """Simulated stability limits divided by the limits of linear theory, by scheme."""
+    """Simulated stability limits divided by the limits of linear theory, by sampling scheme."""
 
     undamped: Mapping[str, float]
     range: Mapping[str, float]
@@ -60,28 +60,30 @@ class Best:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Koul:
-    """All computed results, from which claims, sentences and pictures are derived.
+    """All computed results of the reproduction of Koul et al., from which claims, sentences and pictures are derived.
 
     Attributes
     ----------
     kmax, kmax_theory
-        Fig. 5: largest K at B = 0 over the rate, simulated and by theory, by preset and name in `LAGS`.
+        Fig. 5: largest stable K at B = 0 over the sampling rate, simulated and by linear theory; the keys are (preset,
+        name of the amplifier's lag in `rigs.LAGS`).
     maps
-        Fig. 6 and its variants, by name of the `HeldRig` (rig and hand), with the schemes in the order of `SCHEMES`.
+        Fig. 6 and its variants, by name of the `HeldRig` (rig and hand), with the sampling schemes in the order of
+        `SCHEMES`.
     ranges
-        Largest damping (N·m·s/rad) of the softest wall, by name of the `HeldRig`, scheme, and criterion.
+        Largest stable damping (N·m·s/rad) of a soft wall, by name of the `HeldRig`, scheme, and ripple criterion.
     linear
         Limits by exact linear theory, by name of the `HeldRig` and scheme.
     effects
         Limits with each of `EFFECTS` by name, on the fitted preset in the normal hand.
     figure_7, words, figure_8
-        Impacts, their peaks by word length, and estimated velocities; see `rig.extras.papers.koul.compare`.
+        Impacts, their peaks by word length (bits) of the filter, and estimated velocities; see `koul.compare`.
     noise
         Velocity noise of the encoder's quantisation (rad/s rms), by velocity rate and cut-off.
     plants
         Random plants with their largest dampings by linear theory, in the order of `SCHEMES`.
     ideas
-        Results of the ideas, by key.
+        Results of the ideas for a larger Z-width, by the idea's key.
     """
 
     scale: rigs.KoulScale
@@ -100,7 +102,7 @@ class Koul:
     hits: int
 
     def width(self, held: rigs.HeldRig, key: str, criterion: str = "any") -> Width:
-        """Return peak stiffness, largest damping and area of the stable walls of a scheme on one rig in one hand."""
+        """Return peak stiffness, largest damping and area of a sampling scheme's stable walls, on one rig and hand."""
         return self.maps[held.name].width(NUMBERS[key], criterion)
 
     def growth(self, preset: str) -> tuple[list[float | None], list[float]]:

@@ -38,7 +38,7 @@ class GridColumn:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Comparison of three searches (ladder, bisection, grid) for one scheme and criterion, over all of its columns.
+    """Comparison of three searches (ladder, bisection, grid) for one sampling scheme and ripple criterion.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Compare three searches (ladder, bisection, grid) for the scheme with index `scheme`, over all offsets."""
+    """Compare three searches (ladder, bisection, grid) for the sampling scheme number `scheme`, over all offsets."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
@@ -75,7 +75,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return, for each damping, the results of all walls of one scheme by one stability criterion.
+    """Return, for each damping, the results of all walls of one sampling scheme by one stability criterion.
 
     Without `offset`, the first encoder offset of the map is used.
     """

@@ -54,7 +54,10 @@ def find_edge(passes: Callable[[int], bool], start: int, length: int) -> int:
 def trace_limits(
     passes: Callable[[float, float], bool], dampings: Sequence[float], rungs: Sequence[float]
 ) -> list[float]:
-    """Return the stiffness limit at each damping (0: no wall passes), until `rule.EMPTY_COLUMNS` dampings have none."""
+    """Return the greatest stiffness of `rungs` that passes at each damping, 0 if none passes.
+
+    The search stops after `rule.EMPTY_COLUMNS` dampings in a row with 0, so the list can be shorter than `dampings`.
+    """
     limits: list[float] = []
     start = len(rungs) // 2
     for damping in dampings:
