@@ -525,7 +525,7 @@ class Connection:
 
     @property
     def answered(self) -> int:
-        """Host: return the sequence of the newest STATE in the session (0 before), which the next COMMAND contains."""
+        """Host: return the newest STATE message's sequence number (0 before), which the next COMMAND contains."""
         self._require_role(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 
@@ -535,7 +535,7 @@ class Connection:
         Parameters
         ----------
         next_command
-            Sequence number of the first COMMAND that the loop did not send.
+            Sequence number of the first COMMAND message that the loop did not send.
         newest_state
             Sequence number of the newest STATE that the loop received.
         state

@@ -125,7 +125,7 @@ def build(
     constants: tuple[ConstantInfo, ...] = (),
     settings: Mapping[str, SettingValue] | None = None,
 ) -> Dictionary:
-    """Return the dictionary of a device that supports all parameters and codes of this package.
+    """Return the dictionary (the device's description of itself) of a device with all parameters and codes.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ def dictionary_hash(packed: bytes) -> int:
 
 
 def decode(packed: bytes) -> Dictionary:
-    """Return the dictionary in the compressed bytes from a device; raise `RemoteProtocolError` for invalid bytes."""
+    """Read a device's description of itself from its compressed bytes; raise `RemoteProtocolError` if invalid."""
     try:
         # Python's parser would accept NaN and Infinity, which JSON does not have.
         content = json.loads(_inflate(packed), parse_constant=_reject_constant)

@@ -46,7 +46,7 @@ class Delivery(IntEnum):
 
 
 class Mode(IntEnum):
-    """Mode that a COMMAND requests from the device."""
+    """Mode that a COMMAND message requests from the device."""
 
     CURRENT = 0  # apply the current
     SUPERVISE = 1  # the law runs on the device; the current is ignored, the watchdog fed
@@ -59,9 +59,9 @@ STOP_FRAMES = 5  # times that a host sends STOP, so that one arrives over a link
 class Sync(IntFlag):
     """Bits of the device's sync outputs, which mark ticks and trials for an oscilloscope or another recorder.
 
-    `TRIAL` and `INSIDE` are also the flags of a COMMAND with mode CURRENT. The device sets these pins when the current
-    of the COMMAND becomes active, and clears them when the lifetime of the COMMAND is over, at STOP, at a fault and
-    outside of a session. With mode SUPERVISE the law on the device controls the pins.
+    `TRIAL` and `INSIDE` are also the flags of a COMMAND message with mode CURRENT. The device sets these pins when the
+    current of the COMMAND becomes active, and clears them when the lifetime of the COMMAND is over, at STOP, at a fault
+    and outside of a session. With mode SUPERVISE the law on the device controls the pins.
     """
 
     TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND
@@ -289,7 +289,7 @@ class EnterBootloader(Message):
 
 @dataclass(frozen=True, slots=True)
 class Command(Message):
-    """The host's motor current and mode for this tick; every COMMAND also restarts the device's link watchdog."""
+    """The host's motor current and mode for this tick; every COMMAND message restarts the device's link watchdog."""
 
     state_sequence: Annotated[
         int, Wire("u16", "", "sequence of the STATE that this answers; 0 before the first")

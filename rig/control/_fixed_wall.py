@@ -147,7 +147,7 @@ def design_wall(
     reference_count
         Count at position zero.
     may_pull, entry_only
-        Options of `rig.control._wall`.
+        True if the wall may pull; if damping acts on entry only.
 
     Raises
     ------

@@ -161,7 +161,7 @@ class Multisine:
         """Return the multisine with random phases, uniform on the circle; the same seed gives the same phases.
 
         Other parameters: see `schroeder`. A seed may be several numbers, such as (seed, realisation). With `rms` given,
-        each realisation has a different peak; with `peak` given, a different rms.
+        each realisation (draw of the phases) has a different peak; with `peak` given, a different rms.
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))

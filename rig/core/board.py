@@ -182,7 +182,7 @@ def describe(
 
 
 def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Return each parameter whose range in the dictionary differs from `PARAMETERS`, with minimum and maximum.
+    """Return each parameter whose range in the device's dictionary differs from `PARAMETERS`, with minimum and maximum.
 
     Both bounds are the four bytes of the value on the wire, as an unsigned 32-bit number.
     """

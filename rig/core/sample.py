@@ -3,9 +3,9 @@
 The table `COLUMNS` defines the dtype of the ring, the schema of the files, and the documentation. Measured, estimated,
 wanted, sent and applied quantities are different columns.
 
-If the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE at or before it, at most
-about 5 ms old. Columns that only a STATE carries (commands, limits, fault, state, inputs, sync time, missed ticks,
-execution time) are as old as this STATE.
+If the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE message at or before it,
+at most about 5 ms old. Columns that only a STATE carries (commands, limits, fault, state, inputs, sync time, missed
+ticks, execution time) are as old as this STATE.
 
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and resolved by
 `unit_of`; counts and times are 64-bit integers.

@@ -1,7 +1,7 @@
 """List the processors that this process may use, and refuse real time on systems other than Linux.
 
-Devices, experiments and the bridge of drives call it before they run in real time. It must not set anything up;
-`rig.realtime.scheduling` does.
+Devices, experiments and the bridge of drives (firmware on this computer in front of a drive) call it before they run in
+real time. It must not set anything up; `rig.realtime.scheduling` does.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ def broken(scheme: str) -> str:
 
 
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
-    """Import the backend of a device URL and return its function that opens a link; errors as `open_link`."""
+    """Import a URL's backend and return its function that opens a link; `ConfigError` for an unknown URL scheme."""
     scheme = DeviceUrl.parse(url).scheme
     if scheme in BUILT_IN:
         opener = loaded(BUILT_IN[scheme], scheme)
@@ -149,7 +149,7 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
 
 
 def open_watched(url: str, model: RigModel | None = None, faults: Faults | None = None) -> WatchedLink:
-    """Open a simulated rig in virtual time, with scripted faults of link and device; errors as `open_link`."""
+    """Open a simulated rig in virtual time with scripted faults; raise `ConfigError` unless the URL is ``sim://``."""
     parsed = DeviceUrl.parse(url)
     if parsed.scheme != "sim":
         raise ConfigError(
@@ -193,12 +193,12 @@ def simulated_rig() -> OpenRig:
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return the function that creates simulated rigs with a second actuator; errors as `simulated_rig`."""
+    """Return the function that creates rigs with a second actuator; `DeviceNotFoundError` without a simulator."""
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return two functions: one builds a simulated plant, one runs a trial on a plant; errors as `simulated_rig`."""
+    """Return functions that build a simulated plant and run a trial on it; `DeviceNotFoundError` without simulator."""
     return loaded(PLANT).build, loaded(TRIAL)
 
 

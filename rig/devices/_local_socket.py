@@ -20,7 +20,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SocketLink:
-    """Open the Unix socket of a URL such as ``unix:///run/rig?cpu=1``; errors as `rig.devices.open_link`.
+    """Open a Unix socket, like ``unix:///run/rig?cpu=1``; `ConfigError` or `DeviceNotFoundError` if it fails.
 
     `cpu` is the number of the processor on which the program runs; the loop runs on this processor too.
     """

@@ -27,7 +27,7 @@ FRAME_BYTES = 64
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> ThreadedSerialLink:
-    """Open the port of a URL such as ``serial://COM3?baud=921600&dtr=on``; errors as `rig.devices.open_link`."""
+    """Open a serial port, like ``serial://COM3?baud=921600``; `ConfigError` or `DeviceNotFoundError` if it fails."""
     options = SerialOptions.of(url)
     port = serial.Serial(
         baudrate=options.baud,

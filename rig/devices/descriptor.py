@@ -1,7 +1,7 @@
 """Link that reads and writes an open file descriptor by read(2), write(2) and poll(2), on Linux.
 
-Serial ports, the local socket of a simulated device and the bridge of drives inherit from it. It must not open a
-descriptor: a subclass does.
+Serial ports, the local socket of a simulated device and the bridge of drives (firmware on this computer in front of a
+drive) inherit from it. It must not open a descriptor: a subclass does.
 """
 
 from __future__ import annotations

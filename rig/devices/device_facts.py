@@ -32,7 +32,7 @@ class FirmwareFacts:
     protocol, our_protocol
         Protocol version of the device, and that of this package.
     dictionary_hash
-        Hash of the dictionary, as in the messages IDENTITY and ARM: 16 hexadecimal digits.
+        Hash of the device's dictionary, as in the messages IDENTITY and ARM: 16 hexadecimal digits.
     position_rate_default, position_rate_maximum
         Default and highest tick rate (Hz).
     current_quantum_a

@@ -440,7 +440,7 @@ class FramedDevice:
             pass
 
     def explain_fault(self, code: int) -> FaultReport:
-        """Return name, text and remedy of a fault code, from the dictionary without a request to the device."""
+        """Return name, text and remedy of a fault code, from the device's stored dictionary without a request."""
         info = self.dictionary.explain_fault(code)
         return FaultReport(code, info.name, info.text, info.remedy, 0, 0, [])
 

@@ -178,5 +178,5 @@ class OpenWatchedLink(Protocol):
     """Function of the simulation that opens links with a script of faults."""
 
     def __call__(self, url: DeviceUrl, model: RigModel | None, faults: Faults | None) -> WatchedLink:
-        """Open a link with the scripted `faults`; with None the link never fails. Errors as `rig.devices.open_link`."""
+        """Open a link with the scripted `faults`; None: it never fails. An invalid URL raises `ConfigError`."""
         ...

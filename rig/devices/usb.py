@@ -95,7 +95,7 @@ def available_devices() -> list[UsbDevice]:
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
-    """Open the USB device of a URL ``usb://vid:pid[/serial][?transfers=…]``; errors as `rig.devices.open_link`.
+    """Open a USB device, ``usb://vid:pid[/serial][?transfers=…]``; `DeviceNotFoundError` if it is missing or in use.
 
     Also raise `IncompatibleDeviceError` for a device without the interface of a rig, or if transfers cannot be queued
     although the URL has ``transfers=queued``.

@@ -56,7 +56,7 @@ class Record:
 
     @property
     def dictionary_hash(self) -> int:
-        """Return the 64-bit hash of the dictionary, as the device sends it."""
+        """Return the 64-bit hash of the device's dictionary, as the device sends it."""
         return dictionaries.dictionary_hash(self.packed)
 
     @property

@@ -62,9 +62,9 @@ def cost_of(
 ) -> tuple[Cost, ...]:
     """Return the cost of an estimator on each core in `REPORTED`, from a simulated run.
 
-    `counts` are the encoder counts of successive samples, `elapsed` the velocity periods since the sample before.
-    `on_progress` gets the name of the step and the completed share. Raise `ToolchainError` if the cross compiler or the
-    simulator is not installed.
+    `counts` are the encoder counts of successive samples, `elapsed` the velocity periods (times between two velocity
+    samples) since the sample before. `on_progress` gets the name of the step and the completed share. Raise
+    `ToolchainError` if the cross compiler or the simulator is not installed.
     """
     costs = []
     for number, name in enumerate(REPORTED):

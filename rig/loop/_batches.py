@@ -55,7 +55,7 @@ def has_room(supervision: Any) -> bool:
 def _take_batch(
     settings: Any, buffers: Buffers, supervised: SupervisionBuffers, count: int, words: int
 ) -> int:
-    """Put the samples of the received BATCH that are new into the queue; return their number (of `count` in all)."""
+    """Queue the new samples of the received BATCH message; return their number (of `count` in all)."""
     v, s, progress = supervised.supervision[0], settings[0], buffers.progress
     header, batch, decoded = buffers.header, supervised.batch, supervised.decoded
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
@@ -102,7 +102,7 @@ def _take_batch(
 
 @kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Store the received STATE as the newest and queue it, if it is newer and consistent; count an older one."""
+    """Store the received STATE message as newest and queue it, if it is newer and consistent; count an older one."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest

@@ -38,7 +38,7 @@ def sync_of(memory: Any) -> int:
     types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.int64, types.int64),
 )
 def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, current: int, sync: int) -> int:
-    """Send one COMMAND; return 1 if the link accepted all of it, 0 if not, or the negative errno of a broken link.
+    """Send a COMMAND message; return 1 if the link accepted all of it, else 0, or the broken link's negative errno.
 
     `mode` is a `Mode`, `current` the motor current (quanta), `sync` the levels of the sync outputs (bits of `Sync`).
     """

@@ -84,7 +84,7 @@ def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
 def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
-    """Return the number of the `Contradiction` inside a STATE, or of a STATE with the sent COMMANDs; 0 without one."""
+    """Return the `Contradiction`'s number in a STATE message, or with the sent COMMAND messages; 0 without one."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE
@@ -96,7 +96,7 @@ def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
 
 @kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
 def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool) -> tuple[int, int]:
-    """Compare a STATE with the last one (`before`); return by how many samples it is newer, and 1 if accepted, else 0.
+    """Return how many samples a STATE message is newer than the last one (`before`), and 1 if accepted, else 0.
 
     A STATE with a contradiction is rejected, and the contradiction is stored in `progress`. A STATE that reports a
     fault is always accepted, because it ends the run anyway.

@@ -1,6 +1,6 @@
 """Check in every tick that commanded, active and measured current agree.
 
-The active current in a STATE must be that of the COMMAND that the STATE names as active, unless a limit acted.
+The active current in a STATE message must be that of the COMMAND that the STATE names as active, unless a limit acted.
 `rig.control.current` compares the measured current with the active one. The results are flags of the recorded row
 (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
 """
@@ -32,7 +32,7 @@ OLDER = 8
 
 @kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)
 def keep_command(sent: Any, sequence: int, current: int, answers: int) -> None:
-    """Store a COMMAND's current (quanta) and the index (`answers`) of the sample that it answers, for later checks."""
+    """Store a COMMAND message's current (quanta) and the index (`answers`) of the sample to which it replies."""
     place = 3 * (sequence % COMMANDS_KEPT)
     sent[place], sent[place + 1], sent[place + 2] = sequence, current, answers
 

@@ -2,7 +2,7 @@
 
 The current that is active at a sample is compared with the host's result at the sample before. The two laws use
 different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, after a gap, and
-without a STATE that covers them.
+without a STATE message that covers them.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
-    """Count the current differences since the last STATE, or exclude them if the new STATE reports an active limit."""
+    """Count current differences since the last STATE message; exclude them if the new one reports an active limit."""
     # A STATE reports the limits that acted before it, so the samples up to it can be counted only now.
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING

@@ -49,7 +49,7 @@ def reason_by_contradiction(progress: Any) -> int:
 
 @kernel(types.int64(INTS, PROGRESS_TYPE))
 def reason_by_device(state: Any, progress: Any) -> int:
-    """Return the end reason if a STATE reports a fault, a disarmed device or impossible data; 0 to continue.
+    """Return the end reason if a STATE message reports a fault, a disarmed device or impossible data; 0 to continue.
 
     A pressed emergency stop counts as a fault, although a device may still report ARMED.
     """
@@ -62,7 +62,7 @@ def reason_by_device(state: Any, progress: Any) -> int:
 
 @kernel(types.int64(INTS, SETTINGS_TYPE, PROGRESS_TYPE))
 def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
-    """Return the end reason if a STATE reports the limit switch as pressed or its wire as broken, 0 to continue."""
+    """Return the end reason if a STATE message reports a pressed limit switch or its broken wire, 0 to continue."""
     # The switch lies outside of the position window: where it is reached, position zero is wrong or the guard failed.
     s, p = settings[0], progress[0]
     if state[STATE.inputs] & _SWITCH == 0:
@@ -93,7 +93,7 @@ def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
 def reason_by_law(memory: Any) -> int:
     """Return the end reason that follows from the flags and the phase in the law's state `memory`, 0 to continue.
 
-    With the law on the device, the host runs the same law on the samples of each BATCH.
+    With the law on the device, the host runs the same law on the samples of each BATCH message.
     """
     # A device's law does not watch energy, violence or a count that stands: it drives until the STOP arrives, after the
     # rest of the batch (5 ms at most, `rig.config.device_law._batch`) and the transfer of both.

@@ -1,6 +1,6 @@
 """The control loop on the host, as one compiled function that runs without the GIL.
 
-For each new STATE: read the count, run `rig.control.step`, reply with a COMMAND, put one row into the ring.
+For each new STATE message: read the count, run `rig.control.step`, reply with a COMMAND, put one row into the ring.
 `rig.loop._run` starts it in a thread. It must not wait without a bound, allocate, or return before it has sent several
 STOP commands.
 """

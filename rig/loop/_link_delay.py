@@ -1,8 +1,8 @@
 """Detect a delayed link: it delivers a frame in every tick, but all frames arrive too late.
 
-The command age in a STATE counts from receipt, and so does a command's lifetime. The loop computes the transit time of
-a command from the sample that the command answers. A single late command is not a fault of the link; the run ends only
-if all commands are late for a whole command lifetime.
+The command age in a STATE message counts from receipt, and so does a command's lifetime. The loop computes the transit
+time of a command from the sample that the command answers. A single late command is not a fault of the link; the run
+ends only if all commands are late for a whole command lifetime.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NONE_YET, _TOO_OLD = int(NO_COMMAND_YET), int(LimitFlag.COMMAND_TOO_OLD)
 
 @kernel(types.int64(BUFFERS_TYPE))
 def ticks_under_way(buffers: Buffers) -> int:
-    """Return the ticks from the sample that the active COMMAND answers to its receipt; a lower bound if it is old."""
+    """Return the ticks from the sample that the active COMMAND message answers to its receipt; a bound if it is old."""
     state, active = buffers.state, buffers.state[STATE.command_sequence]
     answered = answered_by(buffers.sent, active)
     if answered >= 0:

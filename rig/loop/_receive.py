@@ -1,4 +1,4 @@
-"""Receive bytes from the link: split them into frames, check and dispatch the frames, and return the newest STATE."""
+"""Receive bytes from the link: split them into frames, check and dispatch these, return the newest STATE message."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def forget_noise(buffers: Buffers, start: int, end: int, words: int) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _take(settings: Any, buffers: Buffers, words: int) -> int:
-    """Store the received STATE if it is newer and consistent; return by how many samples it is newer, else 0."""
+    """Store the received STATE message if it is newer and consistent; return how many samples it is newer, or 0."""
     p, candidate, state = buffers.progress[0], buffers.candidate, buffers.state
     newer, accepted = take_news(settings, buffers.progress, candidate, state, p["started"] == 0)
     if accepted == 0:
@@ -73,7 +73,7 @@ def _take(settings: Any, buffers: Buffers, words: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
-    """Process all whole frames in the receive buffer and store the newest STATE in `buffers.state`.
+    """Process all whole frames in the receive buffer and store the newest STATE message in `buffers.state`.
 
     Return the number of samples since the last stored STATE, 0 if no newer one arrived; ``progress["fresh"]`` is the
     number of STATEs that arrived. A reply to a clock exchange is stored in `buffers.exchanges`. An unfinished frame

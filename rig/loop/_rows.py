@@ -82,7 +82,7 @@ def edge_age_ns(progress: Any, state: Any, settings: Any) -> int:
 def sync_time(progress: Any, state: Any) -> int:
     """Return the device time of the newest rising edge of the sync input (64 bits, device clock units); 0: no edge.
 
-    An edge may be later than the sample of its STATE, because the STATE is built after the sample.
+    An edge may be later than the sample of its STATE, because the STATE message is built after the sample.
     """
     # Extended when it is first reported: its 32 bits stay the same while the clock wraps.
     p = progress[0]
@@ -133,7 +133,7 @@ def leave_row(
     """Put the row of a tick (`rig.core.sample.COLUMNS`) into the ring; if the ring is full, drop the row and count it.
 
     `elapsed` is the ticks since the last sample. The host times (ns) are those of the sample's receipt, of the computed
-    current and of the sent COMMAND. The active effort is computed from the active current.
+    current and of the sent COMMAND message. The active effort is computed from the active current.
     """
     words, rows, state, progress = shared.words, shared.rows, buffers.state, buffers.progress
     # Before the row may be dropped: an edge is extended to 64 bits once, when it is first reported.

@@ -145,7 +145,7 @@ def _listen(
 
 @kernel(types.void(INT_ROWS, INTS, SUPERVISION_TYPE, types.int64))
 def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -> None:
-    """Copy the newest STATE that is not later than the sample `sample_index` from the queue `states` into `state`."""
+    """Copy the newest STATE message not later than the sample `sample_index` from the queue `states` into `state`."""
     # A batch carries neither limits, inputs nor fault: a sample has those of the STATE before it.
     v = supervision[0]
     while v["states_tail"] < v["states_head"]:
@@ -162,7 +162,7 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
 def _show_sample(
     control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Set `buffers.state` to a sample and the last STATE before it; return the ticks since the previous sample."""
+    """Set `buffers.state` to a sample and the last STATE message before it; return the ticks since the last sample."""
     supervision, state = supervised.supervision, buffers.state
     v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -267,7 +267,7 @@ def _reason_without_row(
 
 @kernel(types.void(INT_ROWS, INT_ROWS, SUPERVISION_TYPE, PROGRESS_TYPE))
 def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> None:
-    """Queue the STATE that reports a fault as a last sample, because a device sends no BATCH after a fault."""
+    """Queue the STATE message that reports a fault as a last sample, because a device sends no BATCH after a fault."""
     v = supervision[0]
     for i in range(v["states_tail"], v["states_head"]):
         state = states[i % STATES_KEPT]
@@ -293,7 +293,7 @@ def _queue_fault(states: Any, samples: Any, supervision: Any, progress: Any) -> 
 
 @kernel(types.int64(INTS, SUPERVISION_TYPE), inline=True)
 def _shows_stop(newest: Any, supervision: Any) -> int:
-    """Return 1 if the newest STATE names one of the host's STOPs as the active command, else 0."""
+    """Return 1 if the newest STATE message names one of the host's STOPs as the active command, else 0."""
     since = (newest[STATE.command_sequence] - supervision[0]["stop_sequence"]) % 65536
     return 1 if supervision[0]["heard"] != 0 and since < STOP_FRAMES else 0
 

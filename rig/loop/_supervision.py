@@ -92,7 +92,7 @@ class SupervisionBuffers(NamedTuple):
     supervision
         State of the loop, an array of length 1 with the fields of `SUPERVISION`.
     batch, decoded
-        Fields and samples of the BATCH that was received last.
+        Fields and samples of the BATCH message that was received last.
     samples
         Queue of samples for the law, oldest first.
     states

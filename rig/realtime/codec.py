@@ -347,7 +347,7 @@ def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
 def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
     """Decode a COMMAND message from `raw` and `length`, the results of `decode_frame`.
 
-    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a COMMAND) or BAD_PAYLOAD (wrong length).
+    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a COMMAND message) or BAD_PAYLOAD (wrong length).
     `header` (in the order of `HEAD`) is always written, `values` (in the order of `COMMAND`) only if the result is 0.
     """
     return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)

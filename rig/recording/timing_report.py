@@ -37,7 +37,7 @@ def timing(recording: Recording | str | Path) -> TimingSummary:
 
 
 def timing_of(recording: Recording | str | Path) -> Timing:
-    """Return the times of each tick of a recording (ns), their summary, and the file's name; errors as for `timing`."""
+    """Return the times of each tick of a recording (ns), their summary, and the file's name; errors like `timing`."""
     name = ""
     if not isinstance(recording, Recording):
         name = Path(recording).name

@@ -36,8 +36,8 @@ def velocities(
 ) -> Floats:
     """Return the velocity (rad/s or m/s) that an estimator computes at each encoder count of a sequence.
 
-    `elapsed` is the number of velocity periods before each count (default: 1), and `ages` the time (s) since the last
-    encoder edge at each count (default: computed by `edge_ages`).
+    `elapsed` is the number of velocity periods (times between two velocity samples) before each count (default: 1), and
+    `ages` the time (s) since the last encoder edge at each count (default: computed by `edge_ages`).
     """
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     steps = elapsed if elapsed is not None else [1] * len(counts)

@@ -1,4 +1,4 @@
-"""Store the dictionary and the active parameters of a simulated device, and answer the requests about them."""
+"""Store the device's dictionary and the active parameters of a simulated device, and answer the requests about them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FIRMWARE = "simulated 1"
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:
-    """Return the dictionary of a simulated device for a rig, with the default and the highest tick rate (Hz).
+    """Return a simulated device's dictionary (description of itself) for a rig, with default and highest rate (Hz).
 
     `law_maximum` is the largest value of the parameter `law`: 0 for a device without a law.
     """
@@ -64,7 +64,7 @@ class Configuration:
     homed
         True if `reference_count` was set since the start.
     hash
-        Hash of the dictionary.
+        Hash of the device's dictionary.
     """
 
     def __init__(

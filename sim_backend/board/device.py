@@ -115,7 +115,7 @@ class SimulatedDevice:
     worst_execution_time
         Longest tick since arming (1/16 µs); the caller measures it.
     missed_ticks
-        Number of ticks since arming without a STATE; the caller counts them.
+        Number of ticks since arming without a STATE message; the caller counts them.
 
     Raises
     ------

@@ -149,7 +149,7 @@ def time_of(words: Ints, index: int) -> int:
 
 
 def report(board: DeviceMemory) -> bool:
-    """Fill in the fields of a STATE in `board.state` and return True if a STATE is due, else return False."""
+    """Fill in the fields of a STATE message in `board.state` and return True if a STATE is due, else return False."""
     words, state = board.words, board.state
     index, time = words[SAMPLE_INDEX], words[TIME]
     if not words[SESSION]:
@@ -178,13 +178,13 @@ def report(board: DeviceMemory) -> bool:
 
 
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
-    """Return the lifetime of a COMMAND (1/16 µs): `lifetime_us` (µs), at most the device's parameter for the mode."""
+    """Return a COMMAND message's lifetime (1/16 µs): `lifetime_us` (µs), at most the device's parameter for `mode`."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
 
 def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
-    """Return True if a COMMAND arrived later than its lifetime after the STATE that it answers. STOP is never too old.
+    """Return True if a COMMAND message came later than its lifetime after the STATE it answers; STOP is never too old.
 
     `to_come` is the sequence number of the next STATE, `answered` that of the STATE which the COMMAND answers. Before
     the first STATE a host uses the number of the first.
@@ -200,7 +200,7 @@ def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, a
 
 
 def obey(board: DeviceMemory, sequence: int, mode: int, flags: int, current: int, lifetime_us: int) -> None:
-    """Activate a COMMAND: STOP sets the current to zero at once, SUPERVISE feeds the watchdog without a current.
+    """Activate a COMMAND message: STOP sets the current to zero at once, SUPERVISE only feeds the watchdog.
 
     `current` is the commanded current (quanta), `flags` the sync outputs (`Sync`), `lifetime_us` the lifetime (µs).
     """

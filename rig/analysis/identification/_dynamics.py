@@ -234,7 +234,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Spectra of all realisations at the excited frequencies, shape (runs, lines), with the constants of the model."""
+    """Spectra of all runs (draws of the phases) at the spectral lines, shape (runs, lines), and model constants."""
 
     lines: Floats
     rate: float
@@ -421,7 +421,7 @@ class _Problem:
         return problem, above, freed
 
     def left_out(self, fit: _Fit, free: Sequence[int]) -> list[Floats]:
-        """Return the parameters fitted without each realisation in turn (of two, to the other one)."""
+        """Return the parameters fitted without each realisation (draw of the phases) in turn; of two, to the other."""
         runs = np.arange(len(self.position))
         return [self.solve(fit.parameters, free, fit.ticks, fit.weights, runs != i) for i in runs]
 

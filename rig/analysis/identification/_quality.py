@@ -123,7 +123,7 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
     Raises
     ------
     IdentificationError
-        The motion is rejected, or there are fewer than two realisations.
+        The motion is rejected, or there are fewer than two realisations (draws of the phases).
     """
     if len(runs) < 2:
         raise IdentificationError(

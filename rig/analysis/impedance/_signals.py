@@ -1,4 +1,4 @@
-"""Signals of an excited rig: one realisation of an excitation and its response, in whole periods.
+"""Signals of an excited rig: one realisation (draw of the phases) of an excitation and its response, in whole periods.
 
 Effort and position may be sampled at different instants: each channel has a delay, and a held effort has a hold time.
 Delay and hold are removed in the frequency domain, which is exact because the record is periodic. At 4 kHz one sample

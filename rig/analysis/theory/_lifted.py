@@ -1,4 +1,4 @@
-"""Compute the exact stability of a dual-rate wall from the eigenvalues of the loop over one velocity period.
+"""Compute the stability of a dual-rate wall from the loop's eigenvalues from one velocity sample to the next.
 
 The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic and not time-invariant; lifted to T2
 it is time-invariant. With the state z = [plant; estimator; velocity in use; its slope; commands in the delay] one tick
@@ -43,7 +43,7 @@ HOPELESS = np.finfo(np.float64).max ** 0.25
 
 @dataclass(frozen=True)
 class Lifted:
-    """The loop of a rig under a scheme, lifted to the velocity period, for walls of any stiffness and damping.
+    """The loop of a rig under a sampling scheme, as transition from one velocity sample to the next, for any wall.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Lifted:
 
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
-        """Return a dual-rate loop lifted to its velocity period."""
+        """Return a dual-rate loop lifted to its velocity period (time between two velocity samples)."""
         plant, states = len(loop.gamma), loop.estimator.order
         held, slope = plant + states, plant + states + 1
         queue = slope + 1
@@ -215,7 +215,7 @@ def spectral_radius(
     *,
     operator: str | Operator | None = None,
 ) -> Vector:
-    """Return the spectral radius over one velocity period of a rig under a scheme: below 1 the wall is stable.
+    """Return a rig's spectral radius from one velocity sample to the next: below 1 the wall is stable.
 
     Parameters
     ----------

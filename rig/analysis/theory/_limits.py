@@ -133,7 +133,7 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the largest stable stiffness at each of `dampings`, which are finite; other arguments as for `k_max`."""
+    """Return the largest stable stiffness at each of `dampings` (finite); `k_max` explains the other arguments."""
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -150,7 +150,7 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Return the largest stable damping without and with islands of stable stiffness; arguments as for `k_max`."""
+    """Return a rig's largest stable damping without and with islands of stable stiffness; see `k_max` for arguments."""
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -181,7 +181,7 @@ def stability_map(
     *,
     operator: str | Operator | None = None,
 ) -> StabilityMap:
-    """Return the spectral radius at each pair of `stiffnesses` and `dampings` (SI); other arguments as for `k_max`."""
+    """Return the spectral radius at each pair of `stiffnesses` and `dampings` (SI); below 1 the wall is stable."""
     k, b = np.asarray(stiffnesses, float).ravel(), np.asarray(dampings, float).ravel()
     return StabilityMap(k, b, as_lifted(rig, scheme, operator).radius(k[:, None], b))
 
@@ -189,7 +189,7 @@ def stability_map(
 def as_lifted(
     rig: RigLike | Lifted, scheme: SchemeLike | None, operator: str | Operator | None = None
 ) -> Lifted:
-    """Return the loop of a rig under a scheme, lifted to the velocity period; a `Lifted` is returned unchanged."""
+    """Return a rig's loop as transition from one velocity sample to the next; a `Lifted` is returned unchanged."""
     if isinstance(rig, Lifted):
         return rig
     return Lifted.of(linear_loop(rig, scheme, operator=operator))

@@ -59,9 +59,9 @@ class NotLinearError(ConfigError):
 class Realisation:
     """State space of an estimator, x ← A x + B p, v = C x + D p, with position p, velocity v (SI) and state x.
 
-    It is updated once in each velocity period. ``a`` is order × order, ``b`` and ``c`` have length order. `error` is
-    the largest difference between the impulse response of these matrices and that of the estimator, relative to its
-    peak.
+    It is updated once in each velocity period (time between two velocity samples). ``a`` is order × order, ``b`` and
+    ``c`` have length order. `error` is the largest difference between the impulse response of these matrices and that
+    of the estimator, relative to its peak.
     """
 
     a: Matrix
@@ -91,7 +91,7 @@ class Realisation:
 def realise(
     name: str, settings: Mapping[str, float | str], period_s: float, resolution: float
 ) -> Realisation:
-    """Return the state space of an estimator with these settings, at the velocity period `period_s` (s).
+    """Return an estimator's state space with these settings; `period_s` is the time between velocity samples (s).
 
     `resolution` is the travel for one count (rad or m); it matters only if a setting has a unit of position.
 

@@ -96,7 +96,7 @@ class LinearLoop:
 
     @property
     def period_s(self) -> float:
-        """Return the velocity period T2 of the loop (s)."""
+        """Return the velocity period T2 (time between two velocity samples) of the loop (s)."""
         return self.tick_s * self.divider
 
     @property

@@ -1,4 +1,4 @@
-"""Matrices of the Kalman filter on a chain of integrators, in counts and velocity periods.
+"""Matrices of the Kalman filter on a chain of integrators, in counts and velocity periods (sample to sample).
 
 It is used to design a filter, never in the loop: `rig.control.estimators._kalman` has the recursion in scalars. With
 the period as the unit of time the transition matrix is [[1, 1, ½], [0, 1, 1], [0, 0, 1]], or its upper left block for

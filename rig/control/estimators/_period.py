@@ -89,7 +89,7 @@ def still_possible(speed: float, age: float, gap: float) -> float:
 
 @kernel("i8(f8, f8, f8)", inline=True)
 def window(span: float, age: float, period_s: float) -> int:
-    """Return the velocity periods between the last two edges, or since the last edge if that time is longer."""
+    """Return the number of velocity periods between the last two edges, or since the last edge if that is longer."""
     return max(int(max(span, age) / period_s + 0.5), 1)
 
 

@@ -151,7 +151,7 @@ def estimate_with_window(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
-    """Return the velocities of `estimate`, and how many velocity periods each estimate spans (int64, shape (n,))."""
+    """Return the velocities of `estimate`, and the number of sampling periods each estimate spans (int64, (n,))."""
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
     estimator = family.get(name)
     prepared = estimator.prepare(parameters, resolution, dt)

@@ -2,8 +2,8 @@
 Spectral radius of dual-rate walls
 ==================================
 
-The spectral radius over one velocity period: below 1 a wall is linearly stable, and the colour shows how fast a
-disturbance decays.
+The spectral radius over one velocity period (time between two velocity samples): below 1 a wall is linearly stable, and
+the colour shows how fast a disturbance decays.
 """
 
 import matplotlib.pyplot as plt

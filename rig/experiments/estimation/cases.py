@@ -50,8 +50,8 @@ class Case:
     time_s
         Time of each sample (s), shape (n,).
     counts, edge_time, elapsed
-        Encoder count, time of the last encoder edge (s), and velocity periods since the sample before, each of shape
-        (n,).
+        Encoder count, time of the last encoder edge (s), and velocity periods (times between two velocity samples)
+        since the sample before, each of shape (n,).
     judged
         True for the samples from which the score is computed, shape (n,).
     truth
@@ -164,8 +164,8 @@ def counts_case(
     Parameters
     ----------
     counts, dt, resolution, edge_time, elapsed, width
-        Encoder counts of shape (n,), one for each velocity period of `dt` (s), and the travel for one count (rad or m);
-        optional inputs as in `estimate`.
+        Encoder counts of shape (n,), one for each velocity period (time between two velocity samples) of `dt` (s), and
+        the travel for one count (rad or m); optional inputs as in `estimate`.
     velocity
         True velocity at each sample (rad/s or m/s), shape (n,), from a simulation or a better sensor; between samples
         it is interpolated linearly.

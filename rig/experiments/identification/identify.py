@@ -463,7 +463,7 @@ class _Session:
     def _run_excitation(
         self, x: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
-        """Run one realisation, again if a late command disturbed the motion; return its signals and delay (ticks)."""
+        """Run one draw of the phases, again if a late command disturbed the motion; return signals, delay (ticks)."""
         motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
@@ -546,7 +546,7 @@ class _Session:
 def excited_run_of(
     rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
 ) -> ExcitedRun:
-    """Return the signals of the whole periods of one realisation, without the periods in which the motion settles.
+    """Return the signals of one realisation (draw of the phases), without the periods in which the motion settles.
 
     The effort of a row is held from its sample to the next; a later effect is a delay to be identified. If the last
     samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than three are

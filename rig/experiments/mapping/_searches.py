@@ -122,7 +122,7 @@ class StiffnessSearch:
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to test and receive its outcome by criterion, until each criterion has a limit."""
+        """Yield the next stiffness to test and receive its outcome, until each ripple (felt, heard, any) has one."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)
@@ -136,7 +136,7 @@ class StiffnessSearch:
 
 
 def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-    """Yield each stiffness to test once, by bisection for each criterion between highest pass and lowest failure."""
+    """Yield each stiffness to test once, by bisection for each ripple criterion (felt, heard, any)."""
     tried: dict[int, Outcomes] = {}
     for criterion in criteria:
         # Test both ends first: if the stiffest wall passes, no bisection is needed.

@@ -424,7 +424,7 @@ def refuse_other_excitation(experiments: Sequence[Experiment]) -> None:
     """Raise `ConfigError` if impedances that are compared differ in band or size of their excitation.
 
     Coulomb friction adds to the measured damping the more, the smaller the motion is: with another band or size another
-    share, in every realisation. The standard deviations do not contain it.
+    share, in every realisation (draw of the phases). The standard deviations do not contain it.
     """
     kinds = []
     for one in experiments:
@@ -546,7 +546,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
 def _record_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
-    """Record one realisation, again if samples were lost; return the last run and the paths of all recordings."""
+    """Record one draw of the phases, again if samples were lost; return the last run and all recordings' paths."""
     paths: list[Path] = []
     while True:
         try:
@@ -561,7 +561,7 @@ def _record_whole(
 def _record_realisation(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, Path]:
-    """Run one realisation as a recorded trial; return the run's signals and the path of the recording."""
+    """Run one realisation (draw of the phases) as a recorded trial; return its signals and the recording's path."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
         experiment,

@@ -114,7 +114,7 @@ class FrequencyWidth:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A mean, standard deviation and range of a number over the `count` realisations in which it is finite."""
+    """A mean, standard deviation and range of a number over the `count` draws of the phases in which it is finite."""
 
     mean: float
     deviation: float
@@ -153,17 +153,17 @@ class SchemeWidths:
 
     @reported
     def stiffness(self) -> Spread:
-        """Return mean and range of the K-width (N·m/rad or N/m) over all realisations; 0 without connected walls."""
+        """Return mean and range of the K-width (N·m/rad or N/m) over all draws of the phases; 0 if no wall connects."""
         return Spread.of([width.stiffness for width in self.each])
 
     @reported
     def damping(self) -> Spread:
-        """Return mean and range of the B-width (N·m·s/rad or N·s/m) over the realisations with connected walls."""
+        """Return mean and range of the B-width (N·m·s/rad or N·s/m) over draws of the phases with connected walls."""
         return Spread.of([width.damping for width in self.each])
 
     @reported
     def worst_fidelity(self) -> Spread:
-        """Return mean and range of the largest fidelity error over the realisations with connected walls."""
+        """Return mean and range of the largest fidelity error over the draws of the phases with connected walls."""
         return Spread.of([width.worst_fidelity for width in self.each])
 
 
@@ -196,7 +196,8 @@ class SchemeRow:
     scheme, label, estimator
         Scheme as text, label for a plot's legend, and name of the estimator.
     widths
-        K-width, B-width and worst fidelity, for all realisations together and for each realisation.
+        K-width, B-width and worst fidelity, for all realisations together and for each realisation (draw of the
+        phases).
     tuned
         Names of the tuned parameters.
     common

@@ -196,7 +196,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """A stiffness limit of one sampling scheme at one damping under one criterion, over all offsets and repeats.
+    """A stiffness limit of one sampling scheme at one damping by one ripple, over all encoder offsets and repeats.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ class Boundary:
         *,
         rendered: float = 1.0,
     ) -> Boundary:
-        """Return mean and scatter of the limits of all stiffness searches of one scheme, damping and criterion."""
+        """Return mean and scatter of all found limits of one sampling scheme, damping and ripple (felt, heard, any)."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
             scheme=scheme,
@@ -448,7 +448,7 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return the columns of a measured hit by name: verdict, passed or not by each criterion, and all numbers.
+    """Return the columns of a measured hit by name: verdict, passed or not by each ripple (felt, …), all numbers.
 
     `suffix` is appended to each name: "" for recorded signals, `TRUE` for true signals.
     """
@@ -457,7 +457,7 @@ def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return a hit's result by criterion (True: passed; None: invalid), from its recorded or true signals."""
+    """Return if a hit passed by each ripple (felt, heard, any; None: invalid), from recorded or true signals."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

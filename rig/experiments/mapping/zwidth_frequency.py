@@ -207,7 +207,7 @@ class FrequencyMap(Shown, Drawn):
         Rows of `run_column`, in the order of `FrequencyPlan.columns`.
     passive
         True for passive walls, ``passive[scheme, realisation, damping, stiffness]``; the last index of the realisation
-        means all realisations together.
+        (draw of the phases) means all realisations together.
     fidelity
         Rms fidelity error (N·m·s/rad or N·s/m) with the same axes; NaN if the guard ended the run.
     """

@@ -1,7 +1,7 @@
 """Check that a device accepts the limits of an experiment.
 
-`rig.experiments.trials.plan` calls this module. A board, or a drive behind a bridge, may have narrower limits of speed,
-current and position than the protocol.
+`rig.experiments.trials.plan` calls this module. A board, or a drive behind a bridge (firmware on this computer in front
+of a drive), may have narrower limits of speed, current and position than the protocol.
 """
 
 from __future__ import annotations

@@ -445,7 +445,7 @@ def cogging_sweeps(
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
-    """Return one realisation of a multisine about the middle of the window, where a soft spring centres the handle."""
+    """Return a multisine (one draw of the phases) about the window's middle, where a soft spring centres the handle."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))

@@ -61,7 +61,7 @@ class RealisationRun:
 
 
 def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
-    """Return the multisine of realisation number `realisation` by the section ``[excitation]`` of the experiment.
+    """Return the multisine of draw of the phases number `realisation`, by the experiment's ``[excitation]``.
 
     If the device generates the excitation, the multisine has the device's phases.
     """
@@ -91,7 +91,7 @@ def ramp_s(experiment: Experiment) -> float:
 def device_table(
     experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
 ) -> ExcitationTable:
-    """Return the table of frequencies and phases from which a device generates one realisation of the excitation.
+    """Return the table of frequencies and phases from which a device generates the excitation (one draw of phases).
 
     Frequencies and amplitude come from ``[excitation]``; each realisation has its own phases. `current_quantum_a` is
     the current quantum of the device (A); None: the experiment's quantum. Raise `ConfigError` for an excitation that a
@@ -138,7 +138,7 @@ def _device_table(
 
 
 def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
-    """Return a control law: a bilateral wall, plus one realisation of the excitation as effort of the rig's motor.
+    """Return a control law: a bilateral wall, plus an excitation (one draw of the phases) as effort of the motor.
 
     If the device generates the excitation, the law uses the device's table, so that host and device compute equal
     efforts to the last bit; `current_quantum_a` is the current quantum that the device declares (A).
@@ -257,7 +257,7 @@ class ExcitedRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excitation:
-    """A realisation of the excitation, as signals for the simulation."""
+    """A realisation (draw of the phases) of the excitation, as signals for the simulation."""
 
     multisine: Multisine
     external: Floats  # effort of the second actuator in each step of the simulation (N·m or N)
@@ -274,7 +274,7 @@ class _Excitation:
 
 
 def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
-    """Return the signals of one realisation from a trial of experiment `x` that was recorded with the law ``excited``.
+    """Return the signals of one draw of the phases, from a trial of experiment `x` recorded with the law ``excited``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Send and receive CAN frames before a bridge runs, through a serial adapter or a CAN interface of Linux.
+"""Exchange CAN frames with a drive before its firmware (a bridge) runs, by a serial adapter or Linux's CAN interface.
 
 The bridge's own C code converts between bytes and frames.
 """

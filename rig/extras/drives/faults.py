@@ -1,8 +1,9 @@
 """Faults that a bridge to a drive reports: their codes, meanings and remedies.
 
-The codes are those of `enum bridge_fault` in ``firmware/bridge/drive.h``; the bridge's dictionary explains them to the
-host. The texts of a moteus are those of its register 0x00f (mjbots/moteus, docs/protocol/registers.md); an ODrive's
-errors have the names of the maker's description of the messages (DBC of 0.6.10).
+The codes are those of `enum bridge_fault` in ``firmware/bridge/drive.h``; the bridge (firmware on this computer in
+front of a drive) describes them to the host in its dictionary. The texts of a moteus are those of its register 0x00f
+(mjbots/moteus, docs/protocol/registers.md); an ODrive's errors have the names of the maker's description of the
+messages (DBC of 0.6.10).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ AGAIN = "then clear the fault"
 
 
 class DriveFault(IntEnum):
-    """Fault codes of a bridge, numbered after the codes of the firmware."""
+    """Fault codes of a bridge (firmware in front of a drive), numbered after the codes of the firmware."""
 
     DRIVE_SILENT = 20
     OTHER_MASTER = 21

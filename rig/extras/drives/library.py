@@ -67,7 +67,7 @@ class Adapter(ctypes.Structure):
 
 
 class Setup(ctypes.Structure):
-    """Settings of a bridge for the C code: ``struct bridge_setup`` of bridge.h."""
+    """Settings of a bridge (firmware in front of a drive) for C code: ``struct bridge_setup`` of bridge.h."""
 
     _fields_ = [
         ("board", BoardSetup),
@@ -166,7 +166,7 @@ def load(path: Path) -> ctypes.CDLL:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the bridge's library, compiled on first use; raise `ConfigError` if it cannot be compiled."""
+    """Return the C library of firmware in front of a drive; raise `ConfigError` if it cannot be compiled."""
     return BRIDGE.opened(CACHE_DIRECTORY, load)
 
 
@@ -181,7 +181,7 @@ class Switches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedDrive:
-    """A drive that matches a rig, and what a bridge must know about it.
+    """A drive that matches a rig, and what a bridge (firmware on this computer in front of a drive) must know about it.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ def dictionary_of(model: RigModel, drive: FittedDrive) -> dictionaries.Dictionar
 
 
 class Bridge:
-    """The software of a bridge without its bus: it gets bytes and times, and returns bytes.
+    """The software of a bridge (firmware in front of a drive) without its bus: it gets bytes and times, returns bytes.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Open ``moteus://`` and ``odrive://`` URLs: start a bridge in a process that begins and ends with its link.
 
-The two processes are connected by a pair of sockets: if this end closes, also by kill -9, the bridge switches the drive
-off and ends.
+The two processes are connected by a pair of sockets: if this end closes, also by kill -9, the bridge (firmware on this
+computer in front of a drive) switches the drive off and ends.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
-    """Open a URL such as ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; errors as `rig.devices.open_link`.
+    """Open a drive, like ``moteus:///dev/fdcanusb?id=1&rig=mine.toml``; raise `RigError` if it is not usable.
 
     The option `rig` names the rig, a preset or a file; it replaces `model`.
     """
@@ -55,7 +55,7 @@ class BridgeLink(DescriptorLink):
     Attributes
     ----------
     drive, process
-        The drive that was found, and the process id of the bridge.
+        The drive that was found, and the process id of the bridge (firmware on this computer in front of a drive).
     cpu
         Processor on which the bridge runs; the control loop may use the same.
     """
@@ -90,7 +90,8 @@ class BridgeLink(DescriptorLink):
     def bus_facts(self) -> dict[str, float]:
         """Return the statistics of the bus: replies, losses, round-trip times (µs), temperature of the drive (°C).
 
-        `cycle_us` is the period (µs) of the samples that the drive sends unrequested; 0 if the bridge polls them.
+        `cycle_us` is the period (µs) of the samples that the drive sends unrequested; 0 if the bridge (firmware on this
+        computer in front of a drive) polls them.
         """
         return {**self.facts.as_mapping(), "cycle_us": self.drive.cycle_us}
 

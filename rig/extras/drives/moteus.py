@@ -70,7 +70,7 @@ class Asked(Protocol):
 
 
 class MoteusConversation:
-    """Requests to one moteus and its replies, before a bridge runs.
+    """Requests to one moteus and its replies, before a bridge (firmware on this computer in front of a drive) runs.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class MoteusConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoteusFacts:
-    """What a bridge must know about a moteus.
+    """What a bridge (firmware on this computer in front of a drive) must know about a moteus.
 
     Attributes
     ----------
@@ -372,7 +372,7 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
 def fit(
     found: MoteusFacts, model: RigModel, *, prefix: int = 0, switches: Switches | None = None
 ) -> FittedDrive:
-    """Compare a moteus with the rig of an experiment, and return what a bridge must know about it.
+    """Compare a moteus with an experiment's rig; return what a bridge (firmware for the drive) must know about it.
 
     Raises `DeviceRefusedError` if calibration, gear or wiring differ from the experiment; the error has a sentence for
     each difference.

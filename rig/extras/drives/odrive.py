@@ -158,7 +158,7 @@ class Endpoints:
 
 
 class OdriveConversation:
-    """Requests to one ODrive and its replies, before a bridge runs.
+    """Requests to one ODrive and its replies, before a bridge (firmware on this computer in front of a drive) runs.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ class OdriveConversation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveFacts:
-    """What a bridge must know about an ODrive.
+    """What a bridge (firmware on this computer in front of a drive) must know about an ODrive.
 
     Attributes
     ----------
@@ -355,7 +355,7 @@ def _error_at_rest(talk: OdriveConversation) -> int:
 
 
 def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
-    """Compare an ODrive with the rig of an experiment, and return what a bridge must know about it.
+    """Compare an ODrive with an experiment's rig; return what a bridge (firmware for the drive) must know about it.
 
     Raises `DeviceRefusedError` if scale, wiring or limits differ from the experiment; the error has a sentence for each
     difference.

@@ -39,7 +39,7 @@ class Found:
 
 
 def look(url: DeviceUrl) -> DriveFacts:
-    """Return the facts that the drive at a URL reports, without changing the drive; errors as `serve`."""
+    """Return the facts that the drive at a URL reports, without changing it; raise `RigError` if it is not usable."""
     address = address_of(url)
     with contextlib.closing(open_bus(url)) as bus:
         return address.look(bus)
@@ -55,7 +55,7 @@ def serve(
     realtime: str = "try",
     cpu: int | None = None,
 ) -> None:
-    """Run a bridge until it is stopped.
+    """Run a bridge (firmware on this computer in front of a drive) until it is stopped.
 
     Raises `RigError` if the drive is missing, its replies are wrong, or it does not match the rig; nothing has moved.
 

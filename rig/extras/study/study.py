@@ -200,7 +200,7 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
 
 
 def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
-    """Read one session; errors as `read_study`."""
+    """Read the directory of one session; raise `RigError` if it cannot be read (see `read_study`)."""
     path = directory / LOG
     events = read(path)
     try:

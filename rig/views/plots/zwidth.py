@@ -40,7 +40,7 @@ def draw_zwidth(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Path:
-    """Draw a map of stable walls into a file, with a panel for each criterion, and return the file's path.
+    """Draw a map of stable walls into a file, a panel for each ripple (felt, heard, any); return the file's path.
 
     `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
     """
@@ -54,7 +54,7 @@ def zwidth_figure(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Any:
-    """Return the matplotlib figure of a map of stable walls, with a panel for each criterion of the verdict.
+    """Return the matplotlib figure of a map of stable walls, with a panel for each ripple (felt, heard, any).
 
     `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
     """

@@ -142,7 +142,7 @@ def control_payload(
 
 
 def _ideal(experiment: Experiment) -> Experiment:
-    """Return the experiment without friction and quantisation, and with one realisation of the excitation."""
+    """Return the experiment without friction and quantisation, with one draw of the excitation's phases."""
     ideal = config.override(experiment, IDEAL, "a control")
     return replace(
         ideal,

@@ -107,7 +107,7 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
 
 
 def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Excite one wall with the realisations `numbers`, up to the first run that the safety guard ends."""
+    """Excite one wall with the draws of the phases `numbers`, up to the first run that the safety guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))

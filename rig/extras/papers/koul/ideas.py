@@ -61,7 +61,7 @@ class Tried:
     Attributes
     ----------
     ranges
-        Largest damping of the softest wall, by criterion.
+        Largest damping of the softest wall, by ripple criterion (felt, heard, any).
     linear
         Peak stiffness and largest damping by linear theory; None if the sampling scheme is not linear.
     """
@@ -72,7 +72,7 @@ class Tried:
     linear: Mapping[str, Any] | None
 
     def width(self, criterion: str) -> Width:
-        """Return peak stiffness, largest damping and area of the stable walls by one stability criterion."""
+        """Return peak stiffness, largest damping and area of the stable walls by one ripple (felt, heard, any)."""
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:

@@ -127,7 +127,7 @@ class DampingRange:
 
 
 def ranges_of(results: Sequence[Mapping[str, Any]], offsets: int) -> list[dict[str, DampingRange]]:
-    """Summarise the results of `range_tasks`: return the largest stable dampings by criterion for each sampling scheme.
+    """Return the largest stable dampings from the results of `range_tasks`, by ripple, for each sampling scheme.
 
     `offsets` is the number of encoder offsets.
     """

@@ -75,7 +75,7 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return, for each damping, the results of all walls of one sampling scheme by one stability criterion.
+    """Return, for each damping, the results of all walls of a sampling scheme by one ripple (felt, heard, any).
 
     Without `offset`, the first encoder offset of the map is used.
     """
