@@ -203,9 +203,5 @@ def simulated_trial() -> tuple[Any, Any]:
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
-    """Open the device at a URL; return an object whose methods send the requests of the protocol.
-
-    `model` is the physics of a simulated rig. An invalid URL raises `ConfigError`, a missing device
-    `DeviceNotFoundError`; `open_link` explains both.
-    """
+    """Open a device; return an object whose methods send the protocol's requests. `open_link` explains errors."""
     return FramedDevice(open_link(url, model))

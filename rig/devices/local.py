@@ -130,8 +130,7 @@ def open_for_run(
     url
         URL of the device; if the law runs on the device, use `rig.devices.url_for`.
     model
-        Rig to simulate, or for which a bridge of drives (firmware on this computer in front of a drive) is built; None
-        for another real device.
+        Rig to simulate, or for which a bridge (firmware in front of a drive) is built; None for another real device.
     in_real_time
         True if a simulated device runs in real time. A real device always does.
     seed

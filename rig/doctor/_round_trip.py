@@ -75,9 +75,8 @@ class LinkMeasurement:
     exchanges
         Four time stamps of each exchange (ns): host sends, device receives, device sends, host receives; shape (n, 4).
     drive
-        Statistics of the bus between a bridge (firmware on this computer in front of a drive) and its motor drive,
-        since the bridge was opened (such as ``median_us``, the median reply time in µs); empty for a device without a
-        bridge.
+        Statistics of the bus between a bridge (firmware on this computer) and its motor drive since it was opened (such
+        as ``median_us``, the median reply time in µs); empty for a device without a bridge.
     """
 
     url: str

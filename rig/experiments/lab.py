@@ -153,8 +153,7 @@ def plan(
     """Return the plan of a hit: its steps and checks, with the outcome of each check; no device is opened.
 
     Parameters are those of `hit`. With `url`, `realtime` or `round_trip_s` the wall is also checked with the delay of a
-    link. `round_trip_s` is the round trip of the link and of a drive behind a bridge (firmware on this computer in
-    front of a drive), as `rig doctor` measures it (s).
+    link. `round_trip_s` is the round trip of the link (and of a drive behind a bridge), as `rig doctor` measures (s).
 
     Raises
     ------

@@ -60,7 +60,7 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
         after = (
             "never became zero"
             if rest.zero_after_s is None
-            else f"became zero only {rest.zero_after_s * 1e3:.4g} ms"
+            else f"became zero {rest.zero_after_s * 1e3:.4g} ms"
         )
         raise AssertionError(
             f"not safe: the effort {after} after the host's last command; it must be zero within {within_ms:g} ms"

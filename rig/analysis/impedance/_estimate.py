@@ -43,9 +43,8 @@ class Impedance:
     variance
         Variance of z at each line, mean |Ẑ − Z|²: half in the real and half in the imaginary part. NaN if unknown.
     coherence_effort, coherence_motion
-        Coherence γ² of effort and of velocity with the excitation at each line, over all periods of all realisations
-        (draws of the phases); NaN with a single period. For unrelated signals it is about 1/(periods · realisations),
-        not 0.
+        Coherence γ² of effort and of velocity with the excitation at each line, over all periods of all realisations;
+        NaN with a single period. For unrelated signals it is about 1/(periods · realisations), not 0.
     residual
         Share of the velocity's power within `residual_band_hz` that is not at the excited lines; NaN if the record has
         no frequencies between the lines (a single period).
@@ -134,8 +133,7 @@ def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float
     Parameters
     ----------
     runs
-        One record for each realisation (draw of the phases), all with the same rate, period and lines, but with
-        different phases.
+        One record for each realisation (draw of the phases), all with the same rate, period and spectral lines.
     residual_band_hz
         Band in which the residual power is computed (Hz); from the lowest to the highest line if left out.
 

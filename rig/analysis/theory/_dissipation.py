@@ -1,9 +1,8 @@
 """Compute exactly for which K, B and damping of the rig a rigid rig with its sampled wall is passive.
 
 Rig and wall are passive iff no motion, whatever its course within a tick, extracts work from them. A motion that
-repeats in each velocity period (time between two velocity samples) with a phase shift θ consists of N waves, w_m =
-e^{j(θ + 2πm)/N} per tick, each with all its aliases ω_k = (arg w + 2πk)/T1. For a wave with velocities V_k, d ticks of
-delay and an electrical lag τ,
+repeats in each velocity period with a phase shift θ consists of N waves, w_m = e^{j(θ + 2πm)/N} per tick, each with
+all its aliases ω_k = (arg w + 2πk)/T1. For a wave with velocities V_k, d ticks of delay and an electrical lag τ,
 
     the rig dissipates           Σ D(ω_k)·|V_k|²,  D = b + b_e/(1 + ω²τ²): viscous, and back-EMF behind the lag
     the wall reads               x = Σ V_k/(jω_k) at the tick

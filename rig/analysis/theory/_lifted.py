@@ -104,9 +104,7 @@ class Lifted:
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
-        """Return the loop's transition matrices of the first tick (P·V) and of each other tick (P·E).
-
-        They are those of a velocity period (time between two velocity samples), which starts with the first tick.
+        """Return the loop's transition matrices of a tick with a velocity sample (P·V) and of each other tick (P·E).
 
         Stiffness and damping (SI) may have any shapes that broadcast; the matrices have shape (…, n, n).
         """

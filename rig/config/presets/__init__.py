@@ -22,10 +22,7 @@ def load(name: str) -> Experiment:
 
 
 def load_named(name: str | Path | Experiment) -> Experiment:
-    """Return the experiment from a TOML file or a preset; return an `Experiment` unchanged.
-
-    A `Path`, and text that ends in ``.toml`` or contains ``/``, is the path of a file; other text is a preset's name.
-    """
+    """Load a TOML file (a `Path`, or text with "/" or final ".toml"), else a preset; an `Experiment` is unchanged."""
     if isinstance(name, Experiment):
         return name
     if isinstance(name, Path) or name.endswith(".toml") or "/" in name:

@@ -96,10 +96,7 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the fields of this request that determine the result of the search as JSON values, by name.
-
-        `paper` is left out, because it only adds a comparison after the search.
-        """
+        """Return the fields that determine the result of the search as JSON values; `paper` only adds a comparison."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),

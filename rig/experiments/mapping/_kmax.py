@@ -40,16 +40,13 @@ class KMax(Drawn):
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return the stiffness limit for each sampling rate, lowest rate first.
-
-        `criterion` is the ripple that a wall must not exceed: "felt", "heard" or "any" (felt, heard or moved).
-        """
+        """Return the stiffness limit by the ripple `criterion` ("felt", "heard", "any") for each sampling rate."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
         """Return K_max (stiffest stable wall) at the highest sampling rate divided by K_max at 20 kHz.
 
-        None if no rate exceeds 20 kHz, if 20 kHz is missing, or if a limit is 0 or a lower bound; see `curve`.
+        None if no rate exceeds 20 kHz, if 20 kHz is missing, or if a limit is 0 or a lower bound.
         """
         if 20_000 not in self.rates or self.rates[-1] <= 20_000:
             return None

@@ -196,8 +196,7 @@ class SchemeRow:
     scheme, label, estimator
         Scheme as text, label for a plot's legend, and name of the estimator.
     widths
-        K-width, B-width and worst fidelity, for all realisations together and for each realisation (draw of the
-        phases).
+        K-width, B-width and worst fidelity, for all realisations (draws of the phases) together and for each.
     tuned
         Names of the tuned parameters.
     common

@@ -355,8 +355,7 @@ def row_of(code: str) -> int:
     if int(numbers[-1]) == 0:
         raise ConfigError(
             f"code {code!r} has the number 0, but participants are counted from 1",
-            remedy="give a code whose last number is 1 or more, or give with `row` the participant's row in the table "
-            "of condition orders, counted from 0",
+            remedy="give a code whose last number is 1 or more, or the row in the table of orders (from 0) with `row`",
         )
     return int(numbers[-1]) - 1
 
