@@ -56,11 +56,11 @@ class Multisine:
     Attributes
     ----------
     period_s
-        Period (s); the lines are multiples of its inverse.
+        Period (s); the spectral lines are multiples of its inverse.
     lines_hz
         Excited frequencies (Hz), ascending, shape (n,).
     amplitudes
-        Peak of each line (N·m or N; rad, m, rad/s or m/s for a motion that `through` returns), shape (n,).
+        Peak of each spectral line (N·m or N; rad, m, rad/s or m/s for a motion that `through` returns), shape (n,).
     phases
         Phase of each cosine at time 0 (rad), shape (n,).
 
@@ -121,7 +121,7 @@ class Multisine:
         band
             Lowest and highest frequency (Hz), both included if they are multiples of 1/period.
         period_s
-            Period (s); the lines are multiples of its inverse.
+            Period (s); the spectral lines are multiples of its inverse.
         rms, peak
             Size (N·m or N): give one of the two, or neither if `spectrum` has absolute amplitudes.
         spacing_lines
@@ -169,7 +169,7 @@ class Multisine:
 
     @property
     def harmonics(self) -> NDArray[np.int64]:
-        """Return the harmonic number (multiple of 1/period) of each line of the multisine, shape (n,)."""
+        """Return the harmonic number (multiple of 1/period) of each spectral line of the multisine, shape (n,)."""
         return np.rint(self.lines_hz * self.period_s).astype(np.int64)
 
     @reported
@@ -211,7 +211,7 @@ class Multisine:
         Parameters
         ----------
         rate_hz
-            Sampling rate (Hz). A period must be a whole number of samples, and all lines below half the rate.
+            Sampling rate (Hz). A period must be a whole number of samples, and all spectral lines below half the rate.
         offset
             Time of each sample within its step: 0 at the start, 0.5 in the middle. A sample from the start that is held
             over the step lags by half a step; a sample from the middle does not.
@@ -280,7 +280,7 @@ class Multisine:
         ----------
         impedance
             Expected impedance Z(jω) at the handle (N·m·s/rad or N·s/m) of rig and wall: a function of frequency (Hz),
-            or its values at the lines.
+            or its values at the spectral lines.
         effort_limit
             Largest effort of the actuator that plays the excitation (N·m or N).
         position_limit

@@ -83,11 +83,11 @@ class ExcitationTable:
     lines
         Number of lines.
     first, step
-        Harmonic of the first line, and the difference between the harmonics of neighbouring lines.
+        Harmonic of the first line, and the difference between the harmonics of neighbouring spectral lines.
     period
         Length of one period (ticks).
     amplitude
-        Peak of each line (quanta · 2^16).
+        Peak of each spectral line (quanta · 2^16).
     bits
         Fractional bits of the numbers in the table.
     ramp
@@ -226,12 +226,12 @@ class ExcitationTable:
 
     @property
     def harmonics(self) -> Integers:
-        """Return the harmonic number (multiple of 1/period) of each line, shape (lines,)."""
+        """Return the harmonic number (multiple of 1/period) of each spectral line, shape (lines,)."""
         return self.first + self.step * np.arange(self.lines, dtype=np.int64)
 
     @property
     def line_phases(self) -> Turns:
-        """Return the phase of each line at tick 0 (2^−32 turns), shape (lines,)."""
+        """Return the phase of each spectral line at tick 0 (2^−32 turns), shape (lines,)."""
         return (
             schroeder_phases(self.lines)
             if self.phases == "schroeder"
@@ -262,8 +262,8 @@ class ExcitationTable:
     def error(self) -> float:
         """Return an upper bound of the difference between the table and the multisine that it approximates (quanta).
 
-        It is half a step of the table, plus for each line the error of its cosine (5.2e-6 of the amplitude) and of its
-        phase (at most 2^−32 turns for each line before it, plus two).
+        It is half a step of the table, plus for each spectral line the error of its cosine (5.2e-6 of the amplitude)
+        and of its phase (at most 2^−32 turns for each line before it, plus two).
         """
         phase: float = 2.0 * math.pi / _TURN * (self.lines * (self.lines + 3) / 2)
         return 0.5 * 2.0**-self.bits + self.amplitude * 0.5**LINE_BITS * (self.lines * _COSINE_ERROR + phase)
@@ -304,7 +304,7 @@ class ExcitationTable:
 
     @cached_property
     def _sums(self) -> Integers:
-        """Return the sum of the cosines of all lines at each tick (in 2^−24), shape (period,)."""
+        """Return the sum of the cosines of all spectral lines at each tick (in 2^−24), shape (period,)."""
         sums = np.empty(self.period, np.int64)
         line, own = np.arange(self.lines, dtype=np.uint32), self.line_phases
         for ticks in _chunks(self.period, self.lines):

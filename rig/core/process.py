@@ -1,7 +1,6 @@
 """Child process that serves something to this process: it announces its address, and ends with this process.
 
-`rig.devices.local`, the bridge of drives (firmware on this computer in front of a drive) and the simulation use it. It
-must not depend on what a process serves.
+`rig.devices.local`, the bridge (firmware in front of a drive) and the simulation use it, whatever a process serves.
 """
 
 from __future__ import annotations

@@ -127,8 +127,8 @@ def stop() -> int:
     """Stop all runs of this program, in all threads; each loop sends zero effort in its next tick.
 
     Call this function from any thread, task or signal handler; it returns at once. Each stopped call raises
-    `StoppedError`, and the end reason in its recording is ``stopped``; a map starts no more hits. Runs of other
-    programs continue, because their rigs may belong to other people; the command ``rig stop`` also stops other
+    `StoppedError`, and the end reason in its recording is ``stopped``; a map of stable walls starts no more hits. Runs
+    of other programs continue, because their rigs may belong to other people; the command ``rig stop`` also stops other
     programs' runs.
 
     Returns
@@ -286,7 +286,7 @@ def zwidth(
         Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's
         scheme, and the uniform schemes at its rates.
     dampings, offsets, repeats, judged
-        Dampings of the map, encoder offsets, hits of each wall, and ripples that the verdict judges:
+        Dampings of the map of stable walls, encoder offsets, hits of each wall, and ripples that the verdict judges:
         `rig.experiments.mapping._ranges.hit_plan`.
     lowest, highest, search, ratio
         Range of the stiffness (N·m/rad or N/m), and the search in it: `rig.experiments.mapping._ranges.search_for`.

@@ -58,9 +58,7 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
         raise AssertionError("not safe: the device sends no more data, so its effort is unknown")
     if rest.zero_after_s is None or rest.zero_after_s * 1e3 > within_ms:
         after = (
-            "never became zero"
-            if rest.zero_after_s is None
-            else f"became zero {rest.zero_after_s * 1e3:.4g} ms"
+            "was never zero" if rest.zero_after_s is None else f"was zero {rest.zero_after_s * 1e3:.4g} ms"
         )
         raise AssertionError(
             f"not safe: the effort {after} after the host's last command; it must be zero within {within_ms:g} ms"

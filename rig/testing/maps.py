@@ -40,8 +40,7 @@ class Maps:
         source, changes
             The experiment and its changed values, as for the fixture ``rig_experiment``.
         schemes
-            Schemes like ``dual:20k/2k``; if empty, the experiment's sampling scheme and the uniform schemes at its two
-            rates.
+            Sampling schemes like ``dual:20k/2k``; if empty, the experiment's scheme and uniform schemes at its rates.
         dampings
             Damping B of each column of the map (N·m·s/rad or N·s/m); None for the default dampings.
         lowest, highest, ratio

@@ -125,12 +125,12 @@ class Dynamics:
         Anti-resonance of a mode above the band (Hz), estimated from its compliance within the band; None if that
         compliance is not significant.
     band
-        The range of excited lines that was fitted.
+        The range of excited spectral lines that was fitted.
     lines_hz, coherence
-        Fitted lines (Hz), and coherence γ² of motion and excitation at each line, shape (n,).
+        Fitted lines (Hz), and coherence γ² of motion and excitation at each spectral line, shape (n,).
     measured, fitted
-        Position over effort at the lines (rad/(N·m) or m/N), without friction but with the delay: mean over the
-        realisations, and the model, shape (n,).
+        Position over effort at the spectral lines (rad/(N·m) or m/N), without friction but with the delay: mean over
+        the realisations, and the model, shape (n,).
     deviation
         Standard deviation of the magnitude of `measured` over the realisations, shape (n,).
     unexplained
@@ -491,7 +491,7 @@ def _delay_response(frequency_hz: Floats, parameters: Floats, delay_s: float) ->
 
 
 def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
-    """Return the spectra of position, effort and Coulomb friction at the lines, with their recorded delays removed."""
+    """Return the spectra of position, effort and Coulomb friction at the spectral lines, without recorded delays."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)

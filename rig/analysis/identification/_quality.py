@@ -43,7 +43,7 @@ class IdentificationError(RigError):
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A range of neighbouring excited lines (frequencies) at which the motion follows the excitation; a fit uses it.
+    """A range of neighbouring excited frequencies (spectral lines) for a fit: the motion follows the excitation.
 
     Attributes
     ----------
@@ -64,12 +64,12 @@ class Band:
 
     @property
     def chosen(self) -> slice:
-        """Return the slice that selects the band's lines from an array over all excited lines."""
+        """Return the slice that selects the band's lines from an array over all excited spectral lines."""
         return slice(self.first, self.first + self.lines)
 
     @property
     def text(self) -> str:
-        """Return the ends of a band of frequencies (Hz), its number of lines and the reasons why it ends, as text."""
+        """Return the ends of a band of frequencies (Hz), its number of spectral lines and why it ends, as text."""
         why = [f"; {side}: {text}" for side, text in (("below", self.below), ("above", self.above)) if text]
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 
@@ -87,7 +87,7 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
     """Return the lowest band of frequencies at which the coherence `found` (median over neighbours) is high enough.
 
     A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the band if
-    enough lines for a fit follow. The fit weights lines in the gap by their scatter.
+    enough spectral lines for a fit follow. The fit weights lines in the gap by their scatter.
     """
     reach = min(NEAR_LINES, len(found)) // 2
     near = sliding_window_view(np.pad(np.nan_to_num(found), reach, mode="edge"), 2 * reach + 1)

@@ -37,7 +37,7 @@ class Impedance:
     Attributes
     ----------
     lines_hz
-        Frequencies of the lines (Hz), shape (n,); each attribute "at each line" has this shape, too.
+        Frequencies of the spectral lines (Hz), shape (n,); each attribute "at each line" has this shape, too.
     z
         Complex impedance at each line (N·s/m or N·m·s/rad).
     variance
@@ -46,8 +46,8 @@ class Impedance:
         Coherence γ² of effort and of velocity with the excitation at each line, over all periods of all realisations;
         NaN with a single period. For unrelated signals it is about 1/(periods · realisations), not 0.
     residual
-        Share of the velocity's power within `residual_band_hz` that is not at the excited lines; NaN if the record has
-        no frequencies between the lines (a single period).
+        Share of the velocity's power within `residual_band_hz` that is not at the excited spectral lines; NaN if the
+        record has no frequencies between the lines (a single period).
     residual_band_hz
         Lowest and highest frequency of the band in which `residual` was computed (Hz).
     realisations, periods
@@ -93,7 +93,7 @@ class Impedance:
 
     @property
     def deviation(self) -> Floats:
-        """Return the standard deviation of real part, imaginary part or magnitude at each line (N·s/m or N·m·s/rad)."""
+        """Return the standard deviation of real part, imaginary part or magnitude at each spectral line (SI units)."""
         return np.sqrt(0.5 * self.variance)
 
     def spread(self, z_score: float) -> Floats:
@@ -109,7 +109,7 @@ class Impedance:
         return -float(special.stdtrit(self.degrees_of_freedom, special.ndtr(-z_score))) * self.deviation
 
     def within(self, band: tuple[float, float] | None) -> Impedance:
-        """Return the impedance at the lines in a band (lowest, highest frequency in Hz), or for None at every line.
+        """Return the impedance at the spectral lines in a band (lowest, highest frequency in Hz); None: at every line.
 
         Raise `ConfigError` if no excited frequency lies in the band.
         """
@@ -128,7 +128,7 @@ class Impedance:
 
 
 def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float] | None = None) -> Impedance:
-    """Estimate the impedance at each excited line: Ẑ = S_rF/S_rV, with the excitation r as instrument.
+    """Estimate the impedance at each excited spectral line: Ẑ = S_rF/S_rV, with the excitation r as instrument.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def _coherence(lines: Sequence[_Lines], channel: Literal["effort", "velocity"]) 
 
 
 def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
-    """Return the first run; raise `ConfigError` unless all runs have the same rate, period and lines."""
+    """Return the first run; raise `ConfigError` unless all runs have the same rate, period and spectral lines."""
     if not runs:
         raise ConfigError(
             "no runs are given, so an impedance cannot be estimated", remedy="excite the rig at least once"

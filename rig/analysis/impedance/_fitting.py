@@ -4,7 +4,7 @@
     fit(impedance, ("stiffness", "damping"), subtract=RigidRig(0.52, 13.2))  # a wall without the rig's own impedance
 
 The model m·jω + b + K/(jω) is linear in its parameters, so the fit needs no start values and cannot diverge. Each line
-is weighted by the inverse of its standard deviation; if no variance is known, all lines have the same weight.
+is weighted by the inverse of its standard deviation; if no variance is known, all spectral lines have the same weight.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Fit:
     ----------
     values, deviations
         Parameters and their standard deviations by name, in SI units; terms that were not fitted are absent. The
-        deviations follow from the variances of the lines and are multiplied by `misfit` if it is above 1 (Birge's
-        ratio). If variances are unknown, the deviations follow from the misfit alone.
+        deviations follow from the variances of the spectral lines and are multiplied by `misfit` if it is above 1
+        (Birge's ratio). If variances are unknown, the deviations follow from the misfit alone.
     misfit
         Root mean square of the differences between model and lines, in standard deviations of the lines: near 1 if the
         model is right, larger if the differences are more than noise. NaN without variances.
@@ -63,7 +63,7 @@ class Fit:
 
     @classmethod
     def unknown(cls, *terms: Term) -> Fit:
-        """Return a fit whose values are all NaN, for a band with too few lines."""
+        """Return a fit whose values are all NaN, for a band with too few spectral lines."""
         return cls(dict.fromkeys(terms, math.nan), dict.fromkeys(terms, math.nan), math.nan)
 
 
@@ -83,7 +83,7 @@ def fit(
     terms
         Parameters to fit: any of ``"inertia"``, ``"damping"`` and ``"stiffness"``.
     band
-        Lowest and highest frequency of the lines to use (Hz); all lines if left out.
+        Lowest and highest frequency of the spectral lines to use (Hz); all spectral lines if left out.
     subtract
         Known part that is subtracted before the fit: a rigid rig, or complex values at all lines of `impedance`.
 
@@ -150,7 +150,7 @@ def _has_variance(variance: Floats) -> bool:
 
 
 def _weights(variance: Floats) -> Floats:
-    """Return 1/(standard deviation) for each line; a line with variance 0 gets the largest weight of the others."""
+    """Return 1/(standard deviation) for each spectral line; with variance 0 the largest weight of the others."""
     if not _has_variance(variance):
         return np.ones(len(variance))
     usable = np.isfinite(variance) & (variance > 0.0)

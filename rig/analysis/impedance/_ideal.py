@@ -9,10 +9,10 @@ The excitation is continuous, the wall is sampled: it reads the position at its 
 with P from effort to position and G its discretisation (hold, plant, sampler), A = G(e^{sT}) − ZOH·P = Σ_{n≠0} P·ZOH at
 ω + n·2π/T. Without images (``images=False``) the impedance is m·s + b + ZOH·(K/s + B·H/s).
 
-For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every line up to 400 Hz, images change Z by at most 0.16 % and
-0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest walls that are
-just stable. In a record of the loop's own ticks the images are 3 % at 250 Hz and 29 % at 400 Hz. At half the rate a
-line and its image coincide, and no impedance is defined.
+For 0.52 kg at 1 kHz, fdm, fdm-butterworth and kalman, at every spectral line up to 400 Hz, images change Z by at most
+0.16 % and 0.05° for stable walls up to 40 kN/m and 100 N·s/m, by 1.4 % up to 100 kN/m, and by 7 % for the stiffest
+walls that are just stable. In a record of the loop's own ticks the images are 3 % at 250 Hz and 29 % at 400 Hz. At half
+the rate a line and its image coincide, and no impedance is defined.
 
 In general (two masses, lag, delay in ticks, position at T1 and velocity at T2 = N·T1, held or extrapolated) the sampled
 loop has N frequencies ω + m·2π/T2 that the velocity path mixes. With x_m the sampled position at each frequency, G_m

@@ -2,9 +2,9 @@
 
 A port is *passive* if the real part of its impedance is not negative; equivalently, if its phase stays within ±90°,
 which is the test of the second paper (Chawda et al.). Measured lines have noise, and a stiff wall comes within a degree
-of −90° at low frequencies ((b + B − K·T/2)·ω/K rad). So each line gets a tolerance t of `z_score` standard deviations:
-it fails if Re Ẑ < −t, which means a phase beyond ±(90° + asin(t/|Ẑ|)). With a z-score of 0 the test is that of the
-paper. The residual power between the lines is a second test.
+of −90° at low frequencies ((b + B − K·T/2)·ω/K rad). So each spectral line gets a tolerance t of `z_score` standard
+deviations: it fails if Re Ẑ < −t, which means a phase beyond ±(90° + asin(t/|Ẑ|)). With a z-score of 0 the test is that
+of the paper. The residual power between the spectral lines is a second test.
 
 *Fidelity* is defined as in the second paper: root mean square over the lines of |Ẑ| − |K/(jω) + B|. The rig's inertia
 dominates it (1.886·f N·s/m for 0.52 kg up to f Hz), and it depends on band and lines: report it with band and lines.
@@ -47,7 +47,7 @@ class Passivity:
     passive
         True if no line fails.
     tested, failed_hz
-        Number of lines in the band, and the frequencies of the lines that fail (Hz).
+        Number of lines in the band, and the frequencies of the spectral lines that fail (Hz).
     worst_hz
         Frequency of the line with the smallest Re Ẑ + tolerance (Hz).
     worst_real, worst_tolerance, worst_phase_deg
@@ -92,7 +92,7 @@ class Fidelity:
     Attributes
     ----------
     rms
-        Root mean square over the lines of |Ẑ| − |K/(jω) + B| (N·s/m or N·m·s/rad).
+        Root mean square over the spectral lines of |Ẑ| − |K/(jω) + B| (N·s/m or N·m·s/rad).
     rms_deviation
         Standard deviation of `rms` (same unit), if the lines are independent.
     noise_rms
@@ -135,14 +135,14 @@ class Fidelity:
 def passive(
     impedance: Impedance, band: tuple[float, float] | None = None, z_score: float = Z_SCORE
 ) -> Passivity:
-    """Test at each line of a band that the real part of the impedance is at least −tolerance; return the result.
+    """Test at each spectral line of a band that the impedance's real part is at least −tolerance; return the result.
 
     Parameters
     ----------
     impedance
         Measured or exact impedance.
     band
-        Lowest and highest frequency of the lines to test (Hz, ends included); all lines if left out.
+        Lowest and highest frequency of the spectral lines to test (Hz, ends included); all spectral lines if left out.
     z_score
         Tolerance in standard deviations of each real part (`Impedance.spread`). The tolerance is zero if `z_score` is 0
         or the variance is unknown. Of lines exactly at the limit 2.3 % fail by chance with a z-score of 2.
@@ -233,14 +233,14 @@ def fidelity(
     stiffness, damping
         Requested stiffness and damping (N/m or N·m/rad, N·s/m or N·m·s/rad).
     band
-        Lowest and highest frequency of the lines to use (Hz); all lines if left out.
+        Lowest and highest frequency of the spectral lines to use (Hz); all spectral lines if left out.
     device
         The rig's own impedance, as a `RigidRig` or as values at all lines of `impedance`: subtracted before K and B are
         fitted. It is not subtracted for `rms` and `distortion`, as in the papers.
     effective_hz
         Highest frequency at which effective stiffness and damping are fitted (Hz).
     weight
-        Weight of each line in `distortion`, a function of frequency (Hz); 1 if left out.
+        Weight of each spectral line in `distortion`, a function of frequency (Hz); 1 if left out.
 
     Notes
     -----

@@ -6,8 +6,8 @@ tfestimate: Hamming window, eight segments that overlap by half (so of length N/
 of two), no detrending. Those of `scipy.signal.csd` differ (Hann, 256 samples, mean removed). Source: MathWorks,
 documentation of tfestimate and spectrum.welch.
 
-The transform's frequencies are not those of the lines: with N = 16 000 samples at 4 kHz a segment has 0.9 s, and the
-power of lines 1 Hz apart leaks from one line into the other.
+The transform's frequencies are not those of the spectral lines: with N = 16 000 samples at 4 kHz a segment has 0.9 s,
+and the power of lines 1 Hz apart leaks from one line into the other.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def estimate_welch(
     Parameters
     ----------
     runs
-        Records with the same rate, period and lines; their spectra are averaged.
+        Records with the same rate, period and spectral lines; their spectra are averaged.
     settings
         Window, segments and estimator; the defaults are those of tfestimate.
     residual_band_hz

@@ -15,8 +15,8 @@ one with less noise is better.
 and cost, and better in one of them. All its schemes are from one round, so that they were tested at the same walls.
 
 **No worse** (`Comparison`): the goal's measure (the area for *quiet*) of the recommended scheme is compared with that
-of the experiment's own scheme, in pairs, on offsets and seeds that the search did not use. It is no worse if the 95 %
-interval (Student's t) of the mean difference lies above −2 % of the own scheme's mean, and better if it lies
+of the experiment's own scheme, in pairs, on encoder offsets and seeds that the search did not use. It is no worse if
+the 95 % interval (Student's t) of the mean difference lies above −2 % of the own scheme's mean, and better if it lies
 above zero. If it is not shown to be no worse, and the experiment's own scheme fulfils the wishes, too, the own scheme
 is recommended. A scheme without a stable wall is never recommended; if no scheme has one, this is an error.
 

@@ -22,7 +22,7 @@ RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the pap
 
 @dataclass(frozen=True, slots=True)
 class KMax(Drawn):
-    """A curve of the stiffness limit at B = 0 over the sampling rate (Hz), computed from a map of hits."""
+    """A curve of the stiffness limit at B = 0 over the sampling rate (Hz), from a map of walls tested by hits."""
 
     rates: tuple[int, ...]
     map: ZWidth

@@ -231,7 +231,7 @@ def hit_plan(
     judged: Judged | None = None,
     on_device: bool = False,
 ) -> MapPlan:
-    """Return the plan of a map of hits, with defaults for settings that are not given.
+    """Return the plan of a map of walls tested by hits, with defaults for settings that are not given.
 
     Parameters
     ----------
@@ -245,11 +245,11 @@ def hit_plan(
         Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). None:
         `rig.experiments.mapping.zwidth.OFFSETS`, or the rig's only offset on a device.
     repeats
-        Number of searches for each scheme, damping and offset.
+        Number of searches for each scheme, damping and encoder offset.
     judged
         Signals that are judged, ``"recorded"`` or ``"true"``; recorded if None.
     on_device
-        True if the map is measured on a device.
+        True if the map of stable walls is measured on a device.
 
     Raises
     ------

@@ -58,8 +58,8 @@ class DeviceMap:
     Attributes
     ----------
     where
-        Device to map. Walls are armed even if the link makes them dangerous, because the map must find unstable walls;
-        a person permits each hit instead.
+        Device to map. Walls are armed even if the link makes them dangerous, because the map of stable walls must find
+        unstable walls; a person permits each hit instead.
     agrees
         Called with the next hit before each hit; the session ends if it returns False.
     report

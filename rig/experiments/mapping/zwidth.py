@@ -69,7 +69,7 @@ class MapPlan:
     Attributes
     ----------
     experiment
-        Rig, trial and thresholds; the map varies its controller and its wall's stiffness and damping.
+        Rig, trial and thresholds; the map of stable walls varies its controller and its wall's stiffness and damping.
     schemes
         Sampling schemes, one curve each.
     dampings
@@ -80,8 +80,8 @@ class MapPlan:
         Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1), which influence if a
         stiff wall vibrates.
     repeats
-        Number of series (stiffness searches) for each scheme, damping and offset; they differ in the exact start and in
-        a hand's tremor.
+        Number of series (stiffness searches) for each scheme, damping and encoder offset; they differ in the exact
+        start and in a hand's tremor.
     judged
         Signals that are judged: ``"recorded"``, as for a single hit, or ``"true"``, the truth of the simulation.
     criteria
@@ -108,7 +108,7 @@ class MapPlan:
             raise PlanError(f"`repeats` = {self.repeats} must be at least 1", remedy="give 1 or more")
 
     def series(self) -> list[Series]:
-        """Return all stiffness searches of the map, sorted by scheme, damping, encoder offset and repeat."""
+        """Return all stiffness searches of the map, sorted by sampling scheme, damping, encoder offset and repeat."""
         return [
             Series(number, damping, offset, repeat)
             for number in range(len(self.schemes))
@@ -120,8 +120,7 @@ class MapPlan:
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
         """Return the experiment of one series (stiffness search) of the map of stable walls; the stiffness is not set.
 
-        `under` is the plan's experiment with the sampling scheme of the series already applied; None: apply the scheme
-        here.
+        `under` is the plan's experiment with the sampling scheme of the series already applied; None: apply it here.
         """
         changes = {
             "rig.encoder.offset": series.offset,
@@ -321,7 +320,7 @@ class ZWidth(Shown, Drawn):
 
     @classmethod
     def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Return the map with stiffness limits computed from the hits of every stiffness search."""
+        """Return the map of stable walls with stiffness limits computed from the hits of every stiffness search."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
         applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
@@ -403,7 +402,7 @@ class ZWidth(Shown, Drawn):
         return [*self.brief(), Table(head, rows, words=0)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield a row for each hit: scheme, damping, offset, repeat, stiffness, kinds of verdict and numbers."""
+        """Yield a row for each hit: scheme, damping, encoder offset, repeat, stiffness, verdicts and numbers."""
         for one, rows in zip(self.plan.series(), self.series, strict=True):
             of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
             for row in rows:

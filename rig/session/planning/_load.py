@@ -189,10 +189,7 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_names(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the plan `table` with the spaces and Unicode form of all names normalised (of the keys in `_NAMES`).
-
-    Values of a wrong type are unchanged and fail a later check.
-    """
+    """Return the plan `table` with normalised names (spaces, Unicode form); a later check rejects wrong types."""
 
     def spelt(value: Any) -> Any:
         if isinstance(value, list):

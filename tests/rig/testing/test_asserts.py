@@ -113,8 +113,8 @@ def test_an_effort_under_an_old_command_or_behind_a_fault_is_not_safe(rig_hit: H
     ("rest", "what"),
     [
         (None, "its effort is unknown"),
-        (DeviceAfterwards(None, False), "never became zero"),
-        (DeviceAfterwards(0.0205, False), r"became zero 20\.5 ms after the host's last command"),
+        (DeviceAfterwards(None, False), "was never zero"),
+        (DeviceAfterwards(0.0205, False), r"was zero 20\.5 ms after the host's last command"),
         (DeviceAfterwards(0.0, True), "stayed armed"),
     ],
 )

@@ -118,7 +118,7 @@ class _Column:
         return (hit.true if self._judged == "true" else hit.recorded).passes("any")
 
     def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
-        """Return True if a wall is stable at all offsets and repeats, False if not, None if hits are invalid."""
+        """Return True if a wall is stable at all encoder offsets and repeats; None if hits are invalid."""
         unknown = False
         for number in range(len(self._experiments)):
             passes = self.passes(stiffness, number, taken)

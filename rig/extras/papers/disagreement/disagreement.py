@@ -1,9 +1,9 @@
 """Compare linear theory and hits for all walls of a map: where they differ, why, and on which share of the K–B plane.
 
 Theory (`rig.analysis.theory`) calls a wall stable if the spectral radius of the linear loop is below one. Hits call a
-wall stable if at every offset and repeat of the map it is not unstable and has no velocity, effort or position ripple
-above the limits. A wall *differs* if only one of both calls it stable; `rig.extras.papers.disagreement.ablation` finds
-the cause. A wall whose hits are invalid is left out and counted.
+wall stable if at every encoder offset and repeat of the map it is not unstable and has no velocity, effort or position
+ripple above the limits. A wall *differs* if only one of both calls it stable; `rig.extras.papers.disagreement.ablation`
+finds the cause. A wall whose hits are invalid is left out and counted.
 
 Shares are areas of the K–B plane with linear axes. The cell of a wall ends half-way to its neighbours (in K by ratio),
 within the map's range. Walls are all stiffnesses of the map's search at all its dampings, also above the first failure.

@@ -43,7 +43,7 @@ class Way:
     Attributes
     ----------
     columns, islands, higher
-        Number of columns (damping and offset); number with stable walls above one that fails; number in which a
+        Number of columns (damping and encoder offset); number with stable walls above one that fails; number in which a
         bisection ends above the ladder (rising stiffnesses up to the first failure).
     damping_ladder, damping_grid
         Largest damping (N·m·s/rad) at which the ladder finds a wall, and at which any wall is stable.
