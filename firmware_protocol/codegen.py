@@ -155,7 +155,7 @@ def faults_of_a_rig() -> str:
 
 
 def duties_of_a_port() -> str:
-    """Return the Markdown table of a firmware port's duties, and of how `rig firmware check-port` tests each duty."""
+    """Return the Markdown table of functions (duties) that a board port must provide, and how each is tested."""
     rows = (
         (f"`{one.call}`" if one.call.isidentifier() else one.call, one.duty, one.seen) for one in duties()
     )

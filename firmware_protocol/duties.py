@@ -14,7 +14,7 @@ PORTING = Path(__file__).with_name("firmware") / "PORTING.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Duty:
-    """A duty of a board's firmware towards the portable core; the head of `duties.toml` explains the fields."""
+    """A function (duty) that a board port must provide to the portable core; `duties.toml` explains the fields."""
 
     name: str
     call: str
@@ -25,6 +25,6 @@ class Duty:
 
 
 def duties() -> tuple[Duty, ...]:
-    """Return the duties of a firmware port, in the order of `firmware/duties.toml`."""
+    """Return the functions (duties) that a board port must provide, in the order of `firmware/duties.toml`."""
     content = tomllib.loads(PORTING.with_name("duties.toml").read_text(encoding="utf-8"))
     return tuple(Duty(**row) for row in content["duty"])

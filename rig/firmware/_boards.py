@@ -127,7 +127,7 @@ class Board(BoardFile):
     name
         Name on the command line: the directory's name, or ``directory-processor`` for one of several processors.
     directory
-        Directory of the port.
+        Directory of the board port (the board's own code).
     processor
         Compiler flags of the processor.
     """

@@ -79,7 +79,7 @@ class PortProbe(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheckRequest:
-    """Parameters of a port check.
+    """Parameters of a check of the board's own code (port).
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ def failure(found: PortCheck) -> DeviceRefusedError | None:
 
 
 class NoAnswerError(Exception):
-    """The board did not reply to a request of the port check in time."""
+    """The board did not reply in time to a request of the check of its own code (port)."""
 
 
 @dataclass
@@ -241,7 +241,7 @@ class BoardUnderTest:
 
 @dataclass
 class PortTrial:
-    """A running port check: the board with its properties, the parameters of the check, and the results so far."""
+    """A running check of a board's own code (port): the board with its properties, parameters, and results so far."""
 
     board: BoardUnderTest
     request: PortCheckRequest

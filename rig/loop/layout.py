@@ -144,7 +144,7 @@ class Buffers(NamedTuple):
     received, raw, transmit
         Bytes from the link, a decoded frame, and a frame to send.
     header, candidate, state, command, question, times
-        Fields of a frame's header, of a received STATE, of the newest STATE, of COMMAND, GET_TIME and TIME.
+        Fields of a frame's header, and of the messages STATE (received, newest), COMMAND, GET_TIME and TIME.
     exchanges
         The four time stamps of each clock exchange (ns), of the newest `EXCHANGES_KEPT` exchanges.
     mail, waiting

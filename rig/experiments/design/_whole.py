@@ -293,7 +293,7 @@ class _Whole:
     def _hold(
         self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Return the candidates with which a wall of this stiffness holds at one of the dampings and offsets."""
+        """Return the candidates with which a wall of this stiffness is stable at a damping and an encoder offset."""
         if not left:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)

@@ -58,7 +58,7 @@ class MapRequest:
     ] = None
 
     def plan(self, x: Experiment, *, on_device: bool = False) -> MapPlan:
-        """Return the plan of the map of stable walls for experiment `x`; raise `ConfigError` if it is invalid."""
+        """Return the plan of the map of stable walls for experiment `x`; raise `PlanError` if it is invalid."""
         dampings = numbers_of(self.damping, "`damping`") if self.damping else None
         parsed = [Scheme.parse(text) for text in self.schemes]
         schemes = schemes_for(x, parsed, dampings, on_device=on_device)

@@ -43,7 +43,7 @@ def run_parts(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Parts:
-    """Run all groups of tasks (parts) as one sweep; `journal` (file of results), … are those of `sweep.run`."""
+    """Run all groups of tasks (parts) as one sweep; `rig.experiments.sweep.run` explains arguments and errors."""
     started = time.monotonic()
     tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0

@@ -174,7 +174,7 @@ class Koul:
         }
 
     def against(self, key: str) -> Change:
-        """Return the limits and area of an idea divided by those of the paper's dual-rate wall."""
+        """Return limits and area of an idea for a larger Z-width, divided by those of the paper's dual-rate wall."""
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
@@ -183,7 +183,7 @@ class Koul:
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
     def group(self, group: str) -> list[Tried]:
-        """Return the results of all ideas of one group."""
+        """Return the results of one group of ideas for a larger Z-width."""
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
