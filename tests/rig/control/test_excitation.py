@@ -149,7 +149,7 @@ def test_a_plan_refuses_an_impedance_that_nothing_can_be_divided_by() -> None:
     [
         (lambda: Multisine.schroeder((5.0, 1.0), rms=1.0), "band"),
         (lambda: Multisine.schroeder((0.0, 1.0), rms=1.0), "band"),
-        (lambda: Multisine.schroeder((1.2, 1.8), rms=1.0), "no line"),
+        (lambda: Multisine.schroeder((1.2, 1.8), rms=1.0), "no spectral line"),
         (lambda: Multisine.schroeder((1.0, 5.0)), "size of the excitation is missing"),
         (lambda: Multisine.schroeder((1.0, 5.0), rms=1.0, peak=1.0), "only one is allowed"),
         (lambda: Multisine.schroeder((1.0, 5.0), rms=-1.0), "size"),
