@@ -148,7 +148,7 @@ def _check(plan: MapPlan) -> None:
         )
     if len(plan.offsets) != 1:
         raise PlanError(
-            f"{len(plan.offsets)} offsets of the wall within an encoder count are given; only a simulation can vary "
+            f"{len(plan.offsets)} encoder offsets (of the wall within a count) are given; only a simulation can vary "
             "this offset",
             remedy="give a single offset (any value; a device ignores it), and raise the number of repeats instead",
         )
