@@ -26,6 +26,8 @@ SHORTEST_HEARTBEAT_S = 0.1
 LEAST_INDEX_COUNTS = 16
 # Magnitudes of any quantity in SI units; a place may be what rounding left, such as 0.1 + 0.2 - 0.3.
 LEAST, GREATEST = 1e-30, 1e15
+# A travel of one distance between indices contains an index; a quarter more, so that one lies beyond the switch.
+TRAVEL_OVER_INDEX_DISTANCE = 1.25
 MOST_ORDER = 1000  # of cogging; no motor has as many slots
 LARGEST_DISC = 10_000_000  # lines of an encoder; no disc has more
 
@@ -152,12 +154,12 @@ def reference(x: Experiment) -> Iterator[Problem]:
             "which one was found",
             "wire a limit switch at one end, or mount the encoder where it turns less than once",
         )
-    elif given.travel <= 1.25 * distance and given.limit_switch != "none":
+    elif given.travel <= TRAVEL_OVER_INDEX_DISTANCE * distance and given.limit_switch != "none":
         yield _problem(
             x,
             f"{key}.travel",
             "must be long enough to contain an index beyond the switch: more than "
-            f"{1.25 * distance:.4g} {unit}",
+            f"{TRAVEL_OVER_INDEX_DISTANCE * distance:.4g} {unit}",
             'set limit_switch = "none", which is enough if the travel contains one index',
         )
 
@@ -195,7 +197,8 @@ def cogging(x: Experiment) -> Iterator[Problem]:
 
 def _ripple(x: Experiment) -> Iterator[Problem]:
     given, key = x.rig.cogging, "rig.cogging"
-    if not len(given.ripple_cosine) == len(given.ripple_sine) in (0, len(given.orders)):
+    cosines, sines = len(given.ripple_cosine), len(given.ripple_sine)
+    if cosines != sines or cosines not in (0, len(given.orders)):
         yield _problem(
             x,
             f"{key}.ripple_cosine",
@@ -394,7 +397,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
 
 def rest(x: Experiment) -> Iterator[Problem]:
     """Yield a problem if the push comes to rest so few counts deep that the encoder decides the result."""
-    if x.wall.stiffness == 0 or any(True for _ in encoder(x)):
+    if x.wall.stiffness == 0 or any(encoder(x)):  # without a valid encoder there is no resolution
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
     push, needed = push_at_rest(x), least * resolution * x.wall.stiffness
@@ -444,7 +447,7 @@ def reach(x: Experiment) -> Iterator[Problem]:
             )
         return
     tail = x.trial.duration_s - x.verdict.tail_s
-    if x.trial.kind == "human" and end > tail > 0:
+    if x.trial.kind == "human" and end > tail > 0:  # a tail that is too long has its own problem
         yield _problem(
             x,
             "operator.reach_s",

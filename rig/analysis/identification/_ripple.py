@@ -92,20 +92,20 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
     """
     low, high = common_range([*free, *loaded], period)
     every = range(1, most_order + 1)
-    each = np.array(
+    by_pair = np.array(  # a row for each pair of sweeps: cosines, sines, load
         [
             _fit_shares(within(without, low, high), within(with_, low, high), period, every)
             for without, with_ in zip(free, loaded, strict=True)
         ]
     )
-    load = from_scatter(float(each[:, -1].mean()), each[:, -1])
+    load = from_scatter(float(by_pair[:, -1].mean()), by_pair[:, -1])
     if not abs(load.value) > load.ci95:
         raise IdentificationError(
             f"the load was measured as {load.text()} N·m or N: it must be larger than its 95 % interval, "
             "otherwise friction masks the ripple",
             remedy="hang a larger mass, or use a longer arm",
         )
-    intervals = [from_scatter(float(column.mean()), column) for column in each.T]
+    intervals = [from_scatter(float(column.mean()), column) for column in by_pair.T]
     cosine, sine = intervals[:most_order], intervals[most_order:-1]
     size = np.array([math.hypot(c.value, s.value) for c, s in zip(cosine, sine, strict=True)])
     needed = CERTAIN * np.array([math.hypot(c.ci95, s.ci95) for c, s in zip(cosine, sine, strict=True)])
@@ -124,12 +124,14 @@ def _fit_shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) 
     """Return the ripple's cosine, then sine amplitudes (shares of the effort), then the load, from a pair of sweeps."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
-        with_, without = (
-            fitted_pair(_undo_ripple(pair, shares, period, orders), period, orders) for pair in (loaded, free)
+        without, with_ = (
+            fitted_pair(_undo_ripple(pair, shares, period, orders), period, orders) for pair in (free, loaded)
         )
-        found = with_ - without
-        load = -0.5 * (found[-2] + found[-1])
-        shares = shares + found[:-2] / load
+        # What the load adds to the effort; friction is the same with and without it, so it drops out of the difference.
+        *harmonics, effort_up, effort_down = with_ - without
+        load = -0.5 * (effort_up + effort_down)  # the motor opposes the load
+        # To first order the motor needs load/(1 + r) = load·(1 − r): the two signs cancel.
+        shares = shares + np.array(harmonics) / load
     return np.array([*shares, load])
 
 
