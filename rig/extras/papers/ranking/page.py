@@ -69,7 +69,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         + f". Pairs: {len(max((one.pairs for one in found), key=len))} of estimator and law. Delays: "
         f"{', '.join(delays)} ticks. The command, which resumes from its journal:"
     )
-    yield f"<!-- not run: hours of one core -->\n```sh\n{COMMAND}\n```"
+    yield f"<!-- not run: about 40 minutes of one core -->\n```sh\n{COMMAND}\n```"
     yield "## Answer"
     yield _wrap(
         "A pair is recommended where it wins or ties against the best other one without a hand and in all three "
