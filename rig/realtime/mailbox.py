@@ -95,7 +95,7 @@ def state_after_claiming(state: int) -> int:
 
 @kernel(_i64(_address, _bytes))
 def fill(mailbox: int, message: Any) -> int:
-    """Copy a message (a multiple of 8 bytes) into the mailbox's writer slot; return its number for `publish`."""
+    """Copy a message (a multiple of 8 bytes) into the writer's slot; return the number that `publish` will return."""
     state = load_word(mailbox)
     number = (state >> NUMBER) + 1
     slot = slot_address(mailbox, writers_slot(state))
@@ -110,8 +110,8 @@ def fill(mailbox: int, message: Any) -> int:
 @kernel(_i64(_address))
 def publish(mailbox: int) -> int:
     """Post the message that `fill` wrote into the mailbox's writer slot; return the number of the message."""
-    # Twice at most: only the writer makes mail fresh and the reader moves fresh mail alone. A writer that is killed
-    # before leaves its own slot half filled, which is never read: the word is the only shared state.
+    # The exchange fails at most once: only a claim of the reader changes the word in between, and the reader claims a
+    # message once. A writer that is killed before it leaves its own slot half filled, which is never read.
     while True:
         state = load_word(mailbox)
         after = state_after_publishing(state)

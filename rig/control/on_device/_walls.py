@@ -162,7 +162,7 @@ def fixed_wall(wall: FixedWall) -> Values:
 
 
 def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the wall in SI units from the device parameters of `fixed_wall`.
+    """Return the wall in SI units from all device parameters of an integer law.
 
     The rounding error of `rig.control._fixed_wall.design_wall` is half of 2⁻ˢ quanta (s = fixed_shift) for each LSB of
     depth or velocity, and 2⁻⁹ counts for the position.

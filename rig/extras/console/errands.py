@@ -19,7 +19,6 @@ from rig.core.errors import RigError
 
 MOST = 2  # processes
 LINE_BYTES = 1 << 26  # largest reply line
-END_S = 2.0
 
 
 class Errands:
@@ -33,11 +32,11 @@ class Errands:
     async def run(
         self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
     ) -> tuple[Any, bytes]:
-        """Run a task in another process: `errand` is a key of `rig.extras.console.errand_worker.ERRANDS`.
+        """Run an errand in another process: `errand` is a key of `rig.extras.console.errand_worker.ERRANDS`.
 
-        `content` are the task's arguments. Return its result and its bytes, which may be empty. `compiling` is called
-        with True when a compilation begins, and with False when it ends. Raises `RigError` if the task fails or its
-        process dies.
+        `content` are the errand's arguments. Return its result and its bytes, which may be empty. `compiling` is called
+        with True when a compilation begins, and with False when it ends. Raises `RigError` if the errand fails, its
+        process dies, or its reply is longer than `LINE_BYTES`.
         """
         async with self._free_processes:
             process = self._idle.pop() if self._idle else await self._start()
@@ -85,6 +84,7 @@ class Errands:
 async def _request(
     process: asyncio.subprocess.Process, message: dict[str, Any], compiling: Callable[[bool], None]
 ) -> tuple[dict[str, Any], bytes]:
+    # Lines of JSON: any number of {"compiling"}, then {"result", "bytes"} or {"error", "remedy"}, then that many bytes.
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -93,6 +93,13 @@ async def _request(
         while "compiling" in (answer := json.loads(await process.stdout.readuntil(b"\n"))):
             compiling(answer["compiling"])
         return answer, await process.stdout.readexactly(answer.get("bytes", 0))
+    except asyncio.LimitOverrunError as error:
+        process.kill()
+        await process.stdout.read()  # the pipe is paused: unread, it would keep `wait` from ever returning
+        raise RigError(
+            f"the reply to {message['errand']!r} is longer than {LINE_BYTES} bytes",
+            remedy="request less at once: fewer recordings, or a shorter part of one",
+        ) from error
     except (OSError, asyncio.IncompleteReadError) as error:
         raise RigError(
             f"the background process for {message['errand']!r} ended without a result",

@@ -22,7 +22,8 @@ from rig.core.sample import Motion
 NAME = "haptic-rig"
 PATIENCE_S = 5.0
 READY_S = 30.0
-# PIPE_BUF of Linux: a write of at most this size to a pipe is complete or fails.
+# PIPE_BUF of Linux: a write of at most this size to a pipe is complete or fails. On macOS (512 bytes) a longer marker
+# may be written in part while the pipe is nearly full.
 LINE_BYTES = 4096
 CUT = "…"  # what stands for the rest of a text
 
@@ -59,8 +60,8 @@ def _refuse_if_missing() -> None:
 class LslMarks:
     """Context manager that runs ``rig serve lsl`` for the loops of this process, and sends markers to it.
 
-    After its start only `wait` raises or blocks, so that a failed stream does not end a session. `lost` counts markers
-    that could not be sent, with one warning for each reason. A `text` that is too long is cut.
+    After its start only `wait` raises, so that a failed stream does not end a session; `wait` and `close` may block.
+    `lost` counts markers that could not be sent, with one warning for each reason. A `text` that is too long is cut.
 
     Parameters
     ----------

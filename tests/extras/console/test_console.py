@@ -80,7 +80,7 @@ def recorded(place: Path) -> Recording:
 
 
 def check_zero(recording: Recording, reason: str) -> None:
-    """It was stopped in the trial, and the loop's last word was zero effort."""
+    """It was stopped in the trial with the reason and an error; the loop's own tests show its zero effort."""
     assert recording.trailer["reason"] == reason
     assert recording.rows["phase"][-1] == Phase.TRIAL
     assert recording.trailer["error"]

@@ -32,6 +32,23 @@ def test_answers_and_errors_come_back_from_one_process_and_none_is_left(tmp_path
     asyncio.run(body())
 
 
+def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sent, "LINE_BYTES", 10)
+
+    async def body() -> None:
+        errands = Errands()
+        try:
+            with pytest.raises(RigError, match="'recordings' is longer than 10 bytes"):
+                await errands.run("recordings", directory=str(tmp_path), search="", first=0)
+            assert errands._all == set()
+        finally:
+            await errands.close()
+
+    asyncio.run(body())
+
+
 def test_no_more_processes_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[object] = []
 

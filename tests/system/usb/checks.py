@@ -162,7 +162,10 @@ def _caught(cable: Cable, kind: type[LinkLostError], act: Callable[[UsbLink], No
     assert type(error) is kind, repr(error)
     assert error.remedy
     assert URL in error.message
-    for use in (lambda: link.read(0.01), lambda: _fill(link)):  # it stays lost in one direction at least
+    for use in (
+        lambda: link.read(0.01),
+        lambda: _fill(link),
+    ):  # it may work in one direction; no other error may come
         with contextlib.suppress(LinkLostError):
             use()
     return (at_ns - happened_ns) * 1e-6
