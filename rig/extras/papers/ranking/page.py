@@ -119,7 +119,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield _wrap("With the name `alpha-beta` it is tuned from 10 to 400 Hz and measured beside the others:")
     yield (
         "<!-- not run: needs the entry point -->\n"
-        f'```sh\n{COMMAND} chawda-linear --entry "alpha-beta:bandwidth_hz=10:400"\n```'
+        '```sh\nrig estimators rank chawda-linear --entry "alpha-beta:bandwidth_hz=10:400"\n```'
     )
 
 
