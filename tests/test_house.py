@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +29,11 @@ REGISTRIES = {
 }
 
 
-@cache
-def nodes() -> dict[str, list[ast.AST]]:
-    """All that stands in each module."""
-    return {module: list(ast.walk(ast.parse(path.read_text()))) for module, path in source_files().items()}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _nodes_are_forgotten() -> Iterator[None]:
-    """They take 160 MB of a worker."""
-    yield
-    nodes.cache_clear()
+def nodes(pattern: str) -> Iterator[tuple[str, Path, list[ast.AST]]]:
+    """Each module in whose text a pattern is found, with its path and all that stands in it."""
+    for module, path in source_files().items():
+        if re.search(pattern, text := path.read_text(), re.MULTILINE):
+            yield module, path, list(ast.walk(ast.parse(text)))
 
 
 def walks() -> list[list[tuple[int, str, str]]]:
@@ -112,11 +105,11 @@ def test_no_file_is_part_of_a_cycle() -> None:
 
 def named_by_string() -> Iterator[tuple[str, str, str]]:
     """File, its module, and every module of ours that it names in a string."""
-    for module, path in source_files().items():
-        for node in nodes()[module]:
+    for module, path, everything in nodes(r"[\"'](?:rig|sim_backend|firmware_protocol)\."):
+        for node in everything:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 named = node.value.partition(":")[0]
-                if MODULE_BY_NAME.fullmatch(node.value) and named in nodes():
+                if MODULE_BY_NAME.fullmatch(node.value) and named in source_files():
                     yield str(path.relative_to(ROOT)), module, named
 
 
@@ -150,7 +143,7 @@ def test_imports_stand_at_the_top_of_files() -> None:
     """But for the ring and the entry, since `rig stop` waits for neither numba nor click, and a command of an extra."""
     inside = {
         module
-        for module, everything in nodes().items()
+        for module, _, everything in nodes(r"^\s+(?:from|import) ")
         if any(isinstance(node, ast.Import | ast.ImportFrom) and node.col_offset for node in everything)
         for function in everything
         if isinstance(function, ast.FunctionDef)
@@ -163,7 +156,7 @@ def test_imports_stand_at_the_top_of_files() -> None:
 def test_every_child_of_this_interpreter_takes_no_module_from_the_working_directory() -> None:
     commands = [
         ast.unparse(node)
-        for everything in nodes().values()
+        for _, _, everything in nodes(r"sys\.executable")
         for node in everything
         if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
     ]
