@@ -153,29 +153,21 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
             f"estimator {estimator}: gains = {gains!r} needs mu1 and mu2",
             remedy="give mu1 and mu2; `rig theory levant-regions` shows which pairs converge",
         )
+    pair = f"estimator {estimator}: mu1 = {mu1:g}, mu2 = {mu2:g} lie outside the region {gains!r}"
+    unchecked = "or gains = 'custom', for which convergence is not checked"
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
-        raise _region_error(
-            estimator,
-            gains,
-            mu1,
-            mu2,
-            "≥",
-            levant_regions.hba_mu1(mu2),
-            "a larger mu2 (above 2), which lowers the least mu1",
+        least = f"mu1 ≥ {levant_regions.hba_mu1(mu2):.5g}, or " if mu2 > 2.0 else ""
+        raise ConfigError(
+            f"{pair}, which requires mu2 > 2 and mu1 ≥ (mu2² + 4)/(mu2² − 4)",
+            remedy=f"choose {least}a larger mu2 (above 2), which lowers the least mu1 towards 1; {unchecked}",
         )
     if gains == "lfba" and not levant_regions.in_lfba(mu1, mu2):
-        raise _region_error(estimator, gains, mu1, mu2, ">", levant_regions.lfba_mu1(mu2), "a larger mu2")
+        raise ConfigError(
+            f"{pair}, which requires mu1 > 3 + 2/mu2²",
+            remedy=f"choose mu1 > {levant_regions.lfba_mu1(mu2):.5g}, or a larger mu2, which lowers this limit of mu1 "
+            f"towards 3; {unchecked}",
+        )
     return float(mu1), float(mu2)
-
-
-def _region_error(
-    estimator: str, gains: str, mu1: float, mu2: float, relation: str, needed: float, other: str
-) -> ConfigError:
-    way_out = f"mu1 {relation} {needed:.5g}, or {other}" if math.isfinite(needed) else other
-    return ConfigError(
-        f"estimator {estimator}: mu1 = {mu1:g}, mu2 = {mu2:g} lie outside the region {gains!r}",
-        remedy=f"choose {way_out}; or gains = 'custom', which is not checked",
-    )
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
