@@ -55,7 +55,8 @@ def start_announced(
     """
     if sys.platform == "win32":  # a child there gets no descriptors by number
         raise DeviceNotFoundError(
-            f"the process {name} cannot be started on Windows", remedy="use Linux, or a device on a port"
+            f"the process {name} cannot be started on Windows",
+            remedy="use Linux, or a real device on a serial (COM) port",
         )
     else:
         served = pickle.dumps((serve, arguments))

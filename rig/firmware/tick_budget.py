@@ -108,12 +108,13 @@ def tick_budget(board: Board, settings: Mapping[str, SettingValue] | None = None
 def named_budget(name: str) -> TickBudget:
     """Return the processor and clock of the board `name`.
 
-    Raise `ConfigError` if the board is unknown or the cycles of its processor were never counted.
+    Raise `ConfigError` if the board is unknown, or the CPU cycles of a control tick were not counted on its processor.
     """
     found = tick_budget(load(name))
     if found is None:
         raise ConfigError(
-            f"the cycles of board {name} are not known; they were counted for Cortex-{' and Cortex-'.join(TICKS)}",
+            f"the time of a control tick on board {name} cannot be estimated: CPU cycles were counted only on "
+            f"Cortex-{' and Cortex-'.join(TICKS)} processors",
             remedy=f"choose a board with one of these processors, such as {BOARD}",
         )
     return found

@@ -80,8 +80,8 @@ def play(content: Mapping[str, Any], talk: Talk) -> Any:
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
         raise ConfigError(
-            f"{url}: dragging needs a simulated rig",
-            remedy="use a sim: URL, or start a hit and move the handle",
+            f"{url}: the handle can be dragged with the mouse only on a simulated rig",
+            remedy="use a sim: URL, or start a hit and move the real handle by hand",
         )
     url += ("&" if "?" in url else "?") + f"hand={content['hand']}"
     changes = {**PLAY, "trial.duration_s": float(content["duration_s"]), **(content.get("changes") or {})}

@@ -96,7 +96,7 @@ class Live(Service):
         followed = self._followed
         recorded = None if followed is None else followed.info.get("recording")
         if followed is None or not recorded:
-            raise ConfigError("the page shows no recorded run", remedy="start a run first")
+            raise ConfigError("the page shows no run with a recording", remedy="run a hit first")
         if not followed.ended:
             raise ConfigError(
                 "the run has not ended, and a cut needs the complete recording",

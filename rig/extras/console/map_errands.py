@@ -188,7 +188,7 @@ def theory(directory: str) -> list[dict[str, Any]]:
 def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
     """Return name and map of the recording of one hit; a hit of a simulated map is repeated and recorded in `output`.
 
-    `key` names the series of the hit.
+    `key` names the stiffness search that made the hit, as scheme/damping/encoder offset/repeat.
     Raises `ConfigError` if the map has no such hit, or contains impedances instead of hits.
     """
     path = Path(directory)
@@ -208,8 +208,9 @@ def find_recording(directory: str, key: str, stiffness: float, output: str) -> d
     )
     if row is None:
         raise ConfigError(
-            f"the map has no hit at K = {stiffness:g} in its series {key!r}",
-            remedy="choose a cell of the map",
+            f"the map has no cell at stiffness K = {stiffness:g} in its stiffness search {key!r} (scheme/damping/"
+            "encoder offset/repeat): no hit was made there",
+            remedy="choose a cell that the map shows",
         )
     if device:
         if not (path / maps.RECORDINGS / row[RECORDING]).exists():

@@ -349,7 +349,8 @@ def row_of(code: str) -> int:
     numbers = re.findall(r"[0-9]+", code)
     if not numbers:
         raise ConfigError(
-            f"code {code!r} contains no number; it would give the participant's row in the table of condition orders",
+            f"code {code!r} contains no number; the last number in a code selects the participant's row in the table "
+            "of condition orders",
             remedy="give a code with a number, or give the row with `row`, counted from 0",
         )
     if int(numbers[-1]) == 0:

@@ -136,7 +136,7 @@ def test_a_board_without_a_float_unit_has_less_time_for_a_float_law() -> None:
     ):
         assert paths.fits_a_tick(controller(text), "rp2040") is on_pico, text
         assert paths.fits_a_tick(controller(text), "mps2") is with_float_unit, text
-    with pytest.raises(ConfigError, match="the cycles of board mps2-an385 are not known"):
+    with pytest.raises(ConfigError, match="control tick on board mps2-an385 cannot be estimated"):
         places_for(X, "device", board="mps2-an385")
 
 
