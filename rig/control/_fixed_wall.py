@@ -62,7 +62,7 @@ def depth(count: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, types.int64, WALL), inline=True)
 def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
-    """Return the reaction of the wall in quanta · 2^shift, positive towards free space.
+    """Return the reaction of the wall in current quanta · 2^shift, positive towards free space.
 
     `penetration` is the result of `depth`; `velocity` is in LSB of the estimator's format, positive with rising counts.
     """

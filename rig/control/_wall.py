@@ -59,7 +59,7 @@ def spring_damper_law() -> Law:
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of the virtual wall (K, B and two options) from the settings of ``[wall]``."""
+    """Return a wall's parameters: K, B, 1 (else 0) if the wall may pull, 1 (else 0) if only entry is damped."""
     may_pull = 1.0 if wall["pull"] == "allow" else 0.0
     entry_only = 1.0 if wall["damping_on"] == "entry" else 0.0
     return [wall["stiffness"], wall["damping"], may_pull, entry_only]

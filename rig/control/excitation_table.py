@@ -59,7 +59,7 @@ def cosine(phase: Turns) -> NDArray[np.int32]:
 
 
 def hashed_phases(seed: int, lines: int) -> Turns:
-    """Return the pseudo-random phase of each line at tick 0 (2^−32 turns), by the hash of firmware's excitation.h."""
+    """Return a pseudo-random phase (2^−32 turns) at tick 0 for each spectral line, by the hash in excitation.h."""
     z = (seed + 0x9E3779B9 * np.arange(1, lines + 1, dtype=np.uint64)).astype(np.uint32)
     z = (z ^ z >> np.uint32(16)) * np.uint32(0x85EBCA6B)
     z = (z ^ z >> np.uint32(13)) * np.uint32(0xC2B2AE35)
@@ -67,7 +67,7 @@ def hashed_phases(seed: int, lines: int) -> Turns:
 
 
 def schroeder_phases(lines: int) -> Turns:
-    """Return Schroeder's phases for lines of equal amplitude (2^−32 turns): −j(j + 1)/2 · floor(2^32/lines)."""
+    """Return Schroeder's phases (2^−32 turns) of spectral lines of equal height: −j(j + 1)/2 · floor(2^32/lines)."""
     j = np.arange(lines, dtype=np.uint64)
     return (-(j * (j + np.uint64(1)) // np.uint64(2) * np.uint64(_TURN // lines)).astype(np.int64)).astype(
         np.uint32
@@ -81,13 +81,13 @@ class ExcitationTable:
     Parameters
     ----------
     lines
-        Number of lines.
+        Number of spectral lines.
     first, step
-        Harmonic of the first line, and the difference between the harmonics of neighbouring spectral lines.
+        Harmonic of the first spectral line, and the difference between the harmonics of neighbouring spectral lines.
     period
         Length of one period (ticks).
     amplitude
-        Peak of each spectral line (quanta · 2^16).
+        Peak of each spectral line (current quanta · 2^16).
     bits
         Fractional bits of the numbers in the table.
     ramp
@@ -240,27 +240,27 @@ class ExcitationTable:
 
     @cached_property
     def table(self) -> NDArray[np.int16]:
-        """Return one period of the excitation as the device stores it (quanta · 2^bits), shape (period,)."""
+        """Return one period of the excitation as the device stores it (current quanta · 2^bits), shape (period,)."""
         return np.clip(self._at(self.bits), -GREATEST - 1, GREATEST).astype(np.int16)
 
     @property
     def values(self) -> Floats:
-        """Return one period of the excitation (quanta), shape (period,)."""
+        """Return one period of the excitation (current quanta), shape (period,)."""
         return np.asarray(self.table, np.float64) * 2.0**-self.bits
 
     @property
     def peak(self) -> float:
-        """Return the largest magnitude of the excitation (quanta)."""
+        """Return the largest magnitude of the excitation (current quanta)."""
         return float(np.abs(self.values).max())
 
     @property
     def rms(self) -> float:
-        """Return the root mean square of the excitation over a period (quanta)."""
+        """Return the root mean square of the excitation over a period (current quanta)."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property
     def error(self) -> float:
-        """Return an upper bound of the difference between the table and the multisine that it approximates (quanta).
+        """Return an upper bound (current quanta) of the difference between the table and the multisine it approximates.
 
         It is half a step of the table, plus for each spectral line the error of its cosine (5.2e-6 of the amplitude)
         and of its phase (at most 2^−32 turns for each line before it, plus two).

@@ -496,7 +496,10 @@ def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> Non
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE, types.float64, types.int64), inline=True)
 def _guard_effort(control: Any, memory: Any, wanted: float, elapsed_ticks: int) -> int:
-    """Limit effort and slew rate, round (steps 6 and 7), set flags, return the current (quanta; 0 if the run ends)."""
+    """Limit the effort `wanted` and its slew rate; return it as a current (quanta, rounded; 0 if the run ends).
+
+    Where they apply, set the flags NONFINITE, OUT_OF_WINDOW, SATURATED (effort limit) and SLEW_BOUND (slew limit).
+    """
     c, m = control[0], memory[0]
     if not math.isfinite(wanted) or not math.isfinite(m["velocity"]):
         m["flags"] |= NONFINITE

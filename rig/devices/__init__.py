@@ -188,12 +188,15 @@ def url_for(url: str, loop: str) -> str:
 
 
 def simulated_rig() -> OpenRig:
-    """Return the function that creates simulated rigs for fast hits; raise `DeviceNotFoundError` if missing."""
+    """Return the function that creates a rig for fast simulated hits (compiled, without the byte protocol).
+
+    Raise `DeviceNotFoundError` if the simulator cannot be imported.
+    """
     return cast("OpenRig", loaded(HITS))
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return the function that creates rigs with a second actuator; `DeviceNotFoundError` without a simulator."""
+    """Return the function that creates rigs with two actuators; `DeviceNotFoundError` without a simulator."""
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
@@ -203,5 +206,5 @@ def simulated_trial() -> tuple[Any, Any]:
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
-    """Open a device; return an object whose methods send the protocol's requests. `open_link` explains errors."""
+    """Open a device for requests of the protocol; raise `ConfigError` or `DeviceNotFoundError` as `open_link`."""
     return FramedDevice(open_link(url, model))

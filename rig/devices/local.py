@@ -141,7 +141,7 @@ def open_for_run(
     Raises
     ------
     RigError
-        As `serve_locally` and `rig.devices.open_device`.
+        The device cannot be opened, or the process of a simulated device does not start.
     """
     with ExitStack() as stack:
         if in_real_time and url.startswith("sim:"):

@@ -33,7 +33,10 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
-    """Open the port of a URL such as ``serial:///dev/ttyACM0?baud=921600&dtr=on``; errors: `rig.devices.open_link`."""
+    """Open the serial port of a URL such as ``serial:///dev/ttyACM0?baud=921600&dtr=on``; return the link.
+
+    Raise `ConfigError` for an invalid option, `DeviceNotFoundError` if the port is missing, in use or not permitted.
+    """
     options = SerialOptions.of(url)
     port = _open(url.place, options.baud)
     try:

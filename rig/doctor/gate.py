@@ -47,7 +47,7 @@ SIMULATED_S = 0.2
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
-    """Decide from the measurement of a link whether the experiment's wall may be armed over this link."""
+    """Return the decision (`Gate`) if the motor may be armed to render the experiment's wall over the measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
     # Coulomb friction, which stabilises walls that linear theory finds unstable, is not counted on.
@@ -101,13 +101,13 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     experiment
         Experiment with the new wall.
     armed
-        Result of the gate when the loop was armed: ``delay_ticks``, ``simulated`` and ``forced`` of `Gate`.
+        Result of `gate` before arming: the fields ``delay_ticks``, ``simulated``, ``forced`` (armed despite refusals).
 
     Raises
     ------
     PlanError
-        The wall is unstable by linear theory. No wall is refused on a simulated device, after arming with ``forced``,
-        or with a law that theory does not cover.
+        The wall is unstable by linear theory. No wall is refused if ``simulated`` or ``forced`` is True, or with a law
+        that theory does not cover.
     """
     if armed["simulated"] or armed["forced"]:
         return
@@ -237,7 +237,7 @@ def check_armable(
     Returns
     -------
     Gate or None
-        Result of the gate; None in virtual time, in which the link has no delay.
+        Decision of `gate`; None in virtual time, in which the link has no delay.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def ahead(new: int, old: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64), inline=True)
 def time_of(settings: Any, samples: int) -> int:
-    """Return the nominal duration of `samples` ticks (units of the device's clock)."""
+    """Return the nominal duration of `samples` control ticks, in units of the device's clock (rounded down)."""
     return int(samples * settings[0]["period_ns"] * 1000 // settings[0]["device_tick_ps"])
 
 

@@ -135,7 +135,7 @@ class SupervisedThread(LoopThread):
         return refusals
 
     def findings(self) -> dict[str, Any]:
-        """Return the `DeviceHostAgreement` for the recording's trailer, under the key ``device_host_agreement``."""
+        """Return the agreement of device and host currents, for the trailer: ``{"device_host_agreement": {…}}``."""
         return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:

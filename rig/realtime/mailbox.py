@@ -168,7 +168,7 @@ def take(mailbox: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def post_message(mailbox: int, message: Any) -> int:
-    """Post a message (a multiple of 8 bytes) in a mailbox; return its number. Only one writer at a time may call it."""
+    """Post a message (a multiple of 8 bytes) and return its sequence number (1, 2, …). Only one writer at a time."""
     fill(mailbox, message)
     return int(publish(mailbox))
 
@@ -236,7 +236,7 @@ class Mailbox:
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """Post a message for the loop and return its number; call it only within the context `Mailbox.alone`."""
+        """Post a message for the loop; return the message's number. Call it only within the context `Mailbox.alone`."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES

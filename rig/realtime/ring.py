@@ -225,7 +225,7 @@ class Ring:
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
-        """Post a parameter set for the running law; return its number. For errors see `set_bytes`, `Mailbox.post`."""
+        """Post a parameter set for the running law, return its number (1, 2, …); raise `ConfigError` or `RigError`."""
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
         return self.writer().post(set_bytes(values))

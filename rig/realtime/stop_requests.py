@@ -245,7 +245,7 @@ class RunSeries:
 
 @contextmanager
 def listening() -> Iterator[RunSeries]:
-    """Count stop signals within this context and yield a `RunSeries`, by which the caller sees whether to stop."""
+    """Count stop signals within this context; yield a `RunSeries`, whose `is_stopped` is True after a stop request."""
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
     else:
@@ -286,7 +286,7 @@ def renew() -> None:
 
 @contextmanager
 def run() -> Iterator[RunSeries]:
-    """Count stop signals during one run and yield the run's `RunSeries`.
+    """Count stop signals during one run; yield a `RunSeries`, whose `is_stopped` is True after a stop request.
 
     Enter the context before the run arms a device, and leave it after the recording is sealed. The end of the program,
     and a signal whose default action would end the process, wait for the end of the context.

@@ -130,9 +130,9 @@ def keep_time(
     """Run ticks and pass bytes until `end_ns` on the port's clock, or until Python code must act; return the reason.
 
     The reason is `AGAIN` (time is up), `ASK` (a buffer is used up, or the device was armed or changed its rate) or
-    `GONE` (the host hung up). `line` is the address of the port (`_keep`), `grid` the state of the runner (`BOOT_NS`
-    …). `output` has `PENDING_BYTES` for bytes that wait to be sent and `OUTPUT_BYTES` behind them, `received` has
-    `RECEIVED_BYTES`.
+    `GONE` (the host hung up). `line` is the address where `_keep` stored the port. `grid` is the state between two
+    calls, at the indices `BOOT_NS` to `WAITED`. `output` has `PENDING_BYTES` for bytes that wait to be sent to the
+    host and `OUTPUT_BYTES` behind them for new output; `received` has `RECEIVED_BYTES` for bytes from the host.
     """
     words, port = software.words, _at(line)
     while True:

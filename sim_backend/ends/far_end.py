@@ -104,7 +104,7 @@ def put(handle: int, end: FarEnd) -> None:
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _ready(handle: int) -> int:
-    """Update the device at the address `handle` if Python code has used it; return 0, or a negative errno."""
+    """Reload the device at the address `handle` if Python code has used it; return 0, or a negative errno."""
     end = _at(handle)
     if end.progress[CLOSED] != 0:
         return _BROKEN

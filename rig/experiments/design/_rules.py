@@ -127,7 +127,8 @@ def as_good(one: Measures, other: Measures, step: float) -> bool:
 def reaches(name: str, one: float, other: float, step: float) -> bool:
     """Return True if value `one` of the measure `name` is as good as value `other`, or if `other` is missing (NaN).
 
-    `step` is the ratio between two stiffnesses of the search, by which a stiffness may be lower.
+    `step` (above 1) is the tolerance, the ratio of neighbouring tested stiffnesses: a stiffness `one` is as good if
+    `one` · `step` ≥ `other`. Other rules apply to "b_width", "worst_fidelity" and "tuned" (number of tuned values).
     """
     if math.isnan(other):
         return True

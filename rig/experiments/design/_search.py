@@ -340,7 +340,7 @@ class _Search:
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
     def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
-        """Compare two sampling schemes by hits on encoder offsets and seeds that the search did not use."""
+        """Compare two sampling schemes by simulated hits, with encoder offsets and seeds that were not searched."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]

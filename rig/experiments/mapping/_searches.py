@@ -78,7 +78,7 @@ def numbers_of(text: str, name: str) -> tuple[float, ...]:
 
 
 def bounds_of(text: str, name: str) -> tuple[float, float]:
-    """Return lowest and highest value of a text ``10:1000``; raise `ConfigError` for another text, called `name`."""
+    """Return lowest and highest value of a text ``10:1000``; else raise `ConfigError`, which quotes `name`."""
     try:
         low, high = (float(part) for part in text.split(":"))
     except ValueError:

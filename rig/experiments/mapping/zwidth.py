@@ -456,7 +456,10 @@ def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return if a hit passed by each ripple (felt, heard, any; None: invalid), from recorded or true signals."""
+    """Return for each ripple (felt, heard, any): True if a hit passed, False if it failed, None if it is invalid.
+
+    `row` has the columns of the hit; `judged` chooses the verdict on recorded or on true (simulated) signals.
+    """
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

@@ -136,7 +136,7 @@ def analysed_with() -> dict[str, str]:
 
 
 def _collect_facts(found: StudyAnalysis) -> dict[str, Any]:
-    """Return all values that the template of the methods reads."""
+    """Return, by name, all values in the template of the report's Methods section (`TEMPLATE`)."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
     x = first_experiment(found)

@@ -54,7 +54,8 @@ class StudySession:
     began
         Content of the log's first event.
     recordings
-        State of each trial's recording: "ok", "missing", "changed", or "not checked"; only trials with a recording.
+        State of each trial's recording file, by trial number: "ok", "missing" (no such file), "changed" or
+        "not checked"; only trials with a recording.
     amended
         Numbers of the trials whose verdict was amended.
     """

@@ -87,7 +87,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment with the softest wall of the first search, and settings that a device must not change."""
+    """Return the experiment with the softest wall of the first search, and settings that override a device's rates."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -97,7 +97,7 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
 def _wall(
     walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment of a hit, and its settings that the device must not change."""
+    """Return the experiment of a hit, and settings that override the device's rates."""
     condition = walls.protocol.condition_named(name)
     experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)

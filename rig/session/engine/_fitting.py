@@ -31,7 +31,7 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield the stiffest wall's experiment per condition and damping, with settings that a device must not change."""
+    """Yield the stiffest wall's experiment per condition and damping, with settings that override a device's rates."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:

@@ -114,7 +114,7 @@ class DeviceRunner:
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return facts about the device, its clock and this computer, which the log stores.
 
-        `changes` are settings of the experiment that the device must not change.
+        `changes` (by key) override the experiment and the device's rates.
         """
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
@@ -171,8 +171,8 @@ class DeviceRunner:
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
         """Measure lost and late samples at the experiment's rate on the open device; nothing moves.
 
-        Return None in virtual time. `changes` are settings that the device must not change. Raise `RigError` if the
-        device does not reply, or the required scheduling is not granted.
+        Return None in virtual time. `changes` (by key) override the experiment and the device's rates. Raise
+        `RigError` if the device does not reply, or the required scheduling is not granted.
         """
         device = self._device(experiment, changes)
         if device is None:
@@ -201,7 +201,7 @@ class DeviceRunner:
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
         """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
 
-        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
+        Record the pulse as `name` in `directory`. `changes` (by key) override the experiment and the device's rates.
         """
         device = self._device(experiment, changes)
         assert device is not None  # a real one
@@ -230,7 +230,7 @@ class DeviceRunner:
         Parameters
         ----------
         experiment, changes
-            Experiment with the wall, and its settings that the device must not change.
+            Experiment with the wall, and values by key that override the experiment and the device's rates.
         directory, name
             Directory and name of the recording.
         watch

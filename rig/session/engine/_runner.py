@@ -20,7 +20,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionWall:
-    """A wall that a session may present: experiment, and its settings (`changes`) that a device must not change."""
+    """A wall that a session may present: experiment, and settings (`changes`) that override a device's rates."""
 
     condition: str
     experiment: Experiment
@@ -80,7 +80,7 @@ class TrialRunner(Protocol):
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return facts about the device, its clock and this computer, which the log stores.
 
-        `changes` are settings of the experiment that the device must not change.
+        `changes` (by key) override the experiment and the device's rates.
         """
         ...
 
@@ -91,7 +91,7 @@ class TrialRunner(Protocol):
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
         """Measure lost and late samples at the experiment's rate, without motion; return None in virtual time.
 
-        `changes` are settings of the experiment that the device must not change.
+        `changes` (by key) override the experiment and the device's rates.
         """
         ...
 
@@ -102,7 +102,7 @@ class TrialRunner(Protocol):
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
         """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
 
-        The pulse is recorded as `name` in `directory`. `changes` are settings that the device must not change.
+        Record the pulse as `name` in `directory`. `changes` (by key) override the experiment and the device's rates.
         """
         ...
 

@@ -156,7 +156,7 @@ class Walls:
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
-    """Return the rates (Hz) that a device must not change, by key; {} if the condition has no sampling scheme."""
+    """Return the rates (Hz) that override a device's own, by key; {} if the condition has no sampling scheme."""
     if condition.scheme is None:
         return {}
     rates = experiment.controller

@@ -49,7 +49,7 @@ def draw_frequency_map(
     picture
         File to write; its ending selects the format (`rig.views.plots.style.save`).
     theory
-        Limits by theory for each sampling scheme's number, from `rig.experiments.mapping._ranges.linear_curves`.
+        Limits by theory by index of a sampling scheme, from `rig.experiments.mapping._ranges.linear_curves`.
     search
         True to draw the path of the boundary search.
     realisation

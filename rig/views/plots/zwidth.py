@@ -40,9 +40,10 @@ def draw_zwidth(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Path:
-    """Draw a map of stable walls into a file, a panel for each ripple (felt, heard, any); return the file's path.
+    """Draw a map of stable walls into a file, with a panel for each of `criteria`; return the file's path.
 
-    `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
+    `criteria` are the ripples that a stable wall must not have: "felt" (velocity), "heard" (effort), or "any" (also
+    position). `theory` contains a curve (dampings, stiffness limits) by the index of a sampling scheme in the plan.
     """
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
@@ -54,9 +55,10 @@ def zwidth_figure(
     theory: Mapping[int, Curve] | None = None,
     criteria: Sequence[str] = ("felt", "heard"),
 ) -> Any:
-    """Return the matplotlib figure of a map of stable walls, with a panel for each ripple (felt, heard, any).
+    """Return the matplotlib figure of a map of stable walls, with a panel for each of `criteria`.
 
-    `theory` contains a curve (dampings, stiffness limits) for the number of a sampling scheme.
+    `criteria` are the ripples that a stable wall must not have: "felt" (velocity), "heard" (effort), or "any" (also
+    position). `theory` contains a curve (dampings, stiffness limits) by the index of a sampling scheme in the plan.
     """
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1

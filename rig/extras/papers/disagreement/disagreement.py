@@ -251,7 +251,7 @@ class Disagreement(Shown, Drawn):
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Return the shares of the K–B plane where theory and hits differ, for the sampling scheme with this index."""
+        """Return the shares of the K–B plane where only theory or only hits call a wall stable, for one scheme."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
@@ -270,7 +270,7 @@ class Disagreement(Shown, Drawn):
 
     @reported
     def schemes(self) -> tuple[Shares, ...]:
-        """Shares of the K–B plane where theory and hits differ, for each sampling scheme in the order of the plan."""
+        """Shares of the K–B plane where only theory or only hits call a wall stable, for each sampling scheme."""
         return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
 
     @reported
