@@ -158,7 +158,7 @@ def compute_wanted(rules: Ints, until: int) -> int:
 
 
 def warm(heat: Floats, measured: int) -> None:
-    """Update the motor's thermal model (I²t) by one tick: a first-order lag of the square of `measured` (quanta)."""
+    """Update the thermal model (I²t) by one tick: a first-order lag of the square of `measured` (current quanta)."""
     heat[HEAT] += (measured * measured - heat[HEAT]) * heat[DECAY]
 
 

@@ -73,7 +73,7 @@ def options(name: str, law: Floats) -> tuple[bool, bool]:
 
 
 def float_wall(c: Control, law: Floats) -> Values:
-    """Return the wall's device parameters in float32, in counts and quanta.
+    """Return the wall's device parameters in float32, in counts and current quanta.
 
     The surface is a whole count and a fraction, so that the depth is exact.
     """
@@ -102,7 +102,7 @@ def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def float_guard(c: Control) -> Values:
-    """Return the device parameters of constant effort, limits and homing servo in float32, in counts and quanta."""
+    """Return the device parameters of constant effort, limits and homing servo in float32 (counts, current quanta)."""
     delta, quantum, period_s = _scales(c)
     return {
         "float_constant": c["constant_effort"] / quantum,
@@ -120,7 +120,7 @@ def float_guard(c: Control) -> Values:
 def designed_wall(
     c: Control, name: str, law: Floats, velocity: Format, added_quanta: float = 0.0
 ) -> FixedWall:
-    """Return the wall in integers; its sums have bits for a further effort of `added_quanta` quanta.
+    """Return the wall in integers; its sums have bits for a further effort of `added_quanta` current quanta.
 
     Raises `PlanError` if the wall does not fit the integers of the device.
     """

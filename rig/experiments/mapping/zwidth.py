@@ -447,7 +447,7 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return the columns of a measured hit by name: verdict, passed or not by each ripple (felt, …), all numbers.
+    """Return the columns of a hit by name: outcome, passed (True, False, None) for each ripple (felt, …), all numbers.
 
     `suffix` is appended to each name: "" for recorded signals, `TRUE` for true signals.
     """
