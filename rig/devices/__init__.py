@@ -188,10 +188,7 @@ def url_for(url: str, loop: str) -> str:
 
 
 def simulated_rig() -> OpenRig:
-    """Return the function that creates a rig for fast simulated hits (compiled, without the byte protocol).
-
-    Raise `DeviceNotFoundError` if the simulator cannot be imported.
-    """
+    """Return the function that creates rigs for fast simulated hits; `DeviceNotFoundError` without a simulator."""
     return cast("OpenRig", loaded(HITS))
 
 

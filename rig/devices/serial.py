@@ -33,10 +33,7 @@ assert sys.platform == "linux"
 
 
 def open_link(url: DeviceUrl, model: RigModel | None = None) -> SerialLink:
-    """Open the serial port of a URL such as ``serial:///dev/ttyACM0?baud=921600&dtr=on``; return the link.
-
-    Raise `ConfigError` for an invalid option, `DeviceNotFoundError` if the port is missing, in use or not permitted.
-    """
+    """Open the serial port of a URL and return the link; raise `ConfigError` or `DeviceNotFoundError` if it fails."""
     options = SerialOptions.of(url)
     port = _open(url.place, options.baud)
     try:

@@ -456,10 +456,7 @@ def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return for each ripple (felt, heard, any): True if a hit passed, False if it failed, None if it is invalid.
-
-    `row` has the columns of the hit; `judged` chooses the verdict on recorded or on true (simulated) signals.
-    """
+    """Return for the ripples felt, heard and any: True if the hit in `row` passed, False if not, None if invalid."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

@@ -208,8 +208,7 @@ def find_recording(directory: str, key: str, stiffness: float, output: str) -> d
     )
     if row is None:
         raise ConfigError(
-            f"the map has no cell at stiffness K = {stiffness:g} in its stiffness search {key!r} (scheme/damping/"
-            "encoder offset/repeat): no hit was made there",
+            f"the map has no cell at K = {stiffness:g} in stiffness search {key!r}: no hit was made there",
             remedy="choose a cell that the map shows",
         )
     if device:

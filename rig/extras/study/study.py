@@ -54,8 +54,7 @@ class StudySession:
     began
         Content of the log's first event.
     recordings
-        State of each trial's recording file, by trial number: "ok", "missing" (no such file), "changed" or
-        "not checked"; only trials with a recording.
+        State of each trial's recording file, by trial number: "ok", "missing" (no file), "changed", or "not checked".
     amended
         Numbers of the trials whose verdict was amended.
     """

@@ -42,8 +42,7 @@ def draw_zwidth(
 ) -> Path:
     """Draw a map of stable walls into a file, with a panel for each of `criteria`; return the file's path.
 
-    `criteria` are the ripples that a stable wall must not have: "felt" (velocity), "heard" (effort), or "any" (also
-    position). `theory` contains a curve (dampings, stiffness limits) by the index of a sampling scheme in the plan.
+    `theory` has dampings and stiffness limits by scheme index; "felt" and "heard" are ripples of velocity and effort.
     """
     return style.save(zwidth_figure(found, theory=theory, criteria=criteria), Path(picture))
 
@@ -57,8 +56,7 @@ def zwidth_figure(
 ) -> Any:
     """Return the matplotlib figure of a map of stable walls, with a panel for each of `criteria`.
 
-    `criteria` are the ripples that a stable wall must not have: "felt" (velocity), "heard" (effort), or "any" (also
-    position). `theory` contains a curve (dampings, stiffness limits) by the index of a sampling scheme in the plan.
+    `theory` has dampings and stiffness limits by scheme index; "felt" and "heard" are ripples of velocity and effort.
     """
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
