@@ -274,7 +274,7 @@ def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) ->
         page = Page()
         with SharedHand.create(output / "hand") as hand:
             live = Live(shared(output), hand, Terminal(), own=True)
-            with pytest.raises(ConfigError, match="no recorded run"):
+            with pytest.raises(ConfigError, match="no run with a recording"):
                 await ask(live, page, "cut", first_s=0.0, last_s=1.0)
             seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})
             live._followed = cast("Followed", seen)
