@@ -264,7 +264,7 @@ static inline int64_t step(const struct control *c, struct memory *m, struct dif
 int64_t trial(const struct control *control, const double *estimator, const double *wall,
     const double (*phi)[ORDER], const double (*gamma)[INPUTS], const double *plant, double *state,
     int64_t n,
-    double (*states)[ORDER + 1], int64_t *counts, int64_t *phases, int64_t *active,
+    double (*states)[ORDER + 1], double *velocities, int64_t *counts, int64_t *phases, int64_t *active,
     int64_t *currents, int64_t *flags)
 {
     struct memory m = {.index = -1, .velocity_period = -1};
@@ -277,6 +277,7 @@ int64_t trial(const struct control *control, const double *estimator, const doub
             states[k][i] = state[i];
         counts[k] = count;
         phases[k] = m.phase;
+        velocities[k] = m.velocity;
         currents[k] = m.phase == DONE ? 0 : current;
         flags[k] = m.flags;
         if (m.phase == DONE)
