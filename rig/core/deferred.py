@@ -24,6 +24,7 @@ class _Deferred:
         return getattr(self._module, attribute)
 
 
+integrate: Any = _Deferred("scipy.integrate")
 io: Any = _Deferred("scipy.io")
 linalg: Any = _Deferred("scipy.linalg")
 optimize: Any = _Deferred("scipy.optimize")

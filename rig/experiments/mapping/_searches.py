@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.deferred import integrate
 from rig.core.errors import ConfigError, PlanError
 
 # ladder: test upwards from the lowest stiffness until a wall has failed under each criterion (Koul et al., section
@@ -229,7 +230,7 @@ class Extent:
         end = int(passing[-1]) + 1
         return cls(
             damping=float(b[end - 1]),
-            area=float(np.trapezoid(k[:end], b[:end])),
+            area=float(integrate.trapezoid(k[:end], b[:end])),
             holes=tuple(b[:end][k[:end] <= 0.0].tolist()),
         )
 

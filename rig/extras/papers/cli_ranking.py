@@ -36,7 +36,7 @@ def rank(
     """Rank estimators and laws on RIGS (or all) by the areas of rendered walls, and write a page of tables.
 
     Each rig and eight variations are hit without a hand and in three grips, with 0, 1 and 2 ticks of delay. All rigs
-    take an hour of one core; the same command resumes an interrupted ranking.
+    take about 40 minutes of one core; the same command resumes an interrupted ranking.
     """
     own = [_entry(text) for text in entries]
     make_directory(directory)

@@ -20,6 +20,7 @@ from rig import config
 from rig.analysis.impedance import Floats, Impedance, ideal_wall, periodic
 from rig.config import Experiment
 from rig.config.schemes import Scheme
+from rig.core.deferred import integrate
 from rig.experiments.mapping.interface import FrequencyWidth, Spread, connected
 from rig.experiments.sweep import Task
 from rig.experiments.trials.excitation_run import ExcitedRig, RealisationRun, Signal
@@ -225,4 +226,4 @@ class Readings:
         """
         k, b = np.array((0.0, *self.grid.stiffnesses)), np.array(self.grid.dampings)
         held = connected(self.passive[:, reading, scheme]).sum(axis=-1)
-        return Spread.of([float(np.trapezoid(k[row], b)) for row in held])
+        return Spread.of([float(integrate.trapezoid(k[row], b)) for row in held])

@@ -12,12 +12,11 @@ from dataclasses import asdict, dataclass, field
 from itertools import takewhile
 from typing import Any, Literal
 
-import numpy as np
-
 from rig.config import Experiment
 from rig.config.schemes import Scheme
 from rig.control import estimators
 from rig.control.verdict import CRITERIA
+from rig.core.deferred import integrate
 from rig.experiments.mapping.interface import Width, ZWidth
 from rig.extras.papers.koul.parts import DampingRange
 from rig.extras.papers.koul.rigs import COMPLIANT, RIGID, HeldRig
@@ -85,7 +84,7 @@ class Tried:
         if len(corners) < 2:
             return 0.0
         dampings, stiffnesses = zip(*corners, strict=True)
-        return float(np.trapezoid(stiffnesses, dampings))
+        return float(integrate.trapezoid(stiffnesses, dampings))
 
     def as_mapping(self) -> dict[str, Any]:
         """Return idea, limits, areas and ranges for JSON."""

@@ -16,6 +16,7 @@ import numpy as np
 from rig import config
 from rig.config import Experiment
 from rig.control import estimators
+from rig.core.deferred import integrate
 from rig.core.errors import ConfigError, LawError
 from rig.experiments import sweep
 from rig.experiments.estimation.interface import Variant, rest_noise
@@ -73,7 +74,7 @@ def trace_limits(
 def area_under(limits: Sequence[float], dampings: Sequence[float], lowest: float) -> float:
     """Return the area below the limits; at least half the first damping above 0, times the stiffness `lowest`."""
     inside = [*limits, *[0.0] * (len(dampings) - len(limits))]
-    return max(float(np.trapezoid(inside, dampings)), 0.5 * lowest * dampings[1])
+    return max(float(integrate.trapezoid(inside, dampings)), 0.5 * lowest * dampings[1])
 
 
 @cache

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
+from firmware_protocol.codegen import table
 from rig import config
 from rig.core.sample import unit_of
 from rig.extras.papers.ranking import rule
@@ -77,7 +78,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         f"{100 * rule.CONFIDENCE:g} % interval lies above 1. Where none is recommended, the pairs that never lose "
         "are equally good by this rule: take the cheapest."
     )
-    yield _table(
+    yield table(
         ["rig", *(f"delay {n}" for n in delays)],
         ([one.rig, *(_answer(one, n) for n in delays)] for one in found),
     )
@@ -91,7 +92,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         "The disturbance observer, uniform and with a plain wall, over the best pair of an estimator of counts alone "
         "and a plain wall (area, geometric mean and 95 % interval; bold where it wins):"
     )
-    yield _table(
+    yield table(
         ["rig", "delay", *(HANDS[grip] for grip in found[0].axis(0))],
         ([one.rig, n, *(_observer(one, grip, n) for grip in one.axis(0))] for one in found for n in delays),
     )
@@ -101,7 +102,7 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
         "of a toggling count at rest (rad/s or m/s). A law takes the value of its estimator."
     )
     yield _tuned(found)
-    yield _table(
+    yield table(
         ["estimator", "cycles a tick, M0+", "M4F"],
         ([f"`{name}`", *(f"{TICKS[core][name]:,}" for core in ("M0+", "M4F"))] for name in rule.ESTIMATORS),
     )
@@ -145,7 +146,7 @@ def _rigs(found: Sequence[RigResults], delays: Sequence[str]) -> Iterator[str]:
             "are the pairs that all rigs can run, by the mean logarithm of area over the largest area."
         )
         taus = {n: stability(found, n) for n in delays}
-        yield _table(
+        yield table(
             ["left out", *(f"delay {n}" for n in delays)],
             ([one.rig, *(f"{taus[n][one.rig]:.2f}" for n in delays)] for one in found),
         )
@@ -225,7 +226,7 @@ def _areas(one: RigResults, grip: str, delays: Sequence[str]) -> str:
             cells.append(text)
         first = one.cell(pair, grip, delays[0])
         rows.append([pair, *cells, _number(first.undamped), str(first.capped), f"{first.error:.2g}"])
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def _tuned(found: Sequence[RigResults]) -> str:
@@ -242,7 +243,7 @@ def _tuned(found: Sequence[RigResults]) -> str:
             mark = "*" if name in one.ends else ""
             cells.append(f"{value}{mark} ({one.noise[name]:.2g})".strip())
         rows.append([name, *cells])
-    return _table(["estimator", *(one.rig for one in found)], rows)
+    return table(["estimator", *(one.rig for one in found)], rows)
 
 
 def _order(found: Sequence[RigResults], delay: str) -> str:
@@ -256,11 +257,6 @@ def _ratio(ratio: Ratio) -> str:
 
 def _number(value: float) -> str:
     return f"{value:,.0f}" if value >= 1000.0 else f"{value:.3g}"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _wrap(text: str) -> str:
