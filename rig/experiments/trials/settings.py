@@ -24,7 +24,7 @@ from rig.core.keyword import Keyword, keywords
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_ENTRY = re.compile(r"^    \*\*\w+\n(?:        .*\n)+", re.MULTILINE)  # entry of a docstring
+_ENTRY = re.compile(r"^\*\*\w+\n(?:    .*\n)+", re.MULTILINE)  # entry of a docstring
 
 
 def _key(key: str, help: str = "", *names: str) -> Keyword:
@@ -185,9 +185,10 @@ def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
         every = [*list(signature.parameters.values())[:-1], *named]
         function.__dict__["__signature__"] = signature.replace(parameters=every)
         lines = "".join(
-            f"        * `{name}`: {_meaning(all_keywords[name])}\n" for name in hints if name in all_keywords
+            f"    * `{name}`: {_meaning(all_keywords[name])}\n" for name in hints if name in all_keywords
         )
-        function.__doc__ = _ENTRY.sub(lambda found: f"{found[0]}\n{lines}", function.__doc__ or "")
+        text = inspect.cleandoc(function.__doc__ or "")  # as Python does itself from 3.13 on
+        function.__doc__ = _ENTRY.sub(lambda found: f"{found[0]}\n{lines}", f"{text}\n")
         return function
 
     return shown

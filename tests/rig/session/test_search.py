@@ -269,7 +269,7 @@ def test_catch_trials_among_any_rule_leave_it_as_it_is(name: Any) -> None:
     assert len(answers) > len(own)
     assert {a.probe.level for a in answers if a.probe.catch} <= {LEVELS[0], LEVELS[-1]}
     found, least = rule.estimate(answers), rule.estimate(own)
-    assert replace(found, hits=least.hits) == least
+    assert repr(replace(found, hits=least.hits)) == repr(least)  # NaN among them, which equals nothing
     assert found.hits == len(answers)
 
 
