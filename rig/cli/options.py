@@ -172,11 +172,6 @@ def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F]
     return option("--seed", group=group, type=click.IntRange(0), help=help, **more)
 
 
-def repeats_option(help: str, **more: Any) -> Callable[[F], F]:
-    """Return a decorator that adds the option --repeats, the number of equal runs."""
-    return option("--repeats", group=EXPERIMENT, type=click.IntRange(1, 10_000), help=help, **more)
-
-
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
     """Return a decorator that adds --signal, a reference signal of `rig.experiments.estimation._signals`."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)

@@ -23,7 +23,7 @@ COUNTED = {
     "unsent": "commands that the link did not take",
     "rows_dropped": "rows not recorded",
 }
-LOWEST_NS, HIGHEST_NS, EDGES_A_DECADE = 100, 10**10, 10
+LOWEST_NS, EDGES_A_DECADE = 100, 10
 EDGES_NS = np.rint(LOWEST_NS * 10.0 ** (np.arange(8 * EDGES_A_DECADE + 1) / EDGES_A_DECADE)).astype(np.int64)
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
 CONFIDENCE = 0.975  # of each bound of a quantile by itself

@@ -45,7 +45,6 @@ LIPSCHITZ_OFFSET = 0.1  # of the encoder
 LIPSCHITZ_S = 0.5  # of the hit: the fit takes the first 60 ms of contact
 # A wall at 99 % of its passive stiffness leaves a mass of 0.52 kg a damping of 0.13 N·s/m: its oscillation needs 8 s.
 CONTROL_SETTLING = 40  # periods
-NOMINAL = (20_000.0, 60.0)  # N/m, N·s/m: the wall of the preset, at which C is identified
 
 
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
