@@ -62,6 +62,8 @@ class Column(Shown, Drawn):
         return len(self.values)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is None:  # which numpy before 2.0 does not take
+            return np.asarray(self.values, dtype=dtype)
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def brief(self) -> list[Item]:

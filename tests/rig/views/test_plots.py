@@ -144,7 +144,7 @@ def test_the_wall_is_shaded_on_its_side(recording: Any) -> None:
         mirrored = replace(recording, header={**recording.header, "experiment": experiment})
         for column in panels(hit_figure(mirrored)):
             (wall,) = column[0].patches
-            assert (wall.get_y() == 0.0) == (side == 1)
+            assert (wall.get_path().get_extents(wall.get_patch_transform()).y0 == 0.0) == (side == 1)
 
 
 def test_saturation_and_gaps_are_marked(recording: Any) -> None:
