@@ -1,1 +1,1 @@
-"""Linear theory, impedance and identification of rigs: pure computations with arrays, without a device or a file."""
+"""Analyse haptic rigs with arrays alone: linear theory, impedance and identification, without devices or files."""

@@ -9,7 +9,7 @@ from rig.realtime.scheduling import RealtimeRequest
 
 
 def machine_checks(host: RealtimeRequest | None = None) -> list[Check]:
-    """Return one check, which warns that this computer has no real-time loop; the argument `host` has no effect."""
+    """Return one check, a warning that this computer has no real-time loop; `host` (scheduling) has no effect."""
     return [_real_time()]
 
 

@@ -19,10 +19,10 @@ from rig.doctor.late_loops import LateLoops, unstable_hands
 
 @dataclass(frozen=True, slots=True)
 class LateWall:
-    """Stability and passivity of a wall whose commands act late, as checks and as numbers.
+    """Stability and passivity of a wall whose commands act late: checks (passed, warning or refused) and numbers.
 
-    For each hand, `radius` is the spectral radius of the closed loop (1 or more: unstable) and `k_max` the largest
-    stable stiffness; `passive` is the largest passive stiffness (N/m or N·m/rad), or None if it was not computed.
+    By name of the modelled hand, `radius` is the spectral radius of the closed loop (1 or more: unstable) and `k_max`
+    the largest stable stiffness; `passive` is the largest passive stiffness (N/m or N·m/rad), or None if not computed.
     """
 
     checks: tuple[Check, ...]
@@ -34,7 +34,7 @@ class LateWall:
 def late_wall(experiment: Experiment, delay: int) -> LateWall:
     """Compute stability and passivity of an experiment's wall whose commands act `delay` ticks late.
 
-    If theory does not cover the law or the delay, the result has one skipped check and no numbers.
+    If linear theory does not cover the control law or the delay, the result states this in a check, without numbers.
     """
     wall = experiment.wall
     try:
@@ -60,9 +60,9 @@ def _not_computed(error: ConfigError) -> Check:
 def stability(
     experiment: Experiment, delay: int, radius: Mapping[str, float], limits: Mapping[str, float]
 ) -> Check:
-    """Return a check that refuses a wall that is unstable with at least one hand.
+    """Return a check that refuses a wall which is unstable with a modelled hand on the handle, or without one.
 
-    `radius` is the spectral radius and `limits` the largest stable stiffness (N/m or N·m/rad) for each hand.
+    `radius` is the spectral radius and `limits` the largest stable stiffness (N/m or N·m/rad), by name of the hand.
     """
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     hands, largest = unstable_hands(radius, wall.stiffness), min(limits.values())
@@ -86,7 +86,7 @@ def _rounded_down(value: float) -> str:
 
 
 def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
-    """Yield checks that only warn or inform: replaced estimator, oscillation during homing, passivity of the wall."""
+    """Yield checks that only warn or inform: estimator replaced for theory, oscillation while homing, passivity."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
     homing = loops.radius(experiment.homing.stiffness, experiment.homing.damping)

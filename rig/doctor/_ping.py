@@ -69,7 +69,6 @@ class PingBuffers(NamedTuple):
 
     @classmethod
     def allocate(cls) -> PingBuffers:
-        """Return buffers of the required sizes, filled with zeros."""
         return cls(
             received=np.zeros(RECEIVE_BYTES, np.uint8),
             raw=np.zeros(codec.RAW_BYTES, np.uint8),
@@ -99,7 +98,7 @@ def _take(buffers: PingBuffers, length: int, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS))
 def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
-    """Read and decode received frames; return 1 if the reply is among them (in `buffers.answer`), 0, or -errno."""
+    """Read and decode received frames; return 1 if the awaited reply came (in `buffers.answer`), else 0 or -errno."""
     received, answer = buffers.received, buffers.answer
     came = 0
     got = np.int64(1)
@@ -134,9 +133,9 @@ def _gather(port: LoopPort, buffers: PingBuffers, tally: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, _BUFFERS_TYPE, _INTS, types.int64, types.int64))
 def _listen(port: LoopPort, buffers: PingBuffers, tally: Any, until_ns: int, for_answer: int) -> int:
-    """Receive frames until `until_ns` (ns), or until the reply if `for_answer` is 1.
+    """Receive frames until the time `until_ns` (ns), or if `for_answer` is 1 until the awaited reply arrives.
 
-    Return 1 if the reply has arrived and `for_answer` is 1, 0 if the time has passed, or -errno of a broken link.
+    Return 1 if `for_answer` is 1 and the reply has arrived, 0 if the time has passed, or -errno of a broken link.
     """
     while port.now(port.clock_handle) < until_ns:
         ready = port.wait(port.handle, until_ns)

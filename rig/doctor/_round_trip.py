@@ -57,9 +57,10 @@ class LinkMeasurement:
         Length of the measurement (s, by the link's clock).
     asked_rate_hz
         Highest rate of requests (Hz); None to send each request as soon as the previous reply arrives.
-    sent, lost, late, unsent, bad_frames
-        Numbers of: sent requests; requests without a reply within `TIMEOUT_S`; replies that arrived after this timeout;
-        requests that the port did not accept; damaged frames.
+    sent, unsent, bad_frames
+        Numbers of requests that were sent, of requests that the port did not accept, and of damaged frames.
+    lost, late
+        Numbers of requests without a reply within `TIMEOUT_S`, and of replies that arrived later.
     round_trip_s
         Distribution of the time from a request to its reply (s).
     travel_s
@@ -106,9 +107,9 @@ class LinkMeasurement:
 
     @reported
     def loop_rate_hz(self) -> float:
-        """Return the highest loop rate (Hz) at which 99.9 % of commands arrive within a period; ∞ in virtual time.
+        """Return the highest loop rate (Hz) at which 99.9 % of commands arrive within one tick; ∞ in virtual time.
 
-        If a drive sends its samples without a request, the period is a multiple of the drive's message period.
+        Behind a drive that sends samples on its own, the tick is a multiple of the period of these messages.
         """
         if self.late_s <= 0.0:
             return math.inf
@@ -117,7 +118,7 @@ class LinkMeasurement:
 
     @property
     def sample_delay_s(self) -> float:
-        """Return the time (s) from a bridge's tick to its drive's sample (99.9 % quantile); 0 without a bridge."""
+        """Return the time (s) that a motor drive on a bus takes for a sample (99.9 % quantile); 0 without a bus."""
         return 1e-6 * self.drive.get("p999_us", 0.0)
 
     @property
@@ -133,7 +134,7 @@ class LinkMeasurement:
         return 0 if self.virtual else ticks_late(self.late_s, rate, pacing)
 
     def rows(self) -> list[Row]:
-        """Return the measurement of a link as rows (name, text, note) for printing."""
+        """Return the measurement of a link as rows of a printed table: name, text and note."""
         asked = (
             "as fast as the device replies" if self.asked_rate_hz is None else f"at {self.asked_rate_hz:g} Hz"
         )
@@ -158,7 +159,7 @@ class LinkMeasurement:
 
 
 def _drive(facts: Mapping[str, float]) -> str:
-    """Return a sentence about the bus between bridge and drive: reply times (ms), losses, drive temperature (°C)."""
+    """Return a sentence about the bus to a motor drive: reply times (ms), lost replies, drive temperature (°C)."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
     asked, kind = (
@@ -300,7 +301,7 @@ class _Run:
             ) from failure
 
     def _return_link(self) -> None:
-        """Store the number of the newest State message in the connection, which else counts messages as lost."""
+        """Pass the newest State message's number to the connection, or it counts messages read here as lost."""
         connection, newest = self._device.connection, int(self._tally[TALLY.state_sequence])
         if newest >= 0:
             self._device.take_back(

@@ -36,6 +36,6 @@ class Machine:
     tried: Callable[[int, int | None], tuple[object, list[Check]]] = tried  # with a priority and a processor
 
     def judged(self, refusal: Check) -> Check:
-        """Return `refusal` unchanged if the experiment requires real-time scheduling, otherwise as a warning."""
+        """Return a refused check unchanged if the experiment requires real-time scheduling, otherwise as a warning."""
         demanded = self.request.realtime == "enforce"
         return refusal if demanded else replace(refusal, outcome=Outcome.WARNING)

@@ -101,7 +101,7 @@ def measure(request: RealtimeRequest, seconds: float = 1.0, rate_hz: int = RATE_
 
 @question("wake-ups", "wake-up latency shortens each period and varies from tick to tick")
 def judge(woken: WakeUps) -> Check:
-    """Return a check of the measured wake-up latency: a warning if p99 exceeds `LATE_S` or a period was missed."""
+    """Return a check of the measured wake-ups: a warning if p99 exceeds `LATE_S` or a period was missed."""
     thread = woken.thread
     policy = f"{thread.name} {thread.priority}" if thread.priority else thread.name
     p50, p99, worst = (f"{value * 1e6:.0f} µs" for value in (woken.p50_s, woken.p99_s, woken.worst_s))

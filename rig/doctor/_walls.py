@@ -1,8 +1,8 @@
-"""Compute the largest stable stiffness over a measured link, at several loop rates and dampings, for each hand.
+"""Compute the largest stable stiffness over a measured link, for several loop rates, dampings and modelled hands.
 
 The loop rates are the experiment's rate, the device's highest rate, the highest rate that the link's capacity permits,
-and the highest rate with one tick of delay. At each rate, linear theory (`rig.doctor.late_loops`) with the measured
-delay gives the stiffness, for a uniform and a dual-rate scheme with the experiment's velocity estimator.
+and the highest rate with one tick of delay. Linear theory (`rig.doctor.late_loops`) with the measured delay gives the
+stiffness, for a uniform and a dual-rate scheme with the experiment's velocity estimator.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A loop rate (Hz) in the table of stable walls, and the reason why the table contains this rate."""
+    """A loop rate (Hz) at which `rig doctor` lists stable walls, and why: ``the device's maximum``, for example."""
 
     hertz: int
     because: str
@@ -38,14 +38,14 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class Largest:
-    """Largest stable stiffness (N/m or N·m/rad) for each hand, at one damping of the wall (N·s/m or N·m·s/rad)."""
+    """Largest stable stiffness (N/m or N·m/rad) with each modelled hand, at one damping (N·s/m or N·m·s/rad)."""
 
     damping: float
     by_hand: Mapping[str, float]
 
     @property
     def least(self) -> tuple[str, float]:
-        """Return the hand with the smallest stiffness in `by_hand`, and this stiffness (N/m or N·m/rad)."""
+        """Return the modelled hand with the smallest stable stiffness, and this stiffness (N/m or N·m/rad)."""
         hand = min(self.by_hand, key=lambda name: self.by_hand[name])
         return hand, self.by_hand[hand]
 
@@ -81,7 +81,7 @@ class Supported:
 
 
 def wall_items(experiment: Experiment, rows: Sequence[Supported]) -> list[Item]:
-    """Return the table of stable walls for printing, followed by the reasons why theory does not cover some rows."""
+    """Return the table of stable walls for printing, and the reasons why theory does not cover some of its rows."""
     motion = experiment.rig.motion
     dampings = dampings_of(experiment)
     units = unit_of("stiffness", motion), unit_of("damping", motion)
@@ -100,7 +100,7 @@ def _cells(row: Supported, columns: int) -> list[str]:
 
 
 def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_maximum: int) -> list[Rate]:
-    """Return the loop rates for the table of stable walls, ascending; `rate_maximum` (Hz) is the device's highest."""
+    """Return the loop rates at which to compute stable walls, ascending; `rate_maximum` (Hz) is that of the device."""
     found = [Rate(experiment.controller.position_rate, "the experiment's")]
     fastest, on_the_device = rate_maximum, experiment.controller.loop == "device"
     if measurement.capacity_bytes_per_s is not None and not on_the_device:
@@ -122,7 +122,7 @@ def candidate_rates(experiment: Experiment, measurement: LinkMeasurement, rate_m
 
 
 def dampings_of(experiment: Experiment) -> tuple[float, ...]:
-    """Return the dampings for the table of stable walls (SI): 0, the experiment's, and twice the experiment's."""
+    """Return the dampings at which to compute stable walls (SI): 0, the experiment's, and twice the experiment's."""
     own = experiment.wall.damping
     return (0.0, own, 2.0 * own) if own > 0.0 else (0.0,)
 
@@ -133,7 +133,7 @@ def supported_walls(
     rate_maximum: int,
     progress: Progress | None = None,
 ) -> list[Supported]:
-    """Compute the rows of the table of stable walls: two schemes at most for each loop rate.
+    """Compute the largest stable stiffnesses over a measured link: for each loop rate a uniform and a dual-rate scheme.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def supported_walls(
 
 
 def _schemes(experiment: Experiment, rate: int) -> list[Scheme]:
-    """Return the uniform scheme at `rate` (Hz), and a dual-rate scheme with about the experiment's ratio of rates."""
+    """Return at position rate `rate` (Hz) a uniform sampling scheme, and one with a lower, dividing velocity rate."""
     controller = experiment.controller
     asked = controller.position_rate // controller.velocity_rate
     asked = asked if asked > 1 else DIVIDER

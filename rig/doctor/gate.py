@@ -10,8 +10,8 @@ On a real device the gate refuses
 
 Passivity is reported and not required. A simulated device is never refused.
 
-Hits, identification, motions, the design, `rig.doctor` and sessions call this file. It must not move the motor: a
-refusal comes before the device is armed.
+Hits (trials against a wall), identification, motions, `rig design`, `rig.doctor` and sessions call this file. It must
+not move the motor: a refusal comes before the device is armed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SIMULATED_S = 0.2
 
 
 def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
-    """Return the decision (`Gate`) if the motor may be armed to render the experiment's wall over the measured link."""
+    """Decide whether the motor may be armed to render the experiment's wall over the measured link."""
     rate, wall = experiment.controller.position_rate, experiment.wall
     delay = loop_delay_ticks(experiment, measurement, rate)
     # Coulomb friction, which stabilises walls that linear theory finds unstable, is not counted on.
@@ -77,9 +77,9 @@ def gate(experiment: Experiment, measurement: LinkMeasurement) -> Gate:
 def refused_among(
     experiment: Experiment, measurement: LinkMeasurement, stiffnesses: Iterable[float]
 ) -> tuple[float, ...]:
-    """Return those of the stiffnesses (N/m or N·m/rad) that `gate` would refuse at the experiment's damping.
+    """Return those of the stiffnesses (N/m or N·m/rad) with which the motor must not be armed, at the wall's damping.
 
-    All are refused if the gate refuses the link or homing; none if theory does not cover the law or the delay.
+    All are refused if the link is too slow or lossy, or homing cannot work; none if theory does not cover the law.
     """
     walls = tuple(stiffnesses)
     delay = loop_delay_ticks(experiment, measurement, experiment.controller.position_rate)
@@ -106,8 +106,7 @@ def check_change(experiment: Experiment, armed: Mapping[str, Any]) -> None:
     Raises
     ------
     PlanError
-        The wall is unstable by linear theory. No wall is refused if ``simulated`` or ``forced`` is True, or with a law
-        that theory does not cover.
+        The wall is unstable by linear theory, the device is real, and the user did not force the arming.
     """
     if armed["simulated"] or armed["forced"]:
         return
@@ -199,8 +198,8 @@ def measured_once(
 ) -> LinkMeasurement:
     """Measure the link of an open device with the loop's scheduling; repeated calls return the first measurement.
 
-    Raise the errors of `rig.doctor._round_trip.measure_link`, and `RealtimeError` if the experiment requires a
-    scheduling that the kernel does not grant.
+    Raise `LinkLostError` if the device does not reply, and `RealtimeError` if the experiment requires a scheduling that
+    the kernel does not grant.
     """
     kept = _MEASURED.setdefault(device, {})
     found = kept.get(scheduling := (host.realtime, host.priority, host.cpu))

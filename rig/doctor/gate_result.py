@@ -1,7 +1,7 @@
-"""Result of the arming gate (`rig.doctor.gate`), and conversion of a delay in seconds to ticks of the loop.
+"""Result of the arming gate (`rig.doctor.gate`, the check before the motor may move), and conversion of delays.
 
-Admission, hits, commands and pages read the result; recordings store it. This file must not measure a link nor import
-the gate, because a hit that was admitted earlier must not load them.
+Hits, commands and pages read the result; recordings store it. This file must not measure a link nor import the gate,
+because a hit that was admitted earlier must not load them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def ticks_text(number: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
-    """Result of the arming gate for one wall on one link.
+    """Decision whether the motor may be armed to render one wall over one link (the arming gate), and its numbers.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class Gate:
     stiffness, damping
         Stiffness (N/m or N·m/rad) and damping (N·s/m or N·m·s/rad) of the wall.
     spectral_radius
-        Spectral radius of the closed loop for each hand (1 or more: unstable); empty if it was not computed.
+        Spectral radius of the closed loop for each modelled hand (1 or more: unstable); empty if it was not computed.
     k_max
-        Largest stable stiffness (N/m or N·m/rad) for each hand, at the wall's damping and the measured delay.
+        Largest stable stiffness (N/m or N·m/rad) for each modelled hand, at the wall's damping and the measured delay.
     passive_stiffness
         Largest passive stiffness (N/m or N·m/rad) at the wall's damping and the measured delay; None if not computed.
     simulated, forced
@@ -75,26 +75,26 @@ class Gate:
 
     @reported
     def armable(self) -> bool:
-        """Return True if no check refuses to arm the wall."""
+        """Return True if no check refuses to arm the motor for the wall."""
         return not self.refused
 
     @property
     def refused(self) -> tuple[Check, ...]:
-        """Return the checks that refuse to arm the wall."""
+        """Return the checks that refuse to arm the motor for the wall."""
         return check.refused(self.checks)
 
     @property
     def text(self) -> str:
-        """Return the texts of all checks that refuse, separated by semicolons."""
+        """Return the reasons why the motor must not be armed, separated by semicolons."""
         return "; ".join(one.text for one in self.refused)
 
     @property
     def remedy(self) -> str:
-        """Return the remedies of all checks that refuse, without repetition, separated by semicolons."""
+        """Return what to do so that the motor may be armed: one remedy per refusal, separated by semicolons."""
         return "; ".join(dict.fromkeys(one.remedy for one in self.refused))
 
     def items(self) -> list[Item]:
-        """Return for printing the gate's verdict ("may be armed" or not), all checks and the spectral radii."""
+        """Return for printing whether the wall may be armed, all checks and the loop's spectral radii."""
         verdict = Check("arming", Outcome.OK, "this wall may be armed")
         if not self.armable:
             verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")

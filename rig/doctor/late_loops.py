@@ -1,4 +1,4 @@
-"""Compute by linear theory the stability of an experiment's wall whose commands act some ticks late, for each hand.
+"""Compute by linear theory the stability of a wall whose commands act some ticks late, for each modelled hand.
 
 Theory covers the spring and damper of the built-in walls with linear velocity estimators. A nonlinear estimator is
 replaced by the filter `STAND_IN` at the same rates, and each result with this filter is marked. If the velocity rate
@@ -58,7 +58,7 @@ def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate:
 
 @dataclass(frozen=True)
 class LateLoops:
-    """Linear models of an experiment's closed loop with a delay: one model for each hand and each velocity rate.
+    """Linear models of an experiment's closed loop with a delay: one for each modelled hand and each velocity rate.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class LateLoops:
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
-        """Return the linear models of an experiment's closed loop with a delay in ticks of the position rate.
+        """Return the closed loop's linear models with a delay of `delay_ticks` periods of the position samples.
 
         Raise `ConfigError` for a law or a delay that theory does not cover.
         """
@@ -104,7 +104,7 @@ class LateLoops:
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
-        """Return the models of the closed loop for each hand, by the hand's name: one model for each velocity rate."""
+        """Return the closed loop's linear models by name of the modelled hand: one for each velocity rate."""
         return {
             name: tuple(
                 Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
@@ -114,7 +114,7 @@ class LateLoops:
         }
 
     def radius(self, stiffness: float, damping: float) -> dict[str, float]:
-        """Return the spectral radius of the closed loop for each hand, the largest over the velocity rates.
+        """Return the closed loop's spectral radius by name of the modelled hand, the largest over the velocity rates.
 
         Below 1 the wall is stable. `stiffness` and `damping` are in SI units (N/m and N·s/m, or N·m/rad and N·m·s/rad).
         """
@@ -124,7 +124,7 @@ class LateLoops:
         }
 
     def k_max(self, dampings: Sequence[float]) -> list[dict[str, float]]:
-        """Return for each damping (N·s/m or N·m·s/rad) the largest stable stiffness (N/m or N·m/rad) with each hand."""
+        """Return per damping (N·s/m or N·m·s/rad) the largest stable stiffness (N/m or N·m/rad) by modelled hand."""
         curves = {
             hand: [k_max_curve(loop, None, dampings) for loop in loops]
             for hand, loops in self.by_hand.items()
@@ -136,16 +136,13 @@ class LateLoops:
 
 
 def unstable_hands(radius: Mapping[str, float], stiffness: float) -> list[str]:
-    """Return the names of the hands with which a wall is unstable; `radius` is the spectral radius for each hand."""
+    """Return the names of the modelled hands with which a wall is unstable; `radius` is the spectral radius by name."""
     # Without stiffness the handle is free to stay anywhere: an eigenvalue of 1, which rounding may lift.
     return [hand for hand, value in radius.items() if value >= (1.0 if stiffness > 0.0 else 1.0 + 1e-9)]
 
 
 def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
-    """Return a sampling scheme for each velocity rate, and a sentence on a replaced estimator ("" if none is).
-
-    A nonlinear estimator is replaced by the filter `STAND_IN`; the sentence says why.
-    """
+    """Return a sampling scheme for each velocity rate, and why the estimator was replaced ("" if it is linear)."""
     own = replace(Scheme.of(experiment), slow_velocity_rate=None, slow_below=0.0)
     slow = experiment.controller.slow_velocity_rate if experiment.controller.slow_below else None
     rates = [own.velocity_rate] if slow in (None, own.velocity_rate) else [own.velocity_rate, slow]

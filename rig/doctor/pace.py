@@ -54,7 +54,7 @@ class Pace:
     longest_gap_s
         Longest time without a sample (s).
     hopeless
-        True if a hit would have been invalid in each quarter of the measurement.
+        True if each quarter of the measurement lost more samples than a valid trial may lose.
     kept_hz
         Highest of the rates rate/2, rate/4, … (Hz) that loses at most the share `LOST_SHARE` of the samples; None if
         every rate from `SLOWEST_HZ` on loses more.
@@ -68,7 +68,7 @@ class Pace:
 
     @property
     def text(self) -> str:
-        """Return a sentence about the lost samples; empty if no sample was lost."""
+        """Return a sentence about the samples that the loop would lose or receive late; empty if none."""
         if self.lost_share == 0.0:
             return ""
         lost = f"{100 * self.lost_share:.2g} % of the samples at {self.rate_hz} Hz, or is late with them"
@@ -85,11 +85,11 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
     device
         Open device that is not in a run; the motor does not move.
     host
-        Settings of the host with the loop's scheduling.
+        Real-time scheduling of the loop on this computer (section ``[host]`` of the experiment).
     rate_hz
         Rate of the loop (Hz).
     limits
-        Limits of lost samples beyond which a trial is invalid.
+        Largest share of lost samples, and longest gap, of a valid trial.
 
     Raises
     ------

@@ -1,9 +1,7 @@
 """Predict from an experiment's description whether homing, the push to the wall and the current measurement will work.
 
-`rig experiment plan`, a hit and the arming gate call it. Each check that fails names the keys and values with which the
-check would pass. The rig is modelled as one rigid mass with friction and weight.
-
-It must not open a device.
+`rig experiment plan`, hits and the arming gate call it. Each check that fails names the keys and values with which it
+would pass. The rig is modelled as one rigid mass with friction and weight. It must not open a device.
 """
 
 from __future__ import annotations
@@ -50,12 +48,12 @@ QUIET_SHARE = 0.9
 
 
 def predict_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return all checks of a run whose commands act `ticks` late, in addition to the delay of the current set-point."""
+    """Return all checks that an experiment's description allows, for commands that act `ticks` late."""
     return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
 
 
 def homing_checks(x: Experiment, ticks: int) -> list[Check]:
-    """Return the checks that homing, with commands `ticks` late, is strong, stable, fast and accurate enough."""
+    """Check that the homing servo, with commands `ticks` late, is strong, stable, fast and accurate enough."""
     return [
         _homing_effort(x),
         _homing_stability(x, ticks),
@@ -68,7 +66,7 @@ def homing_checks(x: Experiment, ticks: int) -> list[Check]:
 
 
 def speed_reading(x: Experiment) -> Check:
-    """Return a check that refuses an estimator that outputs a speed above rig.limits.speed for a single count."""
+    """Check that one encoder count is not estimated as a speed above rig.limits.speed, which would end the run."""
     reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
     unit = unit_of("velocity", x.rig.motion)
     text = (
@@ -82,7 +80,7 @@ def speed_reading(x: Experiment) -> Check:
 
 
 def quieter_changes(x: Experiment) -> dict[str, float]:
-    """Return a lower cut-off (Hz) of the velocity filter, as a mapping from its key.
+    """Return a lower cut-off (Hz) of the velocity filter, as a mapping from the key that sets it.
 
     With this cut-off, one encoder count is estimated as at most half of the speed limit. The mapping is empty if the
     present cut-off is low enough, or if no cut-off is.
@@ -101,7 +99,7 @@ def finding(
     remedy: str = "",
     otherwise: Outcome = Outcome.REFUSED,
 ) -> Check:
-    """Return a passed check if `holds` is True, otherwise a failed check with the outcome `otherwise`.
+    """Return a passed check if `holds` is True, otherwise a check with the outcome `otherwise` (refused or warning).
 
     The remedy of a failed check lists `changes` (key: value) with which it would pass, or is the text `remedy`.
     """
@@ -190,7 +188,7 @@ def _homing_resolution(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_offset(x: Experiment, ticks: int) -> Check:
-    """Check that friction cannot hold the handle farther from trial.start than 3/4 of the distance to the wall."""
+    """Check that friction cannot hold the handle too far from the trial's start: 3/4 of the distance to the wall."""
     # A person brings the handle to its start; an excitation has no approach.
     if x.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
@@ -227,7 +225,7 @@ def _homing_offset(x: Experiment, ticks: int) -> Check:
 
 
 def _homing_time(x: Experiment) -> Check:
-    """Check that homing.timeout_s suffices for the longest way to trial.start in the position window."""
+    """Check that homing.timeout_s suffices for the longest distance to the trial's start in the position window."""
     limits, simulation = x.rig.limits, x.rig.simulation
     ends = (limits.position_minimum, limits.position_maximum)
     begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
@@ -279,7 +277,7 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
 
 
 def _unseen_speed(x: Experiment, net: float) -> Check:
-    """Check that the push is slower than the speed at which a constant count would be taken for a dead encoder."""
+    """Check that a push stays slow within two counts; a fast handle with a still count would mean a dead encoder."""
     inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
     way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)

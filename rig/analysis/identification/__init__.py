@@ -1,8 +1,7 @@
-"""Identify a rig from its motion: signs, friction, inertia, delay, and cogging and torque ripple of the motor.
+"""Identify a rig from its motion: sign of the effort, friction, inertia, delay, cogging and torque ripple of the motor.
 
 `rig.experiments` calls this package with arrays of time (s), effort (N·m or N) and position (rad or m), and pictures
-draw the results. Nothing here commands a device or opens a recording; data that are too poor raise
-`IdentificationError`.
+draw the results. Nothing here commands a device or opens a recording; poor data raise `IdentificationError`.
 """
 
 from rig.analysis.identification._cogging import SETTLE_S, CoggingMap, fit_cogging, pairs_of

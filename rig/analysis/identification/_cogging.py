@@ -92,7 +92,7 @@ class CoggingMap:
 
     @reported
     def stiffness(self) -> tuple[float, float]:
-        """Return the smallest and the largest stiffness that cogging causes in the measured range (N·m/rad or N/m)."""
+        """Return smallest and largest slope of the cogging effort over position in the range (N·m/rad or N/m)."""
         stiffness = -self.cogging.slope(self._range)
         return float(stiffness.min()), float(stiffness.max())
 
@@ -175,10 +175,10 @@ def pairs_of(
     inertia: float,
     damping: float,
 ) -> list[Pair]:
-    """Return for each pair of sweeps (up, down) arrays of position (rad or m) and effort (N·m or N).
+    """Return for each pair of sweeps (up, down) arrays of position (rad or m) and of cogging minus friction (N·m or N).
 
-    The effort is cogging minus friction. `wave` is the shortest period of a harmonic (rad or m); `fit_cogging`
-    describes the other arguments. Raise `IdentificationError` if the handle moved in fewer than two pairs.
+    `wave` is the shortest period of a harmonic to fit (rad or m), of which a 64th is averaged to one point. Raise
+    `IdentificationError` if the handle moved in fewer than two pairs.
     """
     ways = [_points(time_s, effort, position, sweep, wave, inertia, damping) for sweep in sweeps]
     if len(ways) < 4 or min(len(x) for x, _ in ways) == 0:
@@ -206,7 +206,7 @@ def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
 
 
 def within(pair: Pair, low: float, high: float) -> Pair:
-    """Return the points (positions, efforts) of a pair of sweeps at positions from `low` to `high` (rad or m)."""
+    """Return the points (positions, efforts) of both sweeps of a pair between positions `low` and `high` (rad or m)."""
     up, down = ((x[(x >= low) & (x <= high)], y[(x >= low) & (x <= high)]) for x, y in pair)
     return up, down
 
@@ -220,7 +220,6 @@ def _points(
     inertia: float,
     damping: float,
 ) -> Points:
-    """Return positions in a sweep, and cogging minus friction (effort) at these positions, as means over samples."""
     tick_s = float(time_s[1] - time_s[0])
     n = max(1, round(wave / abs(sweep.velocity) / BLOCKS / tick_s))
     inside = (time_s >= sweep.begin_s + SETTLE_S) & (time_s < sweep.end_s - SETTLE_S)
@@ -234,13 +233,13 @@ def _points(
 
 
 def basis(x: Floats, period: float, orders: Sequence[int]) -> Floats:
-    """Return the cosine and the sine of each harmonic at the positions `x` (rad or m), shape (n, 2·len(orders))."""
+    """Return the cosines, then the sines of all harmonics at positions `x` (rad or m), shape (n, 2·len(orders))."""
     angle = 2.0 * math.pi / period * np.multiply.outer(x, np.asarray(orders, dtype=np.float64))
     return np.hstack([np.cos(angle), np.sin(angle)])
 
 
 def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Fit harmonics to a pair of sweeps; return amplitudes of cosines, of sines, mean effort up, mean effort down."""
+    """Fit cogging to two sweeps; return amplitudes of cosines, of sines, mean effort up, mean down (N·m or N)."""
     up, down = pair
     rows = [
         np.column_stack(
@@ -253,7 +252,7 @@ def fitted_pair(pair: Pair, period: float, orders: Sequence[int]) -> Floats:
 
 
 def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int, ...], float]:
-    """Return the orders with a significant amplitude, and the largest amplitude that any other order may have."""
+    """Return the significant orders of cogging, and the largest amplitude of any other order (N·m or N)."""
     every = range(1, most + 1)
     each = np.array([fitted_pair(pair, period, every) for pair in pairs])[:, : 2 * most]
     mean, spread = each.mean(axis=0), each.std(axis=0, ddof=1)
@@ -267,7 +266,7 @@ def _orders(pairs: Sequence[Pair], period: float, most: int) -> tuple[tuple[int,
 def _mean_efforts(
     pairs: Sequence[Pair], low: float, high: float, wave: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the centres of position bins, and the mean effort in each bin over all sweeps up and all sweeps down."""
+    """Return centres of position bins, and the mean effort in each bin over all upward and all downward sweeps."""
     edges = np.linspace(low, high, max(2, round(8.0 * (high - low) / wave)) + 1)
     means = []
     for way in (0, 1):

@@ -83,14 +83,14 @@ class StructuralMode:
 
     Attributes
     ----------
-    antiresonance_hz, resonance_hz
-        Frequency (Hz) at which the link vibrates while the motor stands still, and frequency (Hz) at which motor and
-        link vibrate against each other.
+    antiresonance_hz
+        Frequency at which the link vibrates while the motor stands still (Hz).
+    resonance_hz
+        Frequency at which motor and link vibrate against each other (Hz).
     antiresonance_ratio, resonance_ratio
         Damping ratios of anti-resonance and resonance.
     motor_inertia, link_inertia
-        Motor's share of the total inertia m, m·(f_a/f_r)², and the link's share, m minus the motor's share (kg·m² or
-        kg).
+        Motor's share m·(f_a/f_r)² of the total inertia m, and the link's share, the rest of m (kg·m² or kg).
     stiffness
         Stiffness of the transmission, link inertia·ω_a² (N·m/rad or N/m).
     """
@@ -153,7 +153,7 @@ class Dynamics:
     unexplained: float
 
     def later(self, ticks: int, tick_s: float) -> Dynamics:
-        """Return this result with a delay that is longer by `ticks` ticks of the link, each `tick_s` (s) long."""
+        """Return this result with a delay longer by `ticks` periods `tick_s` (s) of the control loop."""
         delay = Interval(self.delay_s.value + ticks * tick_s, self.delay_s.ci95)
         s = 2j * np.pi * self.lines_hz
         late = np.exp(-s * ticks * tick_s)
@@ -234,7 +234,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Spectra of all runs (draws of the phases) at the spectral lines, shape (runs, lines), and model constants."""
+    """Data of the least-squares fit: spectra of position, effort and friction, shape (runs, spectral lines)."""
 
     lines: Floats
     rate: float
@@ -277,7 +277,7 @@ class _Problem:
         )
 
     def sticking(self, fit: _Fit) -> _Problem:
-        """Return the problem with the Coulomb friction of a simulated rigid handle, which also sticks."""
+        """Return the data with Coulomb friction as simulated on a rigid handle with fitted values, which can stick."""
         assert self.sliding is not None
         steps = math.ceil(STEP_HZ / self.rate)  # of a tick
         step_s = 1.0 / (steps * self.rate)
@@ -311,7 +311,7 @@ class _Problem:
     def solve(
         self, start: Floats, free: Sequence[int], ticks: int, weights: Floats, which: Runs = slice(None)
     ) -> Floats:
-        """Return all parameters after a least-squares fit of those in `free`; the others keep their start value."""
+        """Return all model parameters after a least-squares fit of those with the indices `free`."""
         # Units of their own size: the parameters span ten orders of magnitude.
         size = np.abs(start)
         size[B] = max(size[B], 1e-3 * abs(start[M]) * 2.0 * np.pi * self.lines[0])
@@ -332,7 +332,7 @@ class _Problem:
         return parameters(found.x)
 
     def fit(self, start: Floats, free: Sequence[int], ticks: int) -> _Fit:
-        """Fit parameters and weights in turn; the weights are the residuals, smoothed over neighbouring lines."""
+        """Fit the parameters with indices `free`, each round weighted by the smoothed residuals of the last round."""
         first = self.first_weights()
         weights, parameters = first, start
         for _ in range(ROUNDS):
@@ -344,11 +344,11 @@ class _Problem:
         return _Fit(parameters, ticks, weights, costs, self._unexplained(error))
 
     def first_weights(self) -> Floats:
-        """Return the weights before anything is known of the noise: 2 % of the motion, and the encoder's floor."""
+        """Return the position's error at each line for a first fit: 2 % of the motion, and the encoder's noise."""
         return np.asarray(np.sqrt((0.02**2) * np.mean(np.abs(self.position) ** 2, axis=0) + self.floor**2))
 
     def _unexplained(self, error: Complexes) -> float:
-        """Return the share of the velocity (rms) that follows the effort but is not explained by the fit."""
+        """Return the share of the rms velocity that follows the effort but not the model; `error`: its residual."""
         power = np.mean(np.abs(self.position) ** 2, axis=0)
         # Noise is not correlated with the effort: the mean over realisations removes it.
         runs, drive = len(error), np.mean(np.abs(self.effort) ** 2, axis=0)
@@ -359,13 +359,13 @@ class _Problem:
         return math.sqrt(max(0.0, float(np.sum(speed * own))) / float(np.sum(speed * power)))
 
     def with_delay(self, start: Floats, free: Sequence[int]) -> _Fit:
-        """Return the best fit over delays of 0, 1, … whole ticks, each with a fitted lag that is not negative."""
+        """Fit the parameters with indices `free` and a delay of 0, 1, … ticks plus a lag; return the best fit."""
         fits = self.by_delay(self.fit(start, free, 0), free)
         best = min(fits, key=lambda fit: fit.cost)
         return self.fit(best.parameters, free, best.ticks)
 
     def by_delay(self, near: _Fit, free: Sequence[int]) -> list[_Fit]:
-        """Return a fit under the first weights for each number of whole ticks that leaves a lag."""
+        """Return a fit for each delay of 0, 1, … whole ticks, up to the one that leaves no positive lag."""
         period, weights = 1.0 / self.rate, self.first_weights()
         total = near.ticks + near.parameters[LAG] / period
         fits: list[_Fit] = []
@@ -379,9 +379,9 @@ class _Problem:
         return fits
 
     def alike(self, best: _Fit, free: Sequence[int]) -> list[tuple[Floats, float]]:
-        """Return fits with other whole ticks that the runs do not show to be worse, as changes of the best one.
+        """Return how fits with other whole ticks of delay, equally good within scatter, differ from the best fit.
 
-        Each is a change of the parameters, and of the delay (s).
+        Each is a difference of the parameters, and of the delay (s).
         """
         fits = self.by_delay(best, free)
         own = next((fit for fit in fits if fit.ticks == best.ticks), fits[0])
@@ -392,9 +392,9 @@ class _Problem:
         ]
 
     def best(self, start: Floats, free: Sequence[int]) -> tuple[_Problem, _Fit, Sequence[int]]:
-        """Return the accepted model with its friction, fit and free parameters.
+        """Select a model: rigid body, two masses, or rigid body with a compliance.
 
-        Models are a rigid body, two masses, and a rigid body below a mode.
+        Return the data with the friction of this model, its fit, and the indices of its fitted parameters.
         """
         rigid = self.with_delay(start, free)
         mode_start = self.mode_start(rigid.parameters)
@@ -421,12 +421,12 @@ class _Problem:
         return problem, above, freed
 
     def left_out(self, fit: _Fit, free: Sequence[int]) -> list[Floats]:
-        """Return the parameters fitted without each realisation (draw of the phases) in turn; of two, to the other."""
+        """Return the parameters fitted without each realisation in turn (jackknife)."""
         runs = np.arange(len(self.position))
         return [self.solve(fit.parameters, free, fit.ticks, fit.weights, runs != i) for i in runs]
 
     def shifted(self, fit: _Fit, free: Sequence[int], damping: Interval | None) -> tuple[Floats, Floats]:
-        """Return the parameters refitted with the given damping, and with Coulomb friction, at its interval's end."""
+        """Return parameters refitted with damping, then with friction, at the upper end of its 95 % interval."""
         start, sliding, harder = fit.parameters.copy(), self.sliding, 1.0
         if damping is not None and math.isfinite(damping.ci95):
             start[B] += damping.ci95
@@ -439,7 +439,7 @@ class _Problem:
         )
 
     def mode_start(self, rigid: Floats) -> Floats | None:
-        """Return start values for a fit with a structural mode: deepest notch, and highest peak above it; or None."""
+        """Return start values for a model with a structural mode, from its notch and peak; None without these."""
         level = np.mean(np.abs(self.position), axis=0) / np.mean(np.abs(self.effort + 0.0), axis=0)
         flat = np.log(level * rigid[M] * (2.0 * np.pi * self.lines) ** 2 + 1e-300)
         flat = _smooth(flat - np.median(flat[: max(3, len(flat) // 4)]), 3)
@@ -453,7 +453,7 @@ class _Problem:
 
 
 def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
-    """Return position over effort (rad/(N·m) or m/N), P in the module's docstring, at each frequency (Hz)."""
+    """Return position over effort (rad/(N·m) or m/N) per frequency (Hz), without friction, back-EMF and delay."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     p = 1.0 / (s * (parameters[M] * s + parameters[B]))
     if len(parameters) == COMPLIANT:
@@ -467,7 +467,7 @@ def compliance(frequency_hz: Floats, parameters: Floats) -> Complexes:
 def simulate_friction(
     effort: Floats, step_s: float, parameters: Floats, back_emf: float, sliding: Sliding
 ) -> Floats:
-    """Return the Coulomb friction of a rigid handle in the last of three periods of this effort (N·m or N)."""
+    """Return the Coulomb friction of a rigid handle in the last of three periods of `effort` (both N·m or N)."""
     mass, damping, lag_s = parameters[M], parameters[B], max(0.0, parameters[LAG])
     up, down = sliding.up.value, -sliding.down.value
     kept = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
@@ -491,7 +491,7 @@ def _delay_response(frequency_hz: Floats, parameters: Floats, delay_s: float) ->
 
 
 def _spectra(run: ExcitedRun, sliding: Sliding | None) -> tuple[Complexes, Complexes, Complexes]:
-    """Return the spectra of position, effort and Coulomb friction at the spectral lines, without recorded delays."""
+    """Return position, effort and Coulomb friction at the spectral lines (complex), recorded delays removed."""
     n = run.period_samples
     whole = np.fft.rfft(run.level_position().reshape(run.periods, n).mean(axis=0))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / run.rate_hz), dtype=np.float64)

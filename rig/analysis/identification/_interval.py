@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 class Interval:
     """A value and the half width `ci95` of its 95 % confidence interval, in the same unit; infinite if unknown.
 
-    `from_scatter` and `from_left_out` cover scatter: an error that is equal in all realisations does not widen these.
+    `from_scatter` and `from_left_out` cover scatter only, not an error that is equal in all realisations.
     """
 
     value: float
@@ -34,11 +34,11 @@ class Interval:
         return self.value + self.ci95
 
     def holds(self, value: float) -> bool:
-        """Return True if a value lies within the interval."""
+        """Return True if `value` lies within this 95 % interval."""
         return self.low <= value <= self.high
 
     def scaled(self, factor: float) -> Interval:
-        """Return the interval of `factor` times the value."""
+        """Return the 95 % interval of `factor` times this value."""
         return Interval(factor * self.value, abs(factor) * self.ci95)
 
     def text(self, unit: str = "") -> str:
@@ -65,7 +65,7 @@ def from_scatter(value: float, samples: ArrayLike) -> Interval:
 
 
 def from_left_out(value: float, others: ArrayLike) -> Interval:
-    """Return the interval of a value fitted to all realisations, from fits without each of them in turn (jackknife)."""
+    """Return the 95 % interval of `value`, fitted to all realisations; `others` omit one each (jackknife)."""
     # Fits to single realisations scatter more than their number explains where the motion is a few counts.
     less = np.asarray(others, dtype=np.float64)
     return from_scatter(value, len(less) * value - (len(less) - 1) * less)

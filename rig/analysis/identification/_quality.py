@@ -36,14 +36,14 @@ LARGEST_UNEXPLAINED = 0.1  # share of the velocity, rms over the lines, that a f
 
 
 class IdentificationError(RigError):
-    """The data are too poor to identify the rig; the message has the reason, the remedy what to measure instead."""
+    """The data are too poor to identify the rig; the message states the reason, and what to change."""
 
     exit_code = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A range of neighbouring excited frequencies (spectral lines) for a fit: the motion follows the excitation.
+    """A range of neighbouring excited frequencies (spectral lines) in which the motion is coherent with the excitation.
 
     Attributes
     ----------
@@ -74,20 +74,20 @@ class Band:
         return f"{self.low_hz:.4g} to {self.high_hz:.4g} Hz, {self.lines} lines{''.join(why) or ', all excited ones'}"
 
     def shorter(self, lines_hz: Floats, lines: int, why: str) -> Band:
-        """Return a band of the lowest `lines` lines; `lines_hz` are all excited lines (Hz), and `why` is the reason."""
+        """Return this band cut to its lowest `lines` of all excited `lines_hz` (Hz), with the reason `why`."""
         return replace(self, lines=lines, high_hz=float(lines_hz[self.first + lines - 1]), above=why)
 
 
 def coherence(runs: Sequence[ExcitedRun]) -> Floats:
-    """Return the coherence γ² of motion and excitation at each excited frequency, over all periods of all runs."""
+    """Return the coherence γ² of velocity and excitation at each excited frequency, over all periods of all runs."""
     return periodic(runs).coherence_motion
 
 
 def find_band(lines_hz: Floats, found: Floats) -> Band:
-    """Return the lowest band of frequencies at which the coherence `found` (median over neighbours) is high enough.
+    """Return the lowest range of the frequencies `lines_hz` (Hz) in which the coherence `found` suffices for a fit.
 
-    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the band if
-    enough spectral lines for a fit follow. The fit weights lines in the gap by their scatter.
+    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the range if
+    enough frequencies for a fit follow.
     """
     reach = min(NEAR_LINES, len(found)) // 2
     near = sliding_window_view(np.pad(np.nan_to_num(found), reach, mode="edge"), 2 * reach + 1)
@@ -118,12 +118,15 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
 
 
 def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, Floats]:
-    """Reject motion that is too small, drifts or does not follow the excitation; return the band and the coherence.
+    """Reject motion that is too small, drifts or does not follow the excitation.
+
+    Return the frequency band for a fit, and the coherence at all excited frequencies. `resolution` is the travel for
+    one count (rad or m).
 
     Raises
     ------
     IdentificationError
-        The motion is rejected, or there are fewer than two realisations (draws of the phases).
+        The motion is rejected, or there are fewer than two realisations (runs with other random phases).
     """
     if len(runs) < 2:
         raise IdentificationError(
@@ -149,7 +152,7 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
 
 
 def check_explained(unexplained: float) -> None:
-    """Raise `IdentificationError` if the unexplained share of the velocity (rms) is above `LARGEST_UNEXPLAINED`."""
+    """Raise `IdentificationError` if a fit leaves too large a share (0 to 1) of the rms velocity unexplained."""
     if not unexplained <= LARGEST_UNEXPLAINED:
         raise IdentificationError(
             f"the model leaves {100 * unexplained:.0f} % of the motion unexplained; at most "
@@ -171,7 +174,7 @@ def _check_size(run: ExcitedRun, resolution: float) -> None:
 
 
 def period_change(run: ExcitedRun, lines: slice = slice(None)) -> float:
-    """Return the relative change of the motion between neighbouring periods: median over lines and periods."""
+    """Return the relative change of the motion from period to period: median over periods and excited `lines`."""
     if run.periods < 2:
         return 0.0
     by_period = run.level_position().reshape(run.periods, run.period_samples)

@@ -121,7 +121,7 @@ def fit_ripple(free: Sequence[Pair], loaded: Sequence[Pair], *, period: float, m
 
 
 def _fit_shares(free: Pair, loaded: Pair, period: float, orders: Sequence[int]) -> Floats:
-    """Return the ripple's cosine, then sine amplitudes (shares of the effort), then the load, from a pair of sweeps."""
+    """Return ripple as cosine, then sine amplitudes (shares of the effort), and last the load (N·m or N)."""
     shares, load = np.zeros(2 * len(orders)), 0.0
     for _ in range(ROUNDS):
         without, with_ = (

@@ -1,9 +1,9 @@
-"""Check with small pushes that a positive effort raises the position, and by about the expected amount.
+"""Check with small pushes that a positive effort raises the position x, and by about the expected amount.
 
 The effort of a push rises evenly until the handle has moved a little. Friction F holds the handle up to the breakaway
-effort; then m·x″ = u − F − b·x′, with u the commanded effort in its steps (few, if the quantum of current is coarse).
-So m·(x + d·∫x dt) = ∬(u − F) dt², whose fit gives m and F; d = b/m is taken from the description, because a wrong scale
-of effort or position does not change it. The result is accurate to some ten per cent: enough to detect a wrong torque
+effort; then m·x″ = u − F − b·x′, with the commanded effort u (few steps, if the quantum of current is coarse). So m·(x
++ d·∫x dt) = ∬(u − F) dt², whose fit gives m and F; d = b/m is taken from the description, because a wrong scale of
+effort or position does not change it. The result is accurate to some ten per cent: enough to detect a wrong torque
 constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
@@ -36,7 +36,7 @@ LOOSE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """One push of the sign check and the response of the handle: breakaway effort, travel and apparent inertia."""
+    """One push of the sign check and the handle's response: breakaway effort, travel and apparent inertia."""
 
     direction: Literal[-1, 1]
     moved: bool  # further than noise
@@ -59,13 +59,13 @@ class SignCheck:
     inertia
         Median of the inertia over the pushes (kg·m² or kg); NaN if no push determines it.
     scale
-        `inertia` over the expected inertia.
+        `inertia` divided by the expected inertia.
     breakaway_up, breakaway_down
         Median effort at the first motion, by direction of the push (N·m or N); NaN if no push moved the handle.
     pushes
         Result of each push, in order of time.
     warnings
-        Observations that a person should check.
+        Sentences about doubtful results, such as backlash, that a person should check.
     """
 
     sign: Literal[-1, 0, 1]
@@ -154,7 +154,6 @@ def stiction_warning(breakaway: float, sliding: float) -> str | None:
 
 
 def _find_pushes(effort: Floats, rest: int) -> list[tuple[int, int]]:
-    """Return first and end index of each push; `rest` is the number of zero samples that separates two pushes."""
     busy = np.flatnonzero(effort != 0.0)
     if not len(busy):
         return []
@@ -202,10 +201,10 @@ def _fit(
     decay: float,
     expected_friction: float | None,
 ) -> tuple[float, float]:
-    """Return inertia m (kg·m² or kg) and start t₀ (s) of the motion that fit m·(x + d·∫x dt) = ∬(u − F) dt² best.
+    """Fit m·(x + d·∫x dt) = ∬(u − F) dt² to a push; return inertia m (kg·m² or kg) and start of motion (s), or NaN.
 
-    `decay` is d (1/s). The friction F is fitted, too. The fit uses only samples after the handle was last within
-    `SETTLED_SHARE` of its travel. Both values are NaN if too few samples remain.
+    `way` is the travel x, `effort` is u, `decay` is d (1/s); friction F is fitted. Only samples after the handle was
+    last within `SETTLED_SHARE` of its travel are used.
     """
     step_s = time_s[1] - time_s[0]
     near = np.flatnonzero(np.abs(way) < SETTLED_SHARE * abs(way[-1]))
@@ -216,7 +215,6 @@ def _fit(
     seen = (far + decay * step_s * np.cumsum(far))[since]
 
     def given(friction: float) -> Floats:
-        """Return ∬(u − F) dt² of the fitted samples (N·m·s² or N·s²)."""
         momentum = step_s * np.cumsum(np.maximum(pushed - friction, 0.0))
         return np.asarray(step_s * np.cumsum(momentum)[since])
 

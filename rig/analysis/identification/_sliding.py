@@ -81,7 +81,7 @@ class Sliding:
 
     @reported
     def points(self) -> int:
-        """Return the number of measured points (pieces of strokes)."""
+        """Return the number of points in the friction fit, each the mean over a piece of a stroke."""
         return len(self.velocity)
 
     def at(self, velocity: Floats) -> Floats:

@@ -180,9 +180,9 @@ def periodic(runs: Sequence[ExcitedRun], *, residual_band_hz: tuple[float, float
 def residual_share(runs: Sequence[ExcitedRun], band: tuple[float, float]) -> float:
     """Return the share of the velocity's power within a band (Hz) that is not at the excited lines, over all runs.
 
-    The transform of a record with P periods has P − 1 bins between neighbouring harmonics. Power in these bins does not
-    repeat with the excitation: chatter of an estimator, a limit cycle, noise. Return NaN if the band has no such bins
-    (a single period with every harmonic excited) or if nothing moves.
+    A record of P periods has P − 1 frequencies between neighbouring harmonics. Power at these does not repeat with the
+    excitation: chatter of an estimator, a limit cycle, noise. Return NaN if the band has no such frequencies (one
+    period with every harmonic excited) or if nothing moves.
     """
     off = total = 0.0
     seen = False
@@ -225,7 +225,7 @@ def _with_instrument(
 ) -> Complexes:
     """Return effort or velocity (`channel`) times the conjugate excitation at the excited frequencies.
 
-    The result has a row for each realisation (draw of the phases), or for each period if there is a single realisation.
+    The result has a row for each realisation (run with other phases), or for each period of the only realisation.
     """
     # Coulomb friction's distortion repeats in every period: periods agree with each other while all are wrong alike.
     products = [np.asarray(getattr(one, channel) * one.reference.conj()) for one in lines]

@@ -63,7 +63,7 @@ class Fit:
 
     @classmethod
     def unknown(cls, *terms: Term) -> Fit:
-        """Return a fit whose values are all NaN, for a band with too few spectral lines."""
+        """Return a result with NaN for the parameters `terms`, for a band with too few spectral lines to fit."""
         return cls(dict.fromkeys(terms, math.nan), dict.fromkeys(terms, math.nan), math.nan)
 
 

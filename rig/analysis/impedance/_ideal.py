@@ -58,8 +58,8 @@ def bare(
 ) -> Complexes:
     """Return the impedance of a rig without a wall and without friction: m·s + b if the rig is rigid.
 
-    The result has the unit N·m·s/rad or N·s/m and the shape of `lines_hz` (Hz). `rendered_impedance` describes the
-    arguments.
+    The result (N·m·s/rad or N·s/m) has the shape of `lines_hz` (Hz). `seen` is where the position is measured:
+    ``"handle"`` or ``"sensed"`` (encoder); `scheme` has no effect here.
     """
     plant = _Plant.of(_loop(rig, scheme))
     return np.asarray(1.0 / (_s(lines_hz) * plant.response(lines_hz, plant.row(seen), EXTERNAL)))
@@ -76,13 +76,13 @@ def rendered_impedance(
     channel: Channel = "external",
     images: bool = True,
 ) -> Complexes:
-    """Return the impedance of the rig with its sampled wall, exact for a linear estimator.
+    """Return the impedance of a rig whose motor renders a virtual wall in a sampled loop, exact for a linear estimator.
 
     Parameters
     ----------
     rig, scheme
-        Rig and sampling scheme for `rig.analysis.theory._loop.linear_loop`, which raises `NotLinearError` for an
-        estimator that is not linear.
+        Rig and sampling scheme (rates and velocity estimator); `NotLinearError` is raised for an estimator that is not
+        linear.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m) of a bilateral wall.
     lines_hz
@@ -114,10 +114,9 @@ def walls(
     channel: Channel = "external",
     images: bool = True,
 ) -> Callable[[float, float], Complexes]:
-    """Return a function of stiffness and damping (SI) that returns the impedance of the rig with this wall.
+    """Return a function of stiffness and damping (SI) that returns the impedance of the rig with this virtual wall.
 
-    The impedance is that of `rendered_impedance`, which describes the arguments; parts of the computation that do not
-    depend on the wall are cached.
+    Use it for many walls: what does not depend on the wall is computed once. Arguments as for `rendered_impedance`.
     """
     loop = _loop(rig, scheme)
     plant = _Plant.of(loop)
@@ -167,13 +166,12 @@ class _Plant:
         return self.handle if seen == "handle" else self.sensed
 
     def response(self, lines_hz: ArrayLike, row: int, column: int) -> Complexes:
-        """Return the frequency response from input `column` to state `row` at `lines_hz` (Hz), shape (n,)."""
         return _transfer(_s(np.atleast_1d(lines_hz)), self.a, self.b[:, column], row)
 
 
 @dataclass(frozen=True, eq=False)
 class _Sampled:
-    """Factors of the sampled loop at the frequencies ω + m·2π/T2: shape (n, N), or (n,) for m = 0 only."""
+    """Factors G·D, h, H/N and D_0 of the formula above at the frequencies ω + m·2π/T2, shape (n, N) or (n,)."""
 
     forward: Complexes  # G_m·D_m, from command to sampled position
     pattern: Complexes  # h_m, from a velocity to how it is used in the N ticks of its period

@@ -40,7 +40,7 @@ COHERENCE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Passivity:
-    """Result of the passivity test Re Z ≥ −tolerance at each excited frequency ("line"), with the worst line.
+    """Result of the passivity test Re Z ≥ −tolerance of an impedance Z at each excited frequency ("line").
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Passivity:
     phase_margin_deg
         Smallest 90° + asin(tolerance/|Ẑ|) − |phase| over the lines (degrees); it has the sign of `margin`.
     band_hz, z_score
-        Band (Hz) and z-score (tolerance in standard deviations) of the test.
+        Lowest and highest frequency of the test (Hz), and its tolerance in standard deviations.
     """
 
     passive: bool
@@ -98,20 +98,20 @@ class Fidelity:
     noise_rms
         The `rms` that noise alone would give (same unit): differences below it do not rank two walls.
     stiffness, damping
-        Effective stiffness and damping over `effective_band_hz` (SI), after subtraction of the device's impedance if it
-        was given (otherwise the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES`
+        Effective stiffness and damping over `effective_band_hz` (SI), after subtraction of the rig's own impedance if
+        it was given (otherwise the rig's inertia makes the stiffness too small). NaN with fewer than `EFFECTIVE_LINES`
         lines in that band.
     stiffness_deviation, damping_deviation
-        Standard deviations of `stiffness` and `damping`, misfit included. They do not contain the share that Coulomb
-        friction adds to the damping, which depends on band and size of the excitation: compare with the same one only.
+        Standard deviations of `stiffness` and `damping`, misfit included. They do not contain the damping by Coulomb
+        friction, which depends on the excitation's band and size: compare only walls that were excited alike.
     stiffness_percent, damping_percent
         Effective stiffness and damping in per cent of the requested values; NaN if the requested value is zero.
     effective_band_hz, effective_lines
         Lowest and highest frequency (Hz) and number of the lines over which stiffness and damping are fitted.
     distortion
-        Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the form in which the second paper gives the
-        average distortion error of Colonnese and Okamura. Their own text was not available, so weights and spacing of
-        frequencies differ from theirs and published values are not comparable. NaN if K = B = 0.
+        Mean over the lines of weight · |Ẑ − Z|/|Z|, Z = K/(jω) + B: the average distortion error of Colonnese and
+        Okamura in the form of Chawda et al. Their own text was not available, so weights and spacing of frequencies
+        differ from theirs and published values are not comparable. NaN if K = B = 0.
     lines, band_hz
         Number of lines, and lowest and highest frequency of the band (Hz): all results depend on both.
     """

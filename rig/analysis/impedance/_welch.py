@@ -60,7 +60,7 @@ class WelchSettings:
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Return the length of a Fourier transform (samples): as configured, or the next power of two, at least 256."""
+        """Return the samples of a segment's Fourier transform: as set, or the next power of two from 256 on."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 
@@ -170,7 +170,7 @@ def align_signals(run: ExcitedRun) -> tuple[Floats, Floats, Floats]:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """Averaged spectra (S_xy = mean of X*·Y) of effort f, velocity v and excitation r, and independent segments."""
+    """Averaged spectra (S_xy = mean of X*·Y) of effort f, velocity v, excitation r; number of independent segments."""
 
     frequency: Floats
     ff: Floats

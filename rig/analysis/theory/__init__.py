@@ -1,4 +1,4 @@
-"""Predict stability and passivity of dual-rate walls by exact linear theory, in milliseconds and without simulation.
+"""Predict stability and passivity of dual-rate virtual walls by linear theory, in milliseconds and without simulation.
 
     from rig.analysis import theory
 
@@ -10,8 +10,8 @@ A rig is a preset's name, a TOML file, an experiment or a `rig.core.model.RigMod
 `rig.config.schemes.Scheme`. The docstring of `rig.analysis.theory._loop` lists what the theory leaves out (Coulomb
 friction, the encoder's quantum, saturation, release) and how much each changes the result.
 
-`rig theory`, the design, the checks of a run and the reproductions of papers call it. Nothing here simulates, decides
-whether a wall may be armed, or commands a device.
+`rig theory`, `rig design`, the checks of a run and the reproductions of papers call it. Nothing here simulates, decides
+whether the motor may be armed, or commands a device.
 """
 
 from rig.analysis.theory._describing import LimitCycle, limit_cycle

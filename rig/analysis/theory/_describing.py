@@ -54,7 +54,7 @@ NOTHING = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class LimitCycle:
-    """A limit cycle of a wall, as predicted by `limit_cycle`.
+    """A self-sustained oscillation of a handle in a virtual wall, as predicted by `limit_cycle`.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class LimitCycle:
     may_rest
         True if friction can hold the handle at rest instead.
     alone
-        True if the loop without friction balances at one frequency at most; otherwise other limit cycles may exist.
+        True if only one limit cycle is possible without friction; otherwise others than the predicted one may exist.
     """
 
     amplitude: float
@@ -90,12 +90,12 @@ def limit_cycle(
     friction: bool = True,
     operator: str | None = None,
 ) -> LimitCycle:
-    """Predict the limit cycle of a handle that a constant push holds in a wall.
+    """Predict the limit cycle of a handle that a constant external effort (push) holds in a virtual wall.
 
     Parameters
     ----------
     rig, scheme, operator
-        Rig, sampling scheme and hand, as for `rig.analysis.theory._loop.linear_loop`.
+        Rig; sampling scheme (rates and velocity estimator); model of the hand on the handle, or None for the rig's own.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m).
     duty
@@ -154,7 +154,7 @@ def reading(amplitude: float, duty: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Open:
-    """Frequency responses of the open loop: motion of both masses (counts) to a reading of 1 count, and to friction."""
+    """Frequency responses of the open loop: motion of both masses (counts) per count of reading, and per friction."""
 
     hz: Vector
     loop: Complex  # encoder's side, from the reading
@@ -186,7 +186,7 @@ class _Open:
         )
 
     def motion(self, read: float) -> Complex:
-        """Return the complex motion of the encoder's side (counts) at each frequency, by a reading of `read` counts."""
+        """Return the complex motion at the encoder (counts) per frequency, for a reading of `read` counts amplitude."""
         x = read * self.loop - 1j * self.rubs[0] * self.rubbed[0]
         if not any(self.rubs[1:]):
             return np.asarray(x)
@@ -199,11 +199,11 @@ class _Open:
         return np.asarray(x + rub * self.rubbed[1])
 
     def crossings(self, duty: float) -> list[float]:
-        """Return the frequencies (Hz) at which the motion is in phase with a reading that toggles at a single edge."""
+        """Return the frequencies (Hz) at which a minute limit cycle, over one encoder edge, is possible."""
         return [frequency for frequency, _ in self._in_phase(reading(0.0, duty))]
 
     def _in_phase(self, read: float) -> list[tuple[float, float]]:
-        """Return each frequency (Hz) at which the motion is in phase with the reading, with the amplitude (counts)."""
+        """Return pairs of a frequency (Hz) at which motion and reading are in phase, and the amplitude (counts)."""
         x = self.motion(read)
         place = np.flatnonzero((x.imag[1:] > 0.0) != (x.imag[:-1] > 0.0))
         share = x.imag[place] / (x.imag[place] - x.imag[place + 1])
@@ -212,9 +212,9 @@ class _Open:
         return [(float(f), float(a)) for f, a in zip(frequency, amplitude, strict=True) if a > 0.0]
 
     def balance(self, frequency: float, duty: float) -> tuple[float, float]:
-        """Return amplitude (counts) and frequency (Hz) at which the reading fits the motion that it causes, or (0, 0).
+        """Return amplitude (counts) and frequency (Hz) of the limit cycle near `frequency` (Hz); (0, 0) without one.
 
-        The iteration starts at `frequency`; the amplitude is infinite beyond `LARGEST` counts.
+        The amplitude is infinite beyond `LARGEST` counts; `duty` is the fractional part of the mean reading (counts).
         """
         read, amplitude = reading(0.0, duty), 0.0
         for _ in range(ITERATIONS):
@@ -231,7 +231,7 @@ class _Open:
 
 
 def _law(loop: LinearLoop, stiffness: float, damping: float, hz: Vector, z: Complex) -> Complex:
-    """Return the frequency response K + B·H·h of the law at each frequency: effort over reading at the ticks."""
+    """Return effort over position reading of the control law at each frequency: K + B·estimator·hold."""
     ticks = np.arange(loop.divider)
     used = np.ones((len(hz), loop.divider), complex)
     if loop.extrapolate:

@@ -66,13 +66,13 @@ class Damping:
         return self.viscous + self.back_emf
 
     def passive(self, loop: LinearLoop) -> bool:
-        """Return True if any wall can be passive: viscous damping is above 0, or back-EMF damps without a lag."""
+        """Return True if this damping lets the rig render passive walls: it does not only act behind a lag."""
         return self.viscous > 0.0 or (self.slow > 0.0 and loop.subject.model.amplifier.lag_s == 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Waves:
-    """Effect of a spring and a damper on each wave w_m, over phase θ and wave m, in units of the rig's damping.
+    """Effect of the wall's spring and damper on sinusoidal motions (waves) of a rig, per phase θ and wave w_m.
 
     The symbols are those of the module's docstring. Shape (phases, N), except `theta`.
 
@@ -99,9 +99,9 @@ class Waves:
 
     @classmethod
     def of(cls, loop: LinearLoop, theta: Vector, rig: Damping, *, late: bool = True) -> Waves:
-        """Return the effect of spring and damper on each wave (sinusoidal motion) at the phases `theta` (rad).
+        """Return the effect of a wall's spring and damper on sinusoidal motions with phases `theta` (rad) per period.
 
-        Without `late`, lag and delay of the effort are left out.
+        With `late` False, lag and delay of the effort are ignored.
         """
         n = loop.divider
         lag_s, delay = (loop.subject.model.amplifier.lag_s, loop.delay_ticks) if late else (0.0, 0)
@@ -127,11 +127,11 @@ class Waves:
         )
 
     def at(self, which: NDArray[np.intp]) -> Waves:
-        """Return the waves (sinusoidal motions) at the phases with the indices `which`."""
+        """Return the sinusoidal motions (waves) at the phases with the indices `which`."""
         return Waves(*(getattr(self, each.name)[which] for each in fields(self)))
 
     def needed(self, sign: float) -> Vector:
-        """Return the share of the rig's damping that a damper of ±1 (`sign`) needs at each phase, without a spring."""
+        """Return for each phase the share of the rig's damping that makes a wall damper of ±1 (`sign`) passive."""
         reading = self.read.sum(axis=1)
         heard = (np.abs(self.heard) ** 2 * self.given).sum(axis=1)
         both = sign * (self.heard * self.along).sum(axis=1)
@@ -157,9 +157,9 @@ class Waves:
 
 
 def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, negative: bool = False) -> float:
-    """Return the share of the rig's damping that each unit of the wall's damping B needs, without a spring.
+    """Return the share of the rig's damping that makes a wall of damping B = 1 (SI) passive, without a spring.
 
-    The value is for the worst phase. Without `late`, lag and delay are left out; with `negative`, B is negative.
+    The share is that of the worst phase. `late` includes lag and delay of the effort; with `negative`, B is negative.
     """
     sign = -1.0 if negative else 1.0
     # Slow motion needs this much of any estimator: it reads the velocity exactly.
@@ -173,7 +173,7 @@ def needed_per_damping(loop: LinearLoop, rig: Damping, *, late: bool = True, neg
 
 
 def passive_stiffness(loop: LinearLoop, dampings: Sequence[float], rig: Damping) -> list[float]:
-    """Return for each damping B of a wall the largest stiffness K with which the wall is passive on a rigid rig.
+    """Return for each damping B of a virtual wall the largest stiffness K with which a rigid rig renders it passively.
 
     The units are SI. The result is 0 if the wall is not passive even without stiffness.
     """

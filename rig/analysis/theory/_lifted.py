@@ -72,7 +72,7 @@ class Lifted:
 
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
-        """Return a dual-rate loop lifted to its velocity period (time between two velocity samples)."""
+        """Return the transition matrices of a dual-rate loop, from one velocity sample to the next ("lifted")."""
         plant, states = len(loop.gamma), loop.estimator.order
         held, slope = plant + states, plant + states + 1
         queue = slope + 1
@@ -100,7 +100,6 @@ class Lifted:
 
     @cached_property
     def size(self) -> int:
-        """Return the number of states of the lifted loop."""
         return len(self.into)
 
     def ticks(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Matrix, Matrix]:
@@ -128,11 +127,11 @@ class Lifted:
         return _worse_measure(self, np.maximum, _radius, stiffness, damping)
 
     def stable(self, stiffness: ArrayLike, damping: ArrayLike) -> Flags:
-        """Return True for each wall whose spectral radius is below 1; usually at a fifth of the cost of `radius`."""
+        """Return True for each wall with a spectral radius below 1, usually five times faster than by eigenvalues."""
         return _worse_measure(self, np.logical_and, _decays, stiffness, damping)
 
     def frequency(self, stiffness: float, damping: float) -> float:
-        """Return the frequency (Hz) of the mode with the largest eigenvalue; the velocity rate does not alias it.
+        """Return the frequency (Hz) of the loop's least damped mode, not aliased by the velocity sampling.
 
         Frequencies above half the position rate are still aliased.
         """
@@ -165,7 +164,7 @@ def _worse_measure(
     stiffness: ArrayLike,
     damping: ArrayLike,
 ) -> NDArray[Any]:
-    """Return the `measure` of the transition matrix Φ of each wall; with cogging, the worse of two positions."""
+    """Return `measure` of each wall's transition matrix Φ; with cogging, the `worse` of its two extreme positions."""
     k, b = np.broadcast_arrays(np.asarray(stiffness, float), np.asarray(damping, float))
     block = max(1, BLOCK // lifted.size**2)
     blocks = (slice(i, i + block) for i in range(0, max(k.size, 1), block))
@@ -218,7 +217,7 @@ def spectral_radius(
     Parameters
     ----------
     rig, scheme, operator
-        Rig, sampling scheme and hand, as for `rig.analysis.theory._loop.linear_loop`.
+        Rig; sampling scheme (rates and velocity estimator); model of the hand on the handle, or None for the rig's own.
     stiffness, damping
         K (N·m/rad or N/m) and B (N·m·s/rad or N·s/m), of any shapes that broadcast.
 
@@ -231,7 +230,7 @@ def spectral_radius(
 
 
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
-    """Return the matrix V of a velocity sample: the estimator updates the velocity and its slope per tick."""
+    """Return the matrix V of a tick with a velocity sample: it updates the velocity, and its slope."""
     e = loop.estimator
     held, slope = plant + e.order, plant + e.order + 1
     matrix = np.eye(len(position))

@@ -36,7 +36,7 @@ DAMPING_REACH, DAMPING_DECADES = 8.0, 5.0
 
 @dataclass(frozen=True, slots=True)
 class Island:
-    """A stable range of stiffness (N·m/rad or N/m) above an unstable one; capped if the scan ends within it."""
+    """A stable range of stiffness (N·m/rad or N/m) above an unstable one; `capped` if the search ended within it."""
 
     low: float
     high: float
@@ -117,11 +117,11 @@ def k_max(
     *,
     operator: str | Operator | None = None,
 ) -> Limit:
-    """Return the largest stable stiffness at a damping (N·m·s/rad or N·s/m).
+    """Return the largest stable stiffness of a virtual wall at a damping (N·m·s/rad or N·s/m), by linear theory.
 
-    `rig` may be a preset's name, a path, an experiment or a model, `scheme` a text such as ``dual:20k/2k``, and
-    `operator` the hand on the handle; `resolve` and `linear_loop` in `rig.analysis.theory._loop` describe them and the
-    errors.
+    `rig` is a preset's name, a path, an experiment or a model; `scheme` a text such as ``dual:20k/2k`` (None: that of
+    the experiment); `operator` the grip of a modelled hand. Raise `ConfigError` if one is invalid or the loop is not
+    linear.
     """
     return k_max_curve(rig, scheme, [damping], operator=operator)[0]
 
@@ -133,7 +133,7 @@ def k_max_curve(
     *,
     operator: str | Operator | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the largest stable stiffness at each of `dampings` (finite); `k_max` explains the other arguments."""
+    """Return the largest stable stiffness of a virtual wall at each of `dampings` (N·m·s/rad or N·s/m, finite)."""
     lifted = as_lifted(rig, scheme, operator)
     b = _dampings(dampings)
     k = stiffnesses(lifted, float(b.max(initial=0.0)))
@@ -150,7 +150,7 @@ def k_max_curve(
 def b_max(
     rig: RigLike | Lifted, scheme: SchemeLike | None = None, *, operator: str | Operator | None = None
 ) -> DampingLimit:
-    """Return a rig's largest stable damping without and with islands of stable stiffness; see `k_max` for arguments."""
+    """Return a virtual wall's largest stable damping, with and without ranges of stiffness above an unstable one."""
     lifted = as_lifted(rig, scheme, operator)
     loop = lifted.loop
     highest = DAMPING_REACH * loop.subject.inertia / loop.period_s + loop.subject.damping
@@ -196,7 +196,7 @@ def as_lifted(
 
 
 def stiffnesses(lifted: Lifted, damping: float) -> Vector:
-    """Return the stiffnesses (N·m/rad or N/m) of a scan for dampings up to `damping`, ascending in equal ratios."""
+    """Return the stiffnesses (N·m/rad or N/m) to test for stability at dampings up to `damping`, in equal ratios."""
     loop = lifted.loop
     # Up to where the motor alone would oscillate at half the position rate, or to what damping could allow.
     motor = loop.subject.model.mechanics.motor_inertia * (math.pi / loop.tick_s) ** 2
@@ -219,7 +219,6 @@ def _dampings(given: Sequence[float] | Vector) -> Vector:
 
 
 def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_below: Flags) -> Vector:
-    """Return the stiffness at which stability changes between each `low` and `high`, by bisection."""
     for _ in range(BISECTIONS):
         middle = np.sqrt(low * high)
         below = (lifted.radius(middle, damping) < 1.0) == stable_below
@@ -228,7 +227,7 @@ def _between(lifted: Lifted, low: Vector, high: Vector, damping: Vector, stable_
 
 
 def _limit(lifted: Lifted, damping: float, k: Vector, edges: list[float], stable_below: bool) -> Limit:
-    """Return the limit at one damping with its islands, from the stiffnesses `edges` at which stability changes."""
+    """Return the stiffness limit at one damping, from the stiffnesses `edges` at which the stability changes."""
     end = float(k[-1])
     if stable_below and not edges:
         return Limit(damping, end, math.nan, True)

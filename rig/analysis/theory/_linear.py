@@ -3,7 +3,7 @@
 The probe calls the compiled update with counts, so that an estimator of a third party needs no formula. After a rest
 comes an impulse of many counts; the response h gives the Markov parameters of a state space (A, B, C, D). The estimator
 is linear if impulses of another size, position and time have the same response, and the response to a random walk with
-leaps is its convolution with h. An estimator that adapts its window, has a noise band, rounds inside or reads edge
+jumps is its convolution with h. An estimator that adapts its window, has a noise band, rounds inside or reads edge
 times is rejected.
 
 The realisation is that of Ho and Kalman by a singular value decomposition (Juang and Pappa 1985, "ERA"). Rows and
@@ -73,7 +73,6 @@ class Realisation:
 
     @property
     def order(self) -> int:
-        """Return the number of states of an estimator's state space."""
         return len(self.b)
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
@@ -134,7 +133,7 @@ def _find_realisation(
 
 @dataclass(frozen=True, slots=True)
 class _Probe:
-    """An estimator with its settings, which starts anew for each sequence of counts."""
+    """A velocity estimator with its settings, prepared again for each sequence of encoder counts."""
 
     estimator: Estimator
     settings: Mapping[str, float | str]
@@ -147,14 +146,14 @@ class _Probe:
         return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
-        """Return an estimator's velocities per count for an impulse of `size` counts, after `rest` samples at rest."""
+        """Return the velocities per count for an impulse of `size` counts at `place` (counts) after `rest` samples."""
         counts = np.full(rest + length, place, np.int64)
         counts[rest] += size
         return self.motion(counts)[rest:] / size
 
 
 def _settled_response(probe: _Probe) -> tuple[int, Vector]:
-    """Return the rest (samples) after which the response h no longer depends on time, and h until it has faded.
+    """Return the number of samples after which the impulse response no longer depends on time, and the response h.
 
     A recursive Kalman filter, for example, is linear, but its response is constant only after it has settled.
     """
@@ -175,7 +174,7 @@ def _settled_response(probe: _Probe) -> tuple[int, Vector]:
 
 
 def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
-    """Return the reason why the impulse response h does not describe the estimator; empty if it is linear."""
+    """Return why an estimator with the impulse response `h` is not linear; empty if it is linear."""
     if not np.isfinite(h).all() or not h.any():
         return "its response to an impulse is zero or not a number"
     length = len(h)

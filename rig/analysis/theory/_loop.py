@@ -38,7 +38,7 @@ SLOPES = 64
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A rig to which theory is applied: its model, its experiment (or None), and the hand on the handle (or None)."""
+    """A rig to which theory is applied: its model, its experiment (or None), and the model of a hand (or None)."""
 
     model: RigModel
     experiment: Experiment | None
@@ -48,7 +48,7 @@ class Subject:
     def damping(self) -> float:
         """Return the damping of a rig in slow rigid motion (N·m·s/rad or N·s/m): motor, link and back-EMF.
 
-        The hand is left out, because a passive wall must be stable with any hand, even the lightest.
+        A hand on the handle is left out, because a passive wall must be stable with any hand, even the lightest.
         """
         return self.model.damping
 
@@ -73,11 +73,11 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearLoop:
-    """Linear model of a rig under a scheme: matrices of the plant over one tick, estimator, and timing of the law.
+    """Linear model of a rig under a sampling scheme: matrices of the plant over one tick, estimator, rates and delay.
 
-    ``phi`` and ``gamma`` step the plant over T1 with a held command; ``sensed`` is the index of the position that the
-    encoder measures. `cogging` is the stiffness by cogging at the stiffest position (N·m/rad or N/m), `compensated` the
-    part of it that the law compensates. `softest` is the loop at the softest position; None without cogging.
+    ``phi`` and ``gamma`` step the plant over a tick with a held command; ``sensed`` is the index of the measured
+    position. `cogging` is the stiffness by cogging at the stiffest position (N·m/rad or N/m), `compensated` the part
+    that the law cancels. `softest` is the loop at the position with the softest cogging; None without cogging.
     """
 
     subject: Subject
@@ -113,8 +113,8 @@ def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
     rig
         A text without a suffix that names a preset selects the preset; any other text is a path.
     operator
-        Hand on the handle: None for the hand of the rig's model (no hand unless a person performs its trial),
-        ``"none"``, the name of a grip, or an `rig.core.model.Operator`. With a hand the end mass is 0, as in trials by
+        Model of the hand on the handle: ``"none"``, the name of a grip, or an `rig.core.model.Operator`; None: the hand
+        of the experiment if a person performs its trial, else no hand. With a hand the end mass is 0, as in trials by
         hand.
 
     Raises
@@ -142,8 +142,8 @@ def linear_loop(
 ) -> LinearLoop:
     """Return the linear model of a rig under a sampling scheme; None selects the experiment's own sampling scheme.
 
-    `rig` and `operator` are the same as for `resolve`. `estimator` is the estimator's realisation, if it is known from
-    another hand on the same rig and scheme: to compute it takes longer than all other computations here.
+    `rig` is a preset name, TOML file, experiment or model, `operator` the model of a hand. `estimator` is the
+    estimator's state space if another call on this rig and scheme has computed it, which takes most of the time.
 
     Raises
     ------
@@ -188,8 +188,7 @@ def linear_loop(
 def cogging_stiffness(subject: Subject) -> tuple[float, float]:
     """Return the smallest (at most 0) and largest (at least 0) stiffness by cogging at the motor (N·m/rad or N/m).
 
-    The range of positions is from the experiment's wall to the end of the window; for a model without experiment, one
-    period of cogging.
+    The positions are those from the wall to the end of the window; for a model without experiment, a period of cogging.
     """
     cogging, x = subject.model.cogging, subject.experiment
     if cogging.period is None or not cogging.orders:
@@ -254,7 +253,7 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
 
 
 def with_linear_wall(experiment: Experiment) -> Experiment:
-    """Return the experiment with a linear wall, for a search range or an amplitude that need not be exact."""
+    """Return the experiment with the nonlinear options of its wall removed, so that linear theory can estimate it."""
     wall = replace(experiment.wall, passive_damping=0.0, position_from="encoder")
     return replace(experiment, wall=wall)
 

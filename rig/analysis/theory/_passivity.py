@@ -114,7 +114,7 @@ def passivity_bound(
 ) -> PassivityBound:
     """Return all conditions for passivity or stability at a damping of the wall (N·m·s/rad or N·s/m).
 
-    `rig`, `scheme`, `operator` and the errors are the same as for `rig.analysis.theory._loop.linear_loop`.
+    `operator` is the grip of a modelled hand. Raise `NotLinearError` if theory does not cover the loop.
     """
     loop = as_lifted(rig, scheme, operator).loop
     share = beta(loop, negative=damping < 0.0)
@@ -146,19 +146,17 @@ def _largest_damping(loop: LinearLoop) -> float:
 
 
 def beta(loop: LinearLoop, *, negative: bool = False) -> float:
-    """Return β: the damping of the rig that each unit of the wall's damping needs, due to the estimator and its hold.
+    """Return β in b ≥ K·T1/2 + β·B: the damping of the rig that each unit of the wall's damping B needs for passivity.
 
-    For velocities held over T2 this is Colgate and Schenkel's expression for H, the estimator, maximised over ω. In
-    general the effort of a period is the vector g·H·θ with g_i = 1, or 1 + i·(1 − z⁻¹)/N when extrapolated, and the rig
-    must compensate the largest eigenvalue of minus its Hermitian part, from increments of position to efforts.
-
-    Lag and delay are not included; with `negative` the wall has a negative damping.
+    For velocities held over T2 this is Colgate and Schenkel's expression for the estimator, maximised over ω. In
+    general it is the largest eigenvalue of minus the Hermitian part of the matrix from the position increments to the
+    efforts of a velocity period. Lag and delay are not included; with `negative` the wall has a negative damping.
     """
     return needed_per_damping(loop, Damping(1.0), late=False, negative=negative)
 
 
 def diolaiti(rig: RigLike | Lifted, scheme: SchemeLike | None, stiffness: float) -> Diolaiti:
-    """Return damping and friction of an undamped wall of `stiffness` (SI), normalised as in Diolaiti et al. 2006."""
+    """Return damping and friction, normalised as by Diolaiti et al., for a wall of `stiffness` (SI) without damping."""
     loop = as_lifted(rig, scheme).loop
     mechanics, quantum = loop.subject.model.mechanics, loop.subject.model.encoder.resolution
     coulomb = mechanics.motor_coulomb + mechanics.link_coulomb
@@ -178,7 +176,7 @@ class Diolaiti:
 
     @property
     def region(self) -> str:
-        """Return the predicted behaviour of the wall as a phrase, such as ``no limit cycle``."""
+        """Return the behaviour of the wall that Diolaiti et al. predict, as a phrase such as ``no limit cycle``."""
         damped, rubbed = self.damping > 0.5, self.friction > 0.5
         if damped:
             return "no limit cycle" if rubbed else "bounded limit cycle of the quantiser"

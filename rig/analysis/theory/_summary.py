@@ -42,14 +42,14 @@ PASSIVE_POINTS = 25  # of the passive walls, which end at a damping
 
 @dataclass(frozen=True, slots=True)
 class AtDamping:
-    """Results of linear theory at one damping of the wall: stability limit, and conditions for passivity."""
+    """Results of linear theory at one damping of a virtual wall: stability limit, and conditions for passivity."""
 
     limit: Limit
     passivity: PassivityBound
 
     @reported
     def binding(self) -> str:
-        """Return the name of the passivity condition with the smallest stiffness; approximate rules are ignored."""
+        """Return the name of the proven passivity condition that allows the smallest stiffness."""
         return self.passivity.binding.name
 
 
@@ -95,7 +95,7 @@ class NotLinear:
 
 @dataclass(frozen=True, slots=True)
 class InHand:
-    """Stability limits of each sampling scheme at B = 0 while the experiment's hand holds the handle."""
+    """Stability limits of each sampling scheme at B = 0 while the experiment's modelled hand holds the handle."""
 
     operator: str
     limits: tuple[Limit, ...]
@@ -108,7 +108,7 @@ class Theory(Shown, Drawn):
     Attributes
     ----------
     operator, end_mass
-        Hand on the handle, or ``none``, and the mass at the handle (kg), which is 0 with a hand.
+        Grip of the modelled hand, or ``none``, and the mass at the handle (kg), which is 0 with a hand.
     structure
         ``rigid``, for which the limit of passivity is exact, or ``two-mass``, for which it is sufficient.
     drive
@@ -140,7 +140,7 @@ class Theory(Shown, Drawn):
     cutoffs: str | None = None
 
     def brief(self) -> list[Item]:
-        """Return a row for each scheme: largest stable stiffness at B = 0, and largest stable damping."""
+        """Return the lines of a short report: each sampling scheme's largest stable K at B = 0, and its stable B."""
         stiffness, damping = (unit_of(name, self.motion) for name in ("stiffness", "damping"))
         rows = [
             Row(
@@ -211,7 +211,7 @@ def theory_of(
 def _linear(
     subject: Subject, schemes: Sequence[Scheme]
 ) -> tuple[list[tuple[Scheme, LinearLoop]], tuple[NotLinear, ...]]:
-    """Return the loop of each linear scheme, and the reason for each other; raise `NotLinearError` without a loop."""
+    """Return linear loops with their schemes, and why the others are not linear; raise if no scheme is linear."""
     loops: list[tuple[Scheme, LinearLoop]] = []
     refused: list[NotLinear] = []
     first: NotLinearError | None = None

@@ -1,9 +1,9 @@
-"""Find rates, estimator and filter for a rig: search a set of sampling schemes for the one that fulfils wishes best.
+"""Find rates, estimator and filter for a rig: search a set of sampling schemes for the one that best meets wishes.
 
-Stages: linear theory with delay for the whole set (`_linear`); rounds of simulated hits for the best schemes, fewer
-sampling schemes and finer stiffnesses in each round (`_rounds`); hits of the recommended scheme on encoder offsets and
-seeds that the search did not use, and on rigs that differ from the described rig (`_margin`). The measures and the
-criteria "best", "no worse" and "margin" were defined before any result was computed (`_rules`).
+Stages: linear theory with delay for the whole set (`_linear`); rounds of simulated hits on the wall, each with fewer
+schemes and finer steps (`_rounds`); hits of the recommended scheme on encoder offsets and seeds that the search did not
+use, and on rigs that differ from the described rig (`_margin`). The measures and the criteria "best", "no worse" and
+"margin" were defined before any result was computed (`_rules`).
 
 `rig design` and ``rig.design`` call this package, and plots draw the result. It must not move a rig; of a given device
 it only measures the link.

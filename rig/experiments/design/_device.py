@@ -16,10 +16,10 @@ from rig.firmware.tick_budget import BOARD, named_budget
 
 
 def places_of(url: str, experiment: Experiment, board: str = BOARD) -> tuple[LawPlace, ...]:
-    """Return the places where the law may run with a device: this computer, with the link's delay, and the device.
+    """Return where a control law may run with a device, with rates and delay: this computer, and the device if it can.
 
-    The link's delay is measured; nothing moves. The device is left out if it cannot run the law. Raise the errors of
-    opening a device, and `LinkLostError` if the device does not reply.
+    The link's delay is measured; nothing moves. Raise `ConfigError` or `LinkLostError` if the device does not open or
+    reply.
     """
     named_budget(board)
     where = devices.url_for(url, experiment.controller.loop)

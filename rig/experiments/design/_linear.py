@@ -35,17 +35,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """A result of linear theory for one candidate: its stiffness limits, and the numbers of its velocity estimate.
+    """Results of linear theory for one sampling scheme: stiffness limits, and the numbers of its velocity estimate.
 
     Attributes
     ----------
     stable
         Largest stable K at each damping (N·m/rad or N/m).
     quiet
-        Largest stable K at each damping at which the effort ripple of a count that toggles at rest also stays within
-        the verdict's limit (N·m/rad or N/m).
+        Largest stable K at each damping with an effort ripple within the verdict's limit, too, while an encoder count
+        toggles at rest (N·m/rad or N/m).
     stands_in
-        True if the usual filter replaces an estimator that is not linear.
+        True if the filter `STAND_IN` replaces an estimator that is not linear.
     """
 
     stable: tuple[float, ...]
@@ -56,7 +56,7 @@ class Linear:
     stands_in: bool
 
     def measures(self, dampings: Sequence[float], *, quiet: bool) -> Measures:
-        """Return peak K, range of B, noise and more by theory, from the limits `quiet` or `stable` at `dampings`."""
+        """Return the scheme's peak K, range of B, noise and more, from the limits `quiet` or `stable` at `dampings`."""
         found = BoundaryMeasures.of(dampings, self.quiet if quiet else self.stable)
         return Measures(**asdict(found), noise=self.noise, fidelity_hz=self.fidelity_hz, cost=self.cost)
 
@@ -64,10 +64,10 @@ class Linear:
 def tasks(
     experiment: Experiment, candidates: Sequence[Candidate], dampings: Sequence[float], k: Sequence[float]
 ) -> tuple[list[Task], list[int]]:
-    """Return the tasks of the stage "linear theory", and for each result row of all tasks the index of its candidate.
+    """Return calls that compute linear theory for all candidates, and for each of their results the candidate's index.
 
-    `k` are the stiffnesses (N·m/rad or N/m), `dampings` the dampings to compute (N·m·s/rad or N·s/m). One task computes
-    all candidates with the same estimator settings and velocity rate, which share a linear model.
+    `k` are stiffnesses (N·m/rad or N/m), `dampings` in N·m·s/rad or N·s/m. A call computes all candidates (sampling
+    schemes) with the same estimator settings and velocity rate, which share a linear model.
     """
     # Sorted by estimator: the candidates of a task share its realisation.
     order = sorted(range(len(candidates)), key=lambda i: (_estimator_key(candidates[i]), i))
@@ -96,7 +96,7 @@ def tasks(
 
 
 def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -> list[Linear]:
-    """Return the results of all tasks in the order of the candidates; `order` is the second result of `tasks`."""
+    """Sort the results of all calls from `tasks` by candidate; `order` is the second result of `tasks`."""
     rows = [
         Linear(**{**row, "stable": tuple(row["stable"]), "quiet": tuple(row["quiet"])})
         for one in done
@@ -106,7 +106,7 @@ def results(done: Sequence[Sequence[Mapping[str, Any]]], order: Sequence[int]) -
 
 
 def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row with the linear results of each candidate of a task; `payload` and rows are JSON values."""
+    """Compute linear theory for all sampling schemes with one estimator; arguments and results are JSON values."""
     experiment = config.restore_experiment(payload["experiment"])
     k, b = np.array(payload["stiffnesses"]), np.array(payload["dampings"])
     first: LinearLoop | None = None
@@ -149,7 +149,7 @@ def of_estimator(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Return True for stable walls, shape (K, B); walls stiffer than an unstable group are not tested and False."""
+    """Return True for stable walls, shape (K, B), and False without a test for walls far above an unstable one."""
     stable = np.zeros((len(k), len(b)), np.bool_)
     left = np.arange(len(b))
     for some in np.array_split(np.arange(len(k)), max(1, len(k) // CHUNK)):
@@ -163,7 +163,7 @@ def _stable(lifted: Lifted, k: Floats, b: Floats) -> NDArray[np.bool_]:
 
 
 def _limits(stable: NDArray[np.bool_], k: Floats) -> list[float]:
-    """Return for each damping the largest K up to which all walls are stable; 0 if the softest wall is unstable."""
+    """Return the largest K of each column of `stable` up to which all walls are stable; 0 if the first is unstable."""
     count = np.logical_and.accumulate(stable, axis=0).sum(axis=0)
     return np.where(count > 0, k[np.maximum(count - 1, 0)], 0.0).tolist()  # type: ignore[no-any-return]
 

@@ -71,7 +71,7 @@ class LawPlace:
         return experiment.rig.simulation.computation_delay_ticks
 
     def allows(self, applied: Experiment) -> bool:
-        """Return True if device and link support the experiment's law, its rate, and the amount of data."""
+        """Return True if this place (host or device) and its link can run the experiment's law at its rate."""
         try:
             if self.loop == "device":
                 controller.prepare_controller(applied)
@@ -84,12 +84,12 @@ class LawPlace:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A candidate of a design: a sampling scheme, and the place where the control law runs.
+    """A candidate for the recommended design: a sampling scheme, and the place where the control law runs.
 
     Attributes
     ----------
     scheme
-        Rates, estimator with its settings, and prediction.
+        Rates, estimator with its settings, and whether the velocity is held or extrapolated between samples.
     loop, delay_ticks
         Place of the law (``"host"`` or ``"device"``), and delay of its effort in ticks, without the amplifier's delay.
     board
@@ -103,11 +103,11 @@ class Candidate:
 
     @cached_property
     def key(self) -> str:
-        """Return the candidate's unique name in the journal (file of finished tasks): place, delay, sampling scheme."""
+        """Return a unique name for the file of results: host or device, delay, sampling scheme."""
         return f"{self.loop} {self.delay_ticks} {self.scheme.text}"
 
     def condition(self, experiment: Experiment) -> Experiment:
-        """Return the experiment with this candidate's place and delay of the law; its sampling scheme is unchanged."""
+        """Return the experiment with this candidate's place of the law (host, device) and delay, not its scheme."""
         rig = experiment.rig
         late = replace(rig.simulation, computation_delay_ticks=self.delay_ticks)
         return replace(
@@ -131,7 +131,7 @@ class Candidate:
         return self.scheme.position_rate, self.scheme.velocity_rate
 
     def law(self, experiment: Experiment) -> tuple[Any, ...]:
-        """Return all that determines the law: place, delay (ticks), rates (Hz), estimator, prediction, parameters."""
+        """Return the settings that distinguish two laws: host or device, delay, rates, estimator and its parameters."""
         applied, resolution = self.applied(experiment), experiment.rig.encoder.resolution
         own = applied.controller
         numbers = prepare_estimator(applied, resolution, 1.0 / own.velocity_rate).parameters.tolist()
@@ -141,7 +141,7 @@ class Candidate:
 
     @classmethod
     def own(cls, experiment: Experiment, places: Sequence[LawPlace] = ()) -> Candidate:
-        """Return the candidate with the experiment's own sampling scheme and place of the law, with its delay."""
+        """Return the candidate with the experiment's own sampling scheme, host or device, and the delay there."""
         own = experiment.controller
         there = next((place for place in places if place.loop == own.loop), places_for(experiment)[0])
         delay = there.delay_ticks(experiment, own.position_rate)
@@ -157,10 +157,10 @@ def places_for(
     round_trip_s: float | None = None,
     board: str = BOARD,
 ) -> tuple[LawPlace, ...]:
-    """Return the places where the law may run, with the given limits of board and link; no device is opened.
+    """Return where a control law may run, with the given limits of board and link; no device is opened.
 
-    `where` defaults to the experiment's place of the law, `rate_maximum` (Hz) to its position rate. Raise `ConfigError`
-    for an unknown board, and `PlanError` for a limit that is not above 0.
+    `where` defaults to the experiment's choice (host or device), `rate_maximum` (Hz) to its position rate. Raise
+    `ConfigError` for an unknown board, and `PlanError` for a limit that is not above 0.
     """
     named_budget(board)
     check_positive({"most_rate": rate_maximum, "link": bytes_per_second, "round_trip": round_trip_s})
@@ -182,7 +182,7 @@ def places_for(
 def listed(
     experiment: Experiment, places: Sequence[LawPlace], schemes: Sequence[Scheme] = ()
 ) -> tuple[Candidate, ...]:
-    """Return a candidate for each place of the law and each of `schemes`; if empty, for all built-in sampling schemes.
+    """Return a candidate for each place (host, device) and scheme that can run there; no `schemes`: all built-in ones.
 
     Raises
     ------

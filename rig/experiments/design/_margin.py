@@ -1,7 +1,7 @@
 """Compute the fraction of the recommended stiffness that remains on other rigs than described, and in other hands.
 
 `_search` calls this module. Simulated hits at one damping find the limit with each identified parameter changed alone
-by 20 %, with each hand alone, and on 16 rigs with all parameters drawn at random. A parameter is identified if
+by 20 %, with each modelled hand alone, and on 16 rigs with all parameters drawn at random. A parameter is identified if
 `rig identify` measures it and its value is not zero.
 """
 
@@ -52,7 +52,7 @@ IDENTIFIED = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """A remaining fraction of the stiffness limit after one change of the rig.
+    """Fraction of a wall's stiffness limit that is left after one change of the rig.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Left:
 
     @property
     def expected(self) -> float:
-        """Fraction used for sorting: from simulated hits, or from theory if the search ended before a wall failed."""
+        """Return the fraction to sort by: from simulated hits, or from theory if no tested wall failed in these."""
         return self.share if not self.capped or self.theory is None else self.theory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margin:
-    """A margin of a scheme: the fraction of its stiffness limit at one damping that remains on other rigs.
+    """Robustness of a sampling scheme: the fraction of its stiffness limit at one damping that is left on other rigs.
 
     Attributes
     ----------
@@ -88,11 +88,11 @@ class Margin:
     capped
         True if `stiffness` is only a lower bound, because the search ended before a wall failed.
     worst
-        Lowest remaining fraction over all sampled rigs and hands.
+        Lowest remaining fraction over all sampled rigs and modelled hands.
     alone
         Remaining fraction for each single change, the lowest first.
     samples
-        Number of sampled rigs, each tested with every hand.
+        Number of sampled rigs, each tested with every modelled hand.
     """
 
     damping: float
@@ -104,7 +104,7 @@ class Margin:
 
     @reported
     def spoils_first(self) -> Left:
-        """Return the single change after which the smallest fraction of the stiffness remains."""
+        """Return the single change of the rig that leaves the smallest fraction of the stiffness limit."""
         return self.alone[0]
 
     @reported
@@ -127,9 +127,9 @@ def identified(experiment: Experiment) -> dict[str, float]:
 def margin_of(
     candidate: Candidate, experiment: Experiment, damping: float, limit: float, run: Sweeper
 ) -> Margin:
-    """Return the margin of a candidate at the given damping (N·m·s/rad or N·s/m).
+    """Find by simulated hits how much of a candidate's stiffness limit is left on other rigs than described.
 
-    `limit` is an estimate of the candidate's limit of K (N·m/rad or N/m), which sets the range of the search.
+    `damping` is that of the walls (N·m·s/rad or N·s/m); `limit`, an estimate (N·m/rad or N/m), sets the range to test.
     """
     described = candidate.condition(experiment)
     single, joint = dict(_vary_singly(described)), dict(_vary_jointly(described))
@@ -168,7 +168,7 @@ def _vary_singly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _vary_jointly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
-    """Yield name and experiment of sampled rigs with all parameters drawn at random, for each hand that is possible."""
+    """Yield name and experiment of rigs with all parameters drawn at random, each with all hands that may hold it."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()
@@ -179,7 +179,7 @@ def _vary_jointly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _other_hands(described: Experiment) -> dict[str, dict[str, str]]:
-    """Return the changes that replace the simulated hand by another, for each hand that is valid here, by name."""
+    """Return, by name, the keys that put another modelled hand on the handle, if the experiment is valid with it."""
     own = described.operator.grip if described.trial.kind == "human" else ""
 
     def may_hold(changes: dict[str, str]) -> bool:

@@ -1,4 +1,4 @@
-"""Compute noise, fidelity and cost of a velocity estimate (estimator, rates, prediction, delay and lag) without a hit.
+"""Compute noise, fidelity and cost of a velocity estimate (estimator, rates, prediction, delay and lag).
 
 `_linear` calls this module for every candidate. It must not depend on a wall.
 """
@@ -36,7 +36,7 @@ def noise(controller: Controller, resolution: float) -> float:
 
 
 def fidelity_hz(controller: Controller, resolution: float, lag_s: float, delay_ticks: int) -> float:
-    """Return the frequency (Hz) up to which rendered and true velocity differ by at most half of the true velocity.
+    """Return the frequency (Hz) up to which the rendered velocity differs from the true one by at most half of it.
 
     `lag_s` is the amplifier's lag (s), `delay_ticks` the delay from a sample to its effort (ticks).
     """
@@ -69,7 +69,7 @@ def cost(controller: Controller, board: str) -> float | None:
 
 
 def fits_a_tick(controller: Controller, board: str) -> bool:
-    """Return True if the board's processor can compute the longest tick of the law at the position rate."""
+    """Return True if the board's processor can finish the law within a tick at the position rate."""
     return controller.position_rate <= _budget(board).rate_maximum(controller.estimator)
 
 
@@ -108,6 +108,6 @@ def _of_estimator(
 
 
 def _respond_to_hold(turn: NDArray[np.float64], extrapolate: bool) -> Complex:
-    """Return the complex response of a hold or linear extrapolation to sines that turn by `turn` (rad) in a period."""
+    """Return the response (complex) of a hold or linear extrapolation to sines of `turn` (rad) per sampling period."""
     zero = (1.0 - np.exp(-1j * turn)) / (1j * turn)
     return np.asarray((1.0 + 1j * turn) * zero**2 if extrapolate else zero)

@@ -25,18 +25,18 @@ FITTED = "FITTED"  # how a rig's source says that its numbers were fitted on a p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """A sampling scheme with its results in one round of simulated hits.
+    """A sampling scheme with its results in one round of the search, by simulated hits on the wall.
 
     Attributes
     ----------
     label
         Text for the legend of a plot.
     measures, shares
-        Measures of the scheme, and for each wish the reached fraction, 1 or more if the wish is fulfilled (`_rules`).
+        Measures of the scheme, and for each requirement the reached fraction, 1 or more if it is met (`_rules`).
     boundary
         Limits of K at the dampings of the round; a passed wall is stable and has no ripple above the verdict's limits.
     stands_in
-        True if linear theory replaced the sampling scheme's estimator by the usual filter.
+        True if linear theory replaced the sampling scheme's nonlinear estimator by a linear filter.
     """
 
     candidate: Candidate
@@ -48,7 +48,7 @@ class Standing:
 
     @property
     def capped(self) -> bool:
-        """Return True if a stiffness limit is only a lower bound, because no wall failed."""
+        """Return True if a stiffness limit is only a lower bound, because the stiffest tested wall was stable."""
         return any(one.capped for one in self.boundary)
 
 
@@ -59,11 +59,11 @@ class Design(Shown, Drawn):
     Attributes
     ----------
     experiment, wishes, places
-        Rig and push, wishes, and places where the law may run, as requested.
+        Rig and trial, requirements on the scheme, and where the law may run (host, device), as requested.
     listed, kept
-        Number of sampling schemes in linear theory, and in the first round of hits.
+        Number of sampling schemes in linear theory, and in the first round of simulated hits.
     standings
-        Schemes of the second round, all tested at the same walls; front and comparisons are computed from them.
+        Schemes of the second round, all tested at the same walls; Pareto front and comparisons are computed from them.
     finalists
         Schemes of the last round, the best first.
     recommended, own
@@ -97,13 +97,13 @@ class Design(Shown, Drawn):
 
     @property
     def front(self) -> list[Standing]:
-        """Return sampling schemes of the second round that no other dominates (Pareto front), the stiffest first."""
+        """Return the sampling schemes of the second search round that no other one dominates, the stiffest first."""
         chosen = [self.standings[i] for i in rules.front([one.measures for one in self.standings])]
         return sorted(chosen, key=lambda one: -one.measures.stiffness)
 
     @property
     def as_good(self) -> list[Standing]:
-        """Return sampling schemes of the second round whose K at B = 0, peak K and range of B reach the own one's."""
+        """Return schemes whose K at B = 0, peak K and range of B each reach those of the experiment's own scheme."""
         own = self._own_before.measures
         return [
             one
@@ -117,7 +117,7 @@ class Design(Shown, Drawn):
 
     @property
     def fitted(self) -> bool:
-        """Return True if the rig's numbers were fitted to limits that a paper reports."""
+        """Return True if the rig's parameters were fitted to stiffness limits that a paper reports."""
         return FITTED in self.experiment.rig.source
 
     def toml(self) -> str:
@@ -156,7 +156,7 @@ class Design(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return the lines of a full report: the short report, tables of the Pareto front and of the last round."""
+        """Return the lines of a full report: the short report, tables of the Pareto front and of the last schemes."""
         return [
             *self.brief(),
             *self.against_tables(),
@@ -169,7 +169,7 @@ class Design(Shown, Drawn):
         return [one.table(self.experiment.rig.motion) for one in self.against]
 
     def table(self, caption: str, standings: Sequence[Standing]) -> Table:
-        """Return a table called `caption` with the measures of the given schemes, a row for each sampling scheme."""
+        """Return a table titled `caption` with a row per scheme: stiffness, damping, noise, fidelity and cost."""
         unit = self._unit
         head = (
             "scheme",
@@ -202,7 +202,7 @@ class Design(Shown, Drawn):
         return Table(head, rows, caption)
 
     def margin_table(self, most: int | None = None) -> Table:
-        """Return a table of the remaining margin on the worst rig and after the `most` worst single changes."""
+        """Return a table of the stiffness left on the worst sampled rig, and after the `most` worst single changes."""
         margin = self.margin
         rows = [
             (

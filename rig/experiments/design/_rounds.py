@@ -1,4 +1,4 @@
-"""Run the maps of many schemes, each with few walls, as one sweep; each map equals the map of a single `MapPlan`.
+"""Find the stable walls of many sampling schemes in one parallel run; each result equals that of a single `MapPlan`.
 
 `_search`, `_margin` and `_whole` call this module.
 """
@@ -26,7 +26,7 @@ Watch = Callable[[str, sweep.Progress], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallGrid:
-    """A set of walls to hit: dampings, search over stiffness, encoder offsets (counts), hits of each wall."""
+    """Walls to test by hits: dampings, search over stiffness, encoder offsets (counts), and repeats of each search."""
 
     dampings: tuple[float, ...]
     search: StiffnessSearch
@@ -36,14 +36,14 @@ class WallGrid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweeper:
-    """A runner of a design's stages: each stage is a sweep with its own journal, so that a stopped design can resume.
+    """Runs the stages of a design in parallel, each with its own journal, so that a stopped design can resume.
 
     Attributes
     ----------
     directory
-        Directory of the journals (files of finished tasks); None: nothing is stored.
+        Directory of the journals (files of finished results); None: nothing is stored.
     scheduler, workers
-        Address of a Dask scheduler, or number of threads (as in `rig.experiments.sweep.run`).
+        Address of a Dask scheduler, or number of threads; None: a thread for each core.
     watch
         Called with the name of the stage and its progress.
     hits
@@ -57,7 +57,7 @@ class Sweeper:
     hits: dict[str, int] = field(default_factory=dict)
 
     def run(self, stage: str, tasks: Sequence[sweep.Task], unit: str | None = None) -> sweep.Results:
-        """Run the tasks of one stage and return their results; raise the errors of `rig.experiments.sweep.run`."""
+        """Run the function calls `tasks` of a stage in parallel; return their results, stored ones included."""
         journal = None
         if self.directory is not None:
             make_directory(self.directory)
@@ -73,7 +73,7 @@ class Sweeper:
         )
 
     def map_each(self, stage: str, work: Sequence[tuple[Experiment, Scheme, WallGrid]]) -> list[ZWidth]:
-        """Find the stable walls of each sampling scheme by simulated hits; return the maps in the order of `work`."""
+        """Find by simulated hits the stable walls of each experiment with its sampling scheme, in given order."""
         plans = [
             MapPlan(
                 experiment=experiment,
@@ -93,7 +93,7 @@ class Sweeper:
         return maps
 
     def each(self, stage: str, plans: Sequence[Plan[M]]) -> list[M]:
-        """Run the tasks of several plans as one sweep, and return the map of each plan."""
+        """Compute several maps of walls in one parallel run, and return the map of each plan."""
         of_plan = [
             [replace(task, key=f"{number}/{task.key}") for task in plan.tasks]
             for number, plan in enumerate(plans)
@@ -110,6 +110,6 @@ class Sweeper:
 
 
 def columns_to(reach: float, columns: int) -> tuple[float, ...]:
-    """Return `columns` dampings from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
+    """Return as many dampings as `columns` from 0 to `reach` (N·m·s/rad or N·s/m), denser near zero."""
     # Squared: denser near zero, where the curve of stiffness limits has its largest curvature.
     return tuple((reach * np.linspace(0.0, 1.0, columns) ** 2).tolist())

@@ -59,7 +59,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measures:
-    """A set of measures of one sampling scheme on one rig.
+    """Measures by which sampling schemes on one rig are compared.
 
     Attributes
     ----------
@@ -87,14 +87,14 @@ class Measures:
     cost: float | None
 
     def merit(self, objective: str) -> float:
-        """Return the value of the measure `objective`, negated if less is better; −inf if the value is missing."""
+        """Return the value of the measure named `objective`, negated if less is better; −inf if it is missing."""
         value: float | None = getattr(self, objective)
         return -math.inf if value is None else OBJECTIVES.get(objective, 1) * value
 
 
 @dataclass(frozen=True, slots=True)
 class BoundaryMeasures:
-    """A set of measures of a boundary of stable walls in the K–B plane (fields as in `Measures`)."""
+    """Measures of the boundary of stable walls in the K–B plane: K at B = 0, peak K, largest B, and area below."""
 
     undamped: float
     stiffness: float
@@ -103,7 +103,7 @@ class BoundaryMeasures:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> BoundaryMeasures:
-        """Return K at B = 0, peak K, range of B and area for limits of K (SI units) at ascending dampings from 0."""
+        """Return the measures of a boundary from its limits of K (SI units) at ascending dampings from 0."""
         extent = Extent.of(dampings, limits)
         return cls(undamped=limits[0], stiffness=max(limits), damping=extent.damping, area=extent.area)
 
@@ -127,8 +127,8 @@ def as_good(one: Measures, other: Measures, step: float) -> bool:
 def reaches(name: str, one: float, other: float, step: float) -> bool:
     """Return True if value `one` of the measure `name` is as good as value `other`, or if `other` is missing (NaN).
 
-    `step` (above 1) is the tolerance, the ratio of neighbouring tested stiffnesses: a stiffness `one` is as good if
-    `one` · `step` ≥ `other`. Other rules apply to "b_width", "worst_fidelity" and "tuned" (number of tuned values).
+    `step` (above 1) is the ratio of neighbouring tested stiffnesses: a stiffness may be smaller by one step. "b_width"
+    and "tuned" (number of tuned values) have no tolerance, "worst_fidelity" has 2 %.
     """
     if math.isnan(other):
         return True
@@ -140,17 +140,17 @@ def reaches(name: str, one: float, other: float, step: float) -> bool:
 
 
 class UnmetError(PlanError):
-    """An error: no listed sampling scheme fulfils all wishes. The message has the limiting wish and its best result."""
+    """No listed sampling scheme meets all requirements; the message has the limiting one and its best result."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """A set of wishes for a design; the limits of the ripples are those of the experiment's verdict.
+    """Requirements on a sampling scheme; the limits of ripple are those of the experiment's verdict.
 
     Attributes
     ----------
     goal
-        Measure by which sampling schemes that fulfil the other wishes are ranked.
+        Measure by which sampling schemes that meet the other requirements are ranked.
     wall
         K and B of a wall that must be stable (N·m/rad and N·m·s/rad, or N/m and N·s/m).
     fidelity_hz
@@ -168,14 +168,14 @@ class Wishes:
     cost: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise `PlanError` for a wish that is not a positive number."""
+        """Raise `PlanError` for a requirement that is not a positive number."""
         named = {"fidelity_to": self.fidelity_hz, "most_noise": self.noise, "most_cost": self.cost}
         if self.wall is not None:
             named["must_be_stable"] = self.wall[0]
         check_positive(named)
 
     def of_path(self, noise: float, fidelity_hz: float, cost: float | None) -> dict[str, float]:
-        """Return for each wish on the velocity estimate the reached fraction: the wish is fulfilled at 1 or more."""
+        """Return by name how far noise, fidelity and cost meet each requirement: a fraction, 1 or more if met."""
         shares = {}
         if self.fidelity_hz is not None:
             shares["fidelity_hz"] = fidelity_hz / self.fidelity_hz
@@ -186,7 +186,7 @@ class Wishes:
         return shares
 
     def asked(self, name: str) -> str:
-        """Return the wish `name` as a text that names the argument by which the wish was given."""
+        """Return the requirement `name` as a text with its value and the argument that set it."""
         if name == "wall" and self.wall is not None:
             return f"K = {self.wall[0]:g} with B = {self.wall[1]:g} (`must_be_stable`)"
         option = {"fidelity_hz": "fidelity_to", "noise": "most_noise", "cost": "most_cost"}[name]
@@ -199,15 +199,15 @@ def measure_of(goal: Goal) -> str:
 
 
 def fulfilled(shares: Mapping[str, float]) -> bool:
-    """Return True if every wish is fulfilled; `shares` are the reached fractions, fulfilled at 1 or more."""
+    """Return True if every requirement is met; `shares` are the reached fractions by requirement, 1 or more if met."""
     return all(share >= 1.0 for share in shares.values())
 
 
 def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
-    """Raise `UnmetError` if no sampling scheme fulfils all wishes; `shares` has the reached fractions of each scheme.
+    """Raise `UnmetError` if no sampling scheme meets all requirements; `shares` has their reached fractions per scheme.
 
-    The error names the limiting wish: the one with the lowest best fraction, among the schemes that fulfil all other
-    wishes, or among all schemes if no scheme fulfils all others.
+    The error names the limiting requirement: the one that even the best scheme reaches least, among the schemes that
+    meet all others, or among all schemes if none does.
     """
     if not shares or any(fulfilled(one) for one in shares):
         return
@@ -230,7 +230,7 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
 def key(
     wishes: Wishes, measures: Measures, shares: Mapping[str, float], own_area: float
 ) -> tuple[float, ...]:
-    """Return a sort key for schemes, the best last: first by fulfilled wishes, then by goal, then by less noise.
+    """Return a sort key for schemes, the best last: first by met requirements, then by goal, then by less noise.
 
     `own_area` is the area of the experiment's own scheme, which a sampling scheme must reach if the goal is "quiet".
     """
@@ -243,7 +243,7 @@ def key(
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A comparison in pairs: the goal's measure of the recommended sampling scheme and of the experiment's own scheme.
+    """Paired values of the measure to maximise, for the recommended scheme and for the experiment's own scheme.
 
     `recommended` and `own` have one value for each encoder offset and seed.
     """
@@ -253,7 +253,7 @@ class Comparison:
 
     @property
     def interval(self) -> tuple[float, float, float]:
-        """Return the mean gain over the experiment's own sampling scheme (share of its mean), and the 95 % interval."""
+        """Return the mean gain over the own scheme (fraction of its mean), and both ends of its 95 % interval."""
         own = float(np.mean(self.own))
         differences = (np.array(self.recommended) - np.array(self.own)) / (own if own > 0.0 else 1.0)
         mean, n = float(differences.mean()), len(differences)
@@ -264,10 +264,10 @@ class Comparison:
 
     @property
     def no_worse(self) -> bool:
-        """Return True if the recommended sampling scheme is shown to be no worse than the experiment's own."""
+        """Return True if the recommended scheme is at most 2 % worse than the experiment's own (95 % interval)."""
         return self.interval[1] >= -NEGLIGIBLE
 
     @property
     def better(self) -> bool:
-        """Return True if the recommended sampling scheme is shown to be better than the experiment's own."""
+        """Return True if the 95 % interval of the gain over the experiment's own sampling scheme is above zero."""
         return self.interval[1] > 0.0

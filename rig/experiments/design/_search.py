@@ -1,4 +1,4 @@
-"""Search for a design: linear theory for all listed schemes, three rounds of hits, and a validation.
+"""Search for a design: linear theory for all listed schemes, three rounds of simulated hits, and a validation.
 
 `rig.experiments.design.design` is defined here. The validation uses encoder offsets and seeds that the search did not
 use. Each stage depends on the stored results of earlier stages: a stopped design resumes in its stage, and its result
@@ -49,7 +49,7 @@ HELD_OUT_SEED, HELD_OUT_REPEATS = 1_000, 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """A round of hits: number of sampling schemes that enter; search, number of dampings and offsets of their maps."""
+    """One round of simulated hits: number of schemes that enter it, and the walls, offsets and search of each."""
 
     name: str
     enter: int
@@ -70,20 +70,20 @@ ROUNDS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignRequest:
-    """A request of a design.
+    """A request to find the best sampling scheme for a rig.
 
     Attributes
     ----------
     experiment
-        Rig, push and thresholds; all other sampling schemes are compared with the experiment's own scheme.
+        Rig, trial and thresholds; all other sampling schemes are compared with the experiment's own scheme.
     wishes
-        Goal and limits that the recommended scheme must fulfil (`rig.experiments.design._rules`).
+        Goal and requirements that the recommended scheme must meet (`rig.experiments.design._rules`).
     places
-        Places where the law may run. If empty: the experiment's place of the law, at most at its position rate.
+        Where the law may run (host, device). If empty: where the experiment runs it, at most at its position rate.
     schemes
         Schemes to search; if empty, those of `rig.experiments.design._listing`.
     rounds
-        Rounds of hits.
+        Rounds of simulated hits, each with fewer schemes and more walls.
     paper
         True to compare also the schemes of the rig's paper with all listed schemes (`rig.experiments.design._whole`).
     """
@@ -96,7 +96,7 @@ class DesignRequest:
     paper: bool = False
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the fields that determine the result of the search as JSON values; `paper` only adds a comparison."""
+        """Return the fields that determine the result of the search as JSON values; `paper` is left out."""
         return {
             "experiment": config.as_mapping(self.experiment),
             "wishes": plain(self.wishes),
@@ -107,7 +107,7 @@ class DesignRequest:
 
 
 def directory_for(request: DesignRequest, where: Path) -> Path:
-    """Return the directory of a design inside `where`; its name has a hash of everything that determines the result."""
+    """Return the directory inside `where` for the files of a design; its name hashes all that determines the result."""
     described = json.dumps([sweep.code_version(), request.as_mapping()], sort_keys=True)
     digest = sha256(described.encode()).hexdigest()[:8]
     return where / f"design-{request.experiment.rig.name}-{digest}"
@@ -121,24 +121,24 @@ def design(
     workers: int | None = None,
     watch: Watch | None = None,
 ) -> Design:
-    """Find the sampling scheme that fulfils the wishes for a rig best.
+    """Find the sampling scheme that meets the requirements for a rig best.
 
     Parameters
     ----------
     request
-        Request of the design.
+        Rig, requirements and schemes to search.
     directory
         Directory that stores finished tasks; a stopped design resumes from it. None: not stored.
     scheduler, workers, watch
-        Address of a Dask scheduler, number of threads, and progress function (as in `rig.experiments.sweep.run`);
-        `watch` is called with the name of the stage and its progress.
+        Address of a Dask scheduler; number of threads; function that is called with the name of the stage and its
+        progress.
 
     Raises
     ------
     NoStableWallError
         No sampling scheme has a stable wall whose damping is rendered.
     UnmetError
-        No listed scheme fulfils the wishes; the message names the limiting wish.
+        No listed scheme meets the requirements; the message names the limiting one.
     ConfigError
         A scheme of `request.schemes` is invalid, `paper` is set and no paper describes the rig, or the scheduler is not
         found.
@@ -234,7 +234,7 @@ class _Search:
         )
 
     def _may_be_own(self, own: Standing, places: Sequence[LawPlace]) -> bool:
-        """Return True if the experiment's own sampling scheme fulfils the wishes and can run at a place of `places`."""
+        """Return True if the experiment's own scheme meets the requirements and can run at one of `places`."""
         applied = own.candidate.applied(self.request.experiment)
         return rules.fulfilled(own.shares) and any(
             place.loop == own.candidate.loop and place.allows(applied) for place in places
@@ -255,7 +255,7 @@ class _Search:
     ) -> list[Candidate]:
         """Return the candidates sorted by linear theory, the best first.
 
-        Candidates are taken in turn from two rankings: by limits with the ripple of a toggling count, and without it.
+        They come in turn from two rankings: by limits at which a toggling count stays unnoticed, and by all limits.
         """
         wishes = self.request.wishes
 
@@ -282,7 +282,7 @@ class _Search:
         known: Mapping[str, Linear],
         own: Candidate,
     ) -> list[Standing]:
-        """Find the stable walls of a round's sampling schemes by simulated hits; return the schemes, best first."""
+        """Find the stable walls of one round's sampling schemes by simulated hits; return the schemes, best first."""
         x, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
         search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
@@ -340,7 +340,7 @@ class _Search:
         return sorted(found, key=lambda one: rules.fulfilled(one.shares), reverse=True)
 
     def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
-        """Compare two sampling schemes by simulated hits, with encoder offsets and seeds that were not searched."""
+        """Compare two schemes by simulated hits with encoder offsets and seeds that the search did not use."""
         x = self.request.experiment
         x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
         last = self.request.rounds[-1]
@@ -362,7 +362,7 @@ class _Search:
 
 
 def _measure_each_series(found: ZWidth) -> list[BoundaryMeasures]:
-    """Return the measures of each single run of stiffness searches: one for each encoder offset and repeat."""
+    """Return the measures of the stable walls separately for each encoder offset and repeat."""
     curve = found.curve(0, "any")
     dampings = [b.damping for b in curve]
     return [
@@ -380,14 +380,14 @@ def _octaves(top: float, columns: int) -> tuple[float, ...]:
 
 
 def _damping_reach(standings: Sequence[Standing]) -> float:
-    """Return the lowest damping above every damping with a stable wall; else the largest damping (SI units)."""
+    """Return the lowest tested damping above all dampings with a stable wall, or the largest one (SI units)."""
     dampings = [b.damping for b in standings[0].boundary]
     last = max(one.measures.damping for one in standings)
     return next((b for b in dampings if b > last), dampings[-1])
 
 
 def _margin_point(best: Standing, wishes: Wishes) -> tuple[float, float]:
-    """Return the damping at which the margin is computed, and the limit of K at this damping (SI units of the rig)."""
+    """Return the damping at which robustness is tested, and the best scheme's limit of K there (SI units)."""
     if wishes.wall is not None:
         return wishes.wall[1], max(b.lowest for b in best.boundary if b.damping == wishes.wall[1])
     peak = max(best.boundary, key=lambda boundary: boundary.counted)

@@ -73,7 +73,7 @@ class PaperSchemes:
 
     @classmethod
     def of(cls, rig: str) -> PaperSchemes:
-        """Return sampling schemes and measures of the paper on a rig; raise `ConfigError` if no paper describes it."""
+        """Return schemes and compared measures of the paper on a rig; raise `ConfigError` without such a paper."""
         if rig in KOUL:
             return cls(schemes=(Scheme.of(presets.load(rig)),), measures=OF_A_PAPER)
         if rig == PAPERS_RIG:
@@ -87,7 +87,7 @@ class PaperSchemes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MappedScheme:
-    """A sampling scheme with its value of each measure by name; the `capped` values are only lower bounds."""
+    """A sampling scheme of which all walls were tested: its measures by name; those in `capped` are lower bounds."""
 
     candidate: Candidate
     label: str
@@ -118,12 +118,12 @@ class Against:
     listed
         Number of listed schemes, without the scheme of the paper.
     ruled_out
-        For each measure the number of schemes that cannot reach it, as a failed hit (or the count of tuned values)
+        For each measure the number of schemes that cannot reach it, as one failed hit (or the count of tuned values)
         shows.
     measured
-        Mapped schemes that were not ruled out, sorted by the number of measures in which they are worse.
+        Schemes that were not ruled out and whose stable walls were all searched, the best first.
     open
-        Number of schemes that were neither ruled out nor mapped, because a scheme as good as the paper's was found.
+        Number of schemes that were neither ruled out nor searched, because a scheme as good as the paper's was found.
     """
 
     paper: MappedScheme
@@ -134,7 +134,7 @@ class Against:
 
     @property
     def best(self) -> MappedScheme | None:
-        """Return the mapped sampling scheme that is worse than the paper's in the fewest measures; None without maps.
+        """Return the searched sampling scheme that is worse than the paper's in the fewest measures; None without one.
 
         Of several such schemes return the one with the largest product of K peak and range of B.
         """
@@ -147,7 +147,7 @@ class Against:
 
     @property
     def text(self) -> str:
-        """Return the result of the comparison as a sentence."""
+        """Return a sentence: a listed scheme is as good as the paper's, or how many were ruled out."""
         if self.best is not None and self.as_good:
             return f"{self.best.label} is as good as {self.paper.label} in every measure"
         return (
@@ -193,7 +193,7 @@ class Against:
 def against_paper(
     experiment: Experiment, candidates: Sequence[Candidate], run: Sweeper
 ) -> tuple[Against, ...]:
-    """Compare each sampling scheme of the rig's paper with all candidates, which are sorted most promising first."""
+    """Compare each scheme of the rig's paper with all `candidates`; sort these by linear theory, the best first."""
     return _Whole(experiment, PaperSchemes.of(experiment.rig.name), run).compare(candidates)
 
 
@@ -253,7 +253,7 @@ class _Whole:
     def _sieves(
         self, name: str, asked: Mapping[str, float]
     ) -> Iterator[tuple[str, Callable[[Sequence[Candidate]], list[Candidate]]]]:
-        """Yield each measure's name, with a function that returns the candidates which may still reach the measure.
+        """Yield the name of a measure, and a function that removes the candidates which cannot reach the paper's value.
 
         `asked` has the values of the paper's sampling scheme by measure.
         """
@@ -276,7 +276,7 @@ class _Whole:
             )
 
     def _keep_undamped(self, name: str, left: Sequence[Candidate], asked: float) -> list[Candidate]:
-        """Return the candidates that reach the stiffness `asked` without damping, where the estimator has no effect."""
+        """Return the candidates with which a wall of stiffness `asked` (SI) is stable without damping."""
 
         def law(one: Candidate) -> tuple[Any, ...]:
             return one.loop, one.delay_ticks, one.scheme.position_rate
@@ -287,13 +287,13 @@ class _Whole:
         return [one for one in left if law(one) in laws]
 
     def _rung(self, name: str, asked: float) -> float:
-        """Return the lowest stiffness of the search that counts as reaching `asked` in the measure `name`."""
+        """Return the lowest tested stiffness (SI) that is as good as `asked` in the measure `name`, to one step."""
         return next(k for k in self._search.rungs if rules.reaches(name, k, asked, RATIO))
 
     def _hold(
         self, stage: str, left: Sequence[Candidate], dampings: Sequence[float], stiffness: float
     ) -> list[Candidate]:
-        """Return the candidates with which a wall of this stiffness is stable at a damping and an encoder offset."""
+        """Return the candidates with which a wall of this stiffness is stable at one of `dampings` or more."""
         if not left:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
@@ -309,7 +309,7 @@ class _Whole:
         ]
 
     def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
-        """Find the stable walls of candidates by hits, and the passive walls if the paper has measures of impedance."""
+        """Find all stable walls of the schemes by hits, and all passive walls if the paper judges impedances."""
         x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
         maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
@@ -357,7 +357,7 @@ class _Whole:
         return tuple(name for name in self._paper.measures if reached.get(name, False))
 
     def _count_tuned(self, one: Candidate) -> int:
-        """Return the number of tuned values; an order or window that equals its default does not count."""
+        """Return the number of tuned settings of an estimator; an order or window at its default does not count."""
         controller = one.applied(self._x).controller
         defaults = {
             setting.name: setting.default for setting in estimators.get(controller.estimator).settings

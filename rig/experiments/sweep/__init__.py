@@ -1,4 +1,4 @@
-"""Run many independent tasks on all cores or on a cluster; results of finished tasks survive any end of the process.
+"""Run many independent function calls (tasks) on all cores or on a cluster; finished results survive any crash.
 
     results = sweep.run([sweep.Task("a", function_of_a_module, {"x": 1})], journal=Path("journal"))
 

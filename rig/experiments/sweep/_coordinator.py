@@ -29,7 +29,7 @@ Watch = Callable[["Progress"], None]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A task of a sweep: the function call ``work(payload)``.
+    """A task of a sweep (a set of independent computations): the function call ``work(payload)``.
 
     Attributes
     ----------
@@ -51,20 +51,20 @@ class Task:
 
     @property
     def work_name(self) -> str:
-        """Return the name of the task's function in a journal: ``module:function``."""
+        """Return the name of the task's function, ``module:function``, by which the file of results refers to it."""
         return f"{self.work.__module__}:{self.work.__qualname__}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """A snapshot of the progress of a sweep.
+    """A snapshot of the progress of a sweep (many tasks that run in parallel).
 
     Attributes
     ----------
     done, running, total
         Numbers of finished tasks, of submitted tasks that are not finished, and of all tasks.
     kept
-        Number of finished tasks whose results were in the journal before this run.
+        Number of finished tasks whose results were in the journal (file of results) before this run.
     weight_done, weight_total, weight_kept
         Sums of the weights of the finished tasks, of all tasks, and of the tasks in `kept`.
     units
@@ -96,8 +96,8 @@ class Progress:
     def begin(cls, tasks: Sequence[Task], kept: Sequence[int], damaged: int) -> Progress:
         """Return the progress before any task is submitted.
 
-        `kept` has the indices of the tasks that an earlier run finished; `damaged` is the number of unreadable journal
-        lines.
+        `kept` has the indices of the tasks that an earlier run finished; `damaged` is the number of unreadable lines in
+        the file of results.
         """
         weight = sum(tasks[index].weight for index in kept)
         return cls(
@@ -112,7 +112,7 @@ class Progress:
 
     @property
     def fraction(self) -> float:
-        """Finished fraction of the sweep, by the weights of the tasks (0 to 1)."""
+        """Return the finished fraction of all tasks by their weights (0 to 1)."""
         return 1.0 if self.done == self.total else self.weight_done / self.weight_total
 
     @property
@@ -122,7 +122,7 @@ class Progress:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimated time until the end, at this run's mean speed (s); None before the first result."""
+        """Return the estimated time until all tasks are finished (s) at this run's mean speed; None before a result."""
         achieved, left = self.weight_done - self.weight_kept, self.weight_total - self.weight_done
         if self.done == self.total:
             return 0.0
@@ -169,7 +169,7 @@ class Coordinator:
         self._started_s, self._shown_s = time.monotonic(), -math.inf
 
     def run(self) -> None:
-        """Run until all tasks are finished, a task fails, or Ctrl-C; raise errors of the journal and the executor."""
+        """Run until all tasks are finished, one fails, or Ctrl-C; raise `RecordingError` if a result is not stored."""
         # Do not handle a signal that ends the process at once: the journal is valid after any end.
         numbers = tuple(one for one in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(one)))
         # A signal is stored, and handled between two results, so that the first Ctrl-C cannot separate a result from
@@ -215,7 +215,7 @@ class Coordinator:
         )
 
     def _check_interruption(self, signals: list[int], series: RunSeries) -> bool:
-        """Call the progress function and handle Ctrl-C; return True after a second Ctrl-C: do not wait for tasks."""
+        """Call the progress function and handle Ctrl-C; return True after a second Ctrl-C: leave running tasks."""
         before = self.interruption
         try:
             # `rig.stop`, or a Ctrl-C that another thread received, stops the series: handle it only once.

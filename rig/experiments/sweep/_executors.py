@@ -36,7 +36,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """An error of a task with its traceback (`details`); `of_task` is False if the worker cannot run any task."""
+    """An exception as message, remedy and traceback (`details`); `of_task` is False if the worker runs no task."""
 
     message: str
     remedy: str = ""
@@ -58,11 +58,11 @@ class Executor(Protocol):
         ...
 
     def explain(self, error: BaseException) -> Failure:
-        """Return a `Failure` for an exception of a future; raise the exception if no task can run any more."""
+        """Return an exception of a task's future as `Failure`; raise the exception if no task can run any more."""
         ...
 
     def close(self) -> None:
-        """Abandon the running tasks: do not wait for them."""
+        """Abandon the running calls without waiting for them."""
         ...
 
 
@@ -85,8 +85,8 @@ def executor_for(scheduler: str | None, workers: int | None) -> Executor:
 def perform(work: Work, payload: str, unit: str | None, code: str) -> Done | Failure:
     """Run one task in the worker; return its result, or a `Failure` with the error.
 
-    `payload` is JSON text, `unit` the name of the number that counts units of work in the result, and `code` the
-    `code_version` of the submitting process.
+    `payload` are the task's arguments as JSON text. `unit` names the number in the result that counts units of work
+    (such as hits); `code` is the version of this package in the submitting process.
     """
     if code != code_version():
         return Failure(
@@ -125,7 +125,7 @@ def _units(result: Any, name: str) -> int:
 
 
 class Threads:
-    """An executor with threads of this process: compiled trials release the GIL; the caller's own law is available."""
+    """An executor with threads of this process: compiled code runs in parallel, and the caller's own law can run."""
 
     # Not `concurrent.futures.ThreadPoolExecutor`: the interpreter joins its threads when it ends, so a second Ctrl-C
     # would still wait for every task that is running.

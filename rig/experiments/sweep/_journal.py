@@ -54,7 +54,7 @@ class Memory:
 
 
 class Journal:
-    """An open journal: the file with the results of a sweep, locked against other processes.
+    """An open journal: the file with the results of a sweep's tasks, locked against other processes.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Journal:
         self._file.close()
 
     def _load(self, header: Mapping[str, Any], keys: Sequence[str]) -> int:
-        """Read an existing file, or begin a new file; return the length of the file's valid part (bytes)."""
+        """Read an existing file of results, or begin a new one; return the length of its valid part (bytes)."""
         wanted = line_of(json.dumps(header))
         with plain_errors("read", self.path), open_regular(self.path) as file:
             first = file.readline()
@@ -161,9 +161,9 @@ class Journal:
 
 
 def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
-    """Return a list of (key, result) from the journal's lines after byte `place`, and the byte of the next line.
+    """Return pairs (task key, result) from the journal's lines after byte `place`, and the byte of the next line.
 
-    Another process may be writing the journal: the file is not locked, an incomplete last line is left for the next
+    Another process may be writing this file of results: it is not locked, an incomplete last line is left for the next
     call, and a damaged line is skipped. Raise `RecordingError` if the file cannot be read.
     """
     found = []
@@ -180,7 +180,7 @@ def read_on(path: Path, place: int = 0) -> tuple[list[tuple[str, Any]], int]:
 
 
 def _refuse_other_sweep(path: Path, there: dict[str, Any], here: dict[str, Any]) -> None:
-    """Raise `ConfigError` with the differences if the header in the file (`there`) differs from the new header."""
+    """Raise `ConfigError` with the differences if the file's header `there` belongs to other tasks than `here`."""
     if (there["sweep"], there.get("plan")) == (here["sweep"], here["plan"]):
         return
     differences = [

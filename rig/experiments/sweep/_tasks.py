@@ -49,7 +49,7 @@ class Results(Sequence[Any]):
 
 
 class TaskError(RigError):
-    """An error of a task: `key` names the task, `results` are those of the finished tasks, a note has the traceback."""
+    """A task raised an exception: `key` names the task, `results` are of finished tasks, a note is the traceback."""
 
     exit_code = 11
 
@@ -60,7 +60,7 @@ class TaskError(RigError):
 
 
 class SweepStoppedError(StoppedError):
-    """An error for a stopped sweep: `results` are those of the finished tasks, `total` is the number of all tasks."""
+    """Ctrl-C stopped the tasks: `results` are those of the finished tasks, `total` is the number of all tasks."""
 
     def __init__(self, message: str, *, remedy: str, total: int, results: Results) -> None:
         super().__init__(message, remedy=remedy)
@@ -143,11 +143,11 @@ def run_here(
     Parameters
     ----------
     name
-        Name of the work in the journal, instead of the names of the tasks' functions.
+        Name of the work in the journal (file of results), instead of the names of the tasks' functions.
     perform
         Function that runs one task and returns JSON values. An exception ends the run; the earlier results are stored.
     tasks, journal
-        Tasks to compute, and file of the results, with the same errors as in `run`.
+        Tasks to compute, and the file of results; `ConfigError` if the file belongs to other tasks.
     """
     store = _open(tasks, journal, name)
     try:
@@ -161,7 +161,7 @@ def run_here(
 
 
 def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) -> Journal | Memory:
-    """Open the store of results: a `Journal` with a hash of everything that determines the results, or a `Memory`."""
+    """Open the store of results: a file with a hash of everything that determines the results, or memory."""
     if len({task.key for task in tasks}) != len(tasks):
         raise ValueError("two tasks have the same key; give each task of a sweep its own key")
     if not all(task.weight > 0.0 for task in tasks):
@@ -187,7 +187,7 @@ def _open(tasks: Sequence[Task], journal: Path | None, name: str | None = None) 
 def _raise_ending(
     coordinator: Coordinator, tasks: Sequence[Task], results: Results, journal: Path | None
 ) -> None:
-    """Raise the error of a sweep in which a task failed or that was interrupted; do nothing if all tasks finished."""
+    """Raise the error of a task, or for an interruption; do nothing if all tasks finished."""
     total, failure, interruption = len(tasks), coordinator.failure, coordinator.interruption
     so_far = f"{len(results)} of {total} tasks are done" + (
         "" if journal is None else f" and stored in {journal}"
