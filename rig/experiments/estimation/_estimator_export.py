@@ -51,7 +51,7 @@ _IN_A_LINE = 4  # samples
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """A largest allowed error of the test's velocities: of each velocity, or of their rms if `rms` is True."""
+    """Largest allowed error of the exported C code's velocities: of each one, or of their rms if `rms` is True."""
 
     limit: float
     unit: str
@@ -136,14 +136,14 @@ def export_estimator(
     Parameters
     ----------
     variant
-        Name and settings of the estimator; the settings override the experiment's settings of the same estimator.
+        Name and settings of the estimator; they override the experiment's settings if it uses the same estimator.
     experiment
         Experiment with encoder and velocity rate.
     header
         Path of the header. None: the estimator's name, for example ``kalman.h``. The test is ``kalman_test.c`` beside
         the header.
     case
-        Case for the test, usually the case of the tuning. None: `signal`, measured by the rig's encoder.
+        Counts for the test, usually those of the tuning. None: `signal`, measured by the rig's encoder.
     signal
         One of `rig.experiments.estimation._signals.SIGNALS`.
     costs
@@ -210,7 +210,7 @@ def export_estimator(
 
 
 def _settings(variant: Variant, experiment: Experiment) -> dict[str, float | str]:
-    """Return the settings of the experiment's estimator, overridden by the settings of `variant`."""
+    """Return the experiment's settings of this estimator, overridden by those of `variant`."""
     own = experiment.controller
     tuned = own.parameters if own.estimator == variant.estimator else {}
     return {
@@ -238,7 +238,7 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
 
 
 def _test_efforts(prepared: Prepared, limit: float, samples: int) -> Floats:
-    """Return efforts for the test (N·m or N), zero if the estimator uses no effort; they need not match the motion."""
+    """Return motor efforts to feed into the test (N·m or N), a sine unrelated to the motion; 0 if none are used."""
     if not prepared.estimator.uses_effort:
         return np.zeros(samples)
     # As float32 has them: the test's C and this computer read the same numbers.
@@ -259,7 +259,7 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
 
 
 def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
-    """Return the velocities of an estimator whose memory is rounded to float32 after each sample (rad/s or m/s)."""
+    """Return the velocities (rad/s or m/s) of an estimator whose state is rounded to float32 after each sample."""
     update, state_f, state_i = (
         prepared.estimator.update,
         np.zeros_like(prepared.state_f),
@@ -273,7 +273,7 @@ def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Flo
 
 
 def _fastest(velocity: Floats, counts: Ints, elapsed: Ints) -> tuple[Ints, Ints]:
-    """Return counts and elapsed periods of 400 samples around the highest velocity."""
+    """Return counts and elapsed velocity periods of the 400 samples around the highest velocity."""
     first = max(0, int(np.abs(velocity).argmax()) - COSTED_SAMPLES // 2) if len(velocity) else 0
     return counts[first : first + COSTED_SAMPLES], elapsed[first : first + COSTED_SAMPLES]
 

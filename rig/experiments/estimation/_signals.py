@@ -145,7 +145,7 @@ def edge_times(signal: Signal, time_s: ArrayLike, resolution: float, *, offset: 
     resolution
         Travel for one count (position units); its sign does not matter.
     offset
-        Distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1).
+        Distance of position zero from the lower edge of its cell, the range of one count (counts, 0 to below 1).
 
     Returns
     -------

@@ -100,12 +100,12 @@ class Case:
 
     @cached_property
     def arrays(self) -> tuple[Ints, Floats, Ints]:
-        """Return the checked counts, edge ages (s) and elapsed periods, each of shape (n,)."""
+        """Return counts, ages of the last encoder edge (s) and velocity periods since the sample before, shape (n,)."""
         return inputs(self.counts, self.dt, self.edge_time, self.elapsed)
 
     @cached_property
     def delayed_truths(self) -> tuple[slice, Floats, Floats, Floats]:
-        """Return data to fit a delay: sample slice, trial delays (s), delayed true velocities, sum of their squares."""
+        """Return data to fit a delay: slice of samples, delays (s), true velocity at each delay, its sum of squares."""
         chosen = slice(None, None, max(1, len(self.judged_time_s) // DELAY_SAMPLES))
         delays = np.arange(EARLIEST_S, LATEST_S + DELAY_STEP_S, DELAY_STEP_S)
         time_s = self.judged_time_s[chosen]
@@ -115,7 +115,7 @@ class Case:
 
 
 def signal_case(signal: Signal, rate_hz: float, resolution: float, *, offset: float = 0.5) -> Case:
-    """Return the test case of a reference signal, sampled from time 0 on by an ideal encoder with exact edge times.
+    """Return counts and true velocity of a reference motion, sampled by an ideal encoder with exact edge times.
 
     Parameters
     ----------
@@ -159,18 +159,20 @@ def counts_case(
     motion: Motion = "rotary",
     name: str = "counts",
 ) -> Case:
-    """Return a case of your own counts and velocities, on which to compare and tune estimators.
+    """Return a test case from your own counts and velocities, on which to compare and tune estimators.
 
     Parameters
     ----------
-    counts, dt, resolution, edge_time, elapsed, width
-        Encoder counts of shape (n,), one for each velocity period (time between two velocity samples) of `dt` (s), and
-        the travel for one count (rad or m); optional inputs as in `estimate`.
+    counts, dt, resolution
+        Encoder counts, shape (n,), one for each velocity period (time between two velocity samples) of `dt` (s), and
+        the travel for one count (rad or m).
+    edge_time, elapsed, width
+        Time of the last encoder edge (s) and velocity periods since the sample before, (n,); bits of the counter.
     velocity
         True velocity at each sample (rad/s or m/s), shape (n,), from a simulation or a better sensor; between samples
         it is interpolated linearly.
     effort
-        Effort of the motor at each sample (N·m or N), shape (n,), for estimators that use it (as in `estimate`).
+        Effort of the motor at each sample (N·m or N), shape (n,), for estimators that use it.
     settle_s
         Time after the first sample that is not judged, because estimators settle (s).
     motion
@@ -181,8 +183,7 @@ def counts_case(
     Raises
     ------
     ConfigError
-        An input of `estimate` is invalid, the velocities have another length or are not finite, or `settle_s` covers
-        all samples.
+        An array has a wrong shape or value, the velocities are not finite, or `settle_s` covers all samples.
 
     Examples
     --------
@@ -228,12 +229,12 @@ def counts_case(
 
 
 def recording_case(recording: Recording, rate_hz: float | None = None, *, name: str = "recording") -> Case:
-    """Return the case of a recording, with the simulation's true velocity, or on a real rig with a filtered reference.
+    """Return counts and true velocity of a recording; on a real rig the latter is a filtered reference.
 
     Parameters
     ----------
     recording
-        Recording of any rig; the phase TRIAL is judged, and the estimators settle before this phase.
+        Recording of any rig; its trial is judged, after the homing in which the estimators settle.
     rate_hz
         Velocity samples per second (Hz), which must divide the recording's position rate. None: the recording's own
         rate.
@@ -307,14 +308,14 @@ def recording_case(recording: Recording, rate_hz: float | None = None, *, name: 
 
 
 def _mean_efforts(recording: Recording, index: Ints, first: NDArray[np.intp]) -> Floats:
-    """Return the mean applied effort before each sample of `first` (N·m or N), as the loop passes it to estimators."""
+    """Return the mean effort on the rig since the sample before, for each index in `first` (N·m or N)."""
     impulse = np.cumsum(recording.column("effort_applied") * np.diff(index, prepend=index[0] - 1))[first]
     ticks = index[first] + 1
     return np.asarray(np.diff(impulse, prepend=0.0) / np.diff(ticks, prepend=0))
 
 
 def _truth(recording: Recording, time_s: Floats, resolution: float) -> tuple[Callable[[Floats], Floats], str]:
-    """Return a function of time (s) for the true velocity (rad/s or m/s), and a text on the source of this velocity."""
+    """Return the true velocity (rad/s or m/s) as a function of time (s), and a text on its source."""
     if recording.has_truth:
         true = recording.column("velocity_true")
         known = np.isfinite(true)

@@ -74,7 +74,7 @@ class Score:
         Rms error of the estimated velocity.
     delay_s
         Delay of the estimate (s): the shift of the true velocity that minimises the error. It is negative for an
-        estimate ahead of time, and NaN if the delay cannot be identified (see `delay`).
+        estimate ahead of time, and NaN if noise or a constant velocity hides it.
     rms_without_delay
         Rms error after correction of the delay.
     rest_rms, toggling_rms
@@ -102,7 +102,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class EstimatorComparison(Shown, Drawn):
-    """A comparison of estimators: the score of each estimator on each test case, sorted by case, then by estimator."""
+    """Scores of velocity estimators on test cases (counts with a known velocity), sorted by case, then by estimator."""
 
     cases: tuple[Case, ...]
     variants: tuple[Variant, ...]
@@ -163,7 +163,7 @@ def compare_estimators(
 
 
 def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
-    """Return the score of one estimator on one test case; with `timed` also measure the time of an update."""
+    """Return errors and delay of an estimator on a test case (counts with known velocity); `timed`: also its cost."""
     named = (case.name, case.rate_hz, abs(case.resolution), variant.estimator, variant.settings)
     try:
         velocity = estimates(case, variant)
@@ -176,7 +176,7 @@ def score(case: Case, variant: Variant, *, timed: bool = False) -> Score:
 
 
 def estimates(case: Case, variant: Variant) -> Floats:
-    """Return the estimated velocity at each sample of a case (rad/s or m/s), (n,); raise `ConfigError` if invalid."""
+    """Return the velocity estimated at each sample (rad/s or m/s), (n,); `ConfigError` if settings are invalid."""
     require_effort(estimators.get(variant.estimator), case.effort)
     return run(_prepared(case, variant), *case.arrays, case.effort)[0]
 
@@ -187,12 +187,12 @@ def _prepared(case: Case, variant: Variant) -> Prepared:
 
 
 def _settings(case: Case, variant: Variant) -> dict[str, float | str]:
-    """Return the settings of a variant, and those that its estimator reads from the case's rig (like inertia)."""
+    """Return the estimator's settings: those of `variant`, and rig properties (like inertia) of the case."""
     return {**estimators.get(variant.estimator).settings_of(case.rig), **variant.settings}
 
 
 def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
-    """Return rms error (rad/s or m/s) of a velocity of shape (n,), its delay (s), and rms error without that delay."""
+    """Return rms error (rad/s or m/s) of an estimated velocity, its delay (s), and rms error without that delay."""
     # Three numbers, because the raw error alone prefers the least delayed estimator despite its noise, and the
     # corrected error alone prefers the slowest filter.
     raw, delay_s = raw_error(case, velocity), delay(case, velocity)
@@ -209,9 +209,8 @@ def raw_error(case: Case, velocity: Floats) -> float:
 def delay(case: Case, velocity: Floats) -> float:
     """Return the delay (s) of an estimated velocity of shape (n,), by least squares; NaN if it cannot be identified.
 
-    The delay is searched on the grid of `rig.experiments.estimation.cases`, and interpolated. It cannot be identified
-    if the true velocity is constant, if the best delay is at an end of the grid, or if noise makes its standard error
-    larger than a step of the grid.
+    Delays of −5 to 50 ms are tested and interpolated. The delay cannot be identified if the true velocity is constant,
+    if the best delay is at an end of this range, or if noise makes its standard error larger than a step of 0.25 ms.
     """
     if np.ptp(case.true_velocity) <= 1e-9 * case.speed_rms:
         return math.nan

@@ -67,7 +67,7 @@ def lipschitz_of(
     before_s: float = BEFORE_CONTACT_S,
     after_s: float = AFTER_CONTACT_S,
 ) -> LipschitzFit:
-    """Fit a sum of sines to the measured position around the first contact of a hit; return the fit with Levant's C.
+    """Fit a sum of sines to the position around the first contact of a hit; its largest acceleration is Levant's C.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def _columns(frequencies: Floats, t: Floats) -> Floats:
 
 
 def _linear_part(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Return offset, factors of the sines and factors of the cosines that fit best for these frequencies (Hz)."""
+    """Return the best offset, factors of the sines and factors of the cosines for given frequencies (Hz)."""
     return np.asarray(np.linalg.lstsq(_columns(frequencies, t), y, rcond=1e-9)[0])
 
 
@@ -194,7 +194,7 @@ def _residual(frequencies: Floats, t: Floats, y: Floats) -> Floats:
 
 
 def _jacobian(frequencies: Floats, t: Floats, y: Floats) -> Floats:
-    """Return the Jacobian of the residual, by Kaufman's approximation of variable projection."""
+    """Return the residual's derivatives by each frequency, with Kaufman's approximation (variable projection)."""
     columns, linear = _columns(frequencies, t), _linear_part(frequencies, t, y)
     n = len(frequencies)
     sine, cosine = columns[:, 1 : n + 1], columns[:, n + 1 :]

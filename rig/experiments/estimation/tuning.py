@@ -55,7 +55,7 @@ OBJECTIVES: dict[str, Callable[[Case, Floats], float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SettingRange:
-    """A range of a tuned setting in which the objective is at most a tenth worse, with the other settings constant.
+    """Range of a tuned setting in which the objective is at most a tenth worse, with the other settings constant.
 
     `open_below` and `open_above` are True if the search ended at that bound, so that the range may be larger.
     """
@@ -71,7 +71,7 @@ class SettingRange:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tuning(Shown):
-    """A result of a tuning: the best settings for one test case, and the range of each tuned setting.
+    """Result of tuning an estimator on one test case: the best settings, and the range of each tuned setting.
 
     `settings` has the given and the changed settings; all others have their default. `objective_start` and
     `objective_best` are the values of the objective before and after; `before` and `after` are the scores.
@@ -173,7 +173,7 @@ def tune_estimator(
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """A tuned setting on a scale from 0 to 1, logarithmic if its range is positive; `whole`: whole numbers only."""
+    """A setting to tune, on a scale from 0 to 1 that is logarithmic if its range is positive."""
 
     setting: Setting
     low: float
@@ -205,7 +205,7 @@ class _Axis:
 
 
 class _TuningWalk:
-    """A search for the best values of the tuned settings, with a cache of the objective."""
+    """A search for the best settings of an estimator, with a cache of the objective; scales run from 0 to 1."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class _TuningWalk:
         self.reference = estimates(case, Variant(estimator.name, self.start))
 
     def value(self, settings: Settings) -> float:
-        """Return the objective for these settings; infinite if the estimator cannot run with them."""
+        """Return the objective (smaller is better) for these settings; infinite if the estimator cannot run."""
         key = tuple(settings.items())
         if key not in self.known:
             self.known[key] = self._evaluate(settings)
@@ -238,7 +238,7 @@ class _TuningWalk:
         return found if math.isfinite(found) else math.inf
 
     def open(self, free: Sequence[str] | None) -> None:
-        """Create a search axis (scale from 0 to 1) for each named setting; None: all that influence the estimate."""
+        """Choose the settings to search: those named in `free`, or None: all numbers that change the estimate."""
         numbers = {s.name: s for s in self.estimator.settings if isinstance(s, Setting)}
         for name in free or ():
             if name not in numbers:
@@ -261,12 +261,12 @@ class _TuningWalk:
             )
 
     def begin(self, setting: Setting) -> float:
-        """Return the start value of a setting: the given value, else the value of the rig, else the default."""
+        """Return the start value of a setting: given by the caller, else by the rig, else the default."""
         known = {**self.estimator.settings_of(self.case.rig), **self.start}
         return float(known.get(setting.name, setting.default or setting.minimum))
 
     def _axis(self, setting: Setting) -> _Axis | None:
-        """Return the search axis (scale from 0 to 1) of a setting; None if no other value changes the estimate."""
+        """Return a scale for a setting over its range; None if no tested value changes the estimate."""
         start = self.begin(setting)
         for whole in (False, True):
             axis = _Axis.around(setting, start, whole)
@@ -291,7 +291,7 @@ class _TuningWalk:
         return found
 
     def descend(self) -> Floats:
-        """Return the best value of each tuned setting on a scale from 0 to 1, by a scan and a descent."""
+        """Return the best value of each tuned setting (0 to 1), by a Sobol scan and a Nelder-Mead descent."""
         d = len(self.axes)
         start = np.array([axis.place(self.begin(axis.setting)) for axis in self.axes])
         # A scan before the descent, which finds only the nearest minimum. Sobol without scrambling, so that a tuning
@@ -317,7 +317,7 @@ class _TuningWalk:
         return np.asarray(found.x if found.fun <= min(values) else best, dtype=np.float64)
 
     def plain(self, best: Floats) -> Floats:
-        """Return `best` (values on a scale from 0 to 1), with settings of negligible influence reset to their start."""
+        """Return the best point `best` (0 to 1 per setting), with settings that hardly matter reset to their start."""
         limit = (1.0 + NEGLIGIBLE) * self.value(self.settings_at(best))
         for i, axis in enumerate(self.axes):
             start = axis.place(self.begin(axis.setting))
@@ -328,7 +328,7 @@ class _TuningWalk:
         return best
 
     def range_of(self, i: int, best: Floats) -> SettingRange:
-        """Return the range of setting `i` around the optimum in which the objective is at most a tenth worse."""
+        """Return the range of the tuned setting number `i` in which the objective is at most a tenth worse."""
         axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
         ends, opened = [], []
         for direction in (-1.0, 1.0):

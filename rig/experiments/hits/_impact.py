@@ -56,7 +56,7 @@ class ImpactNumbers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Impact:
-    """A recorded impact: traces of shape (n,), with one value for each tick from the first sample inside the wall on.
+    """A simulated hit: traces of shape (n,), with one value for each tick from the first sample inside the wall on.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Impact:
     velocity, velocity_true
         Velocity into the wall (rad/s or m/s): the estimate that the law used, and the true velocity at the encoder.
     complete
-        False if the guard (limits on position, speed and effort) ended the run.
+        False if the safety guard (limits on position, speed and effort) ended the run.
     """
 
     offset: float

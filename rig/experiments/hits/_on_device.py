@@ -1,7 +1,7 @@
 """Run many recorded trials, one after another, on one device.
 
-Measurements of maps and impedances call this module. Each trial is an ordinary hit (`rig.experiments.hits.hit`) with
-the same checks and a recording.
+Maps of stable walls and measurements of impedance call this module. Each trial is an ordinary hit
+(`rig.experiments.hits.hit`) with the same checks and a recording.
 """
 
 from __future__ import annotations
@@ -31,10 +31,13 @@ class OnDevice:
 
     Attributes
     ----------
-    url, realtime, verified, arm_anyway, hands_off
-        Address of the device; run in real time; polarity of motor and encoder is verified; arm despite a bad link;
-        called before the first torque pulse. Details: `rig.experiments.hits.hit.HitRequest`. The handle of a real rig
-        without an index pulse must be at position zero when the measurement begins.
+    url, realtime
+        Address of the device; True to run in real time. A real handle without an index must be at position zero at
+        first.
+    verified, arm_anyway
+        True if the operator checked the signs of motor and encoder; True to arm although the link is bad.
+    hands_off
+        Called with the instruction to take all hands off the handle, before the torque pulse that checks a real rig.
     recordings
         Directory of the recordings.
     device, reference_count
@@ -53,13 +56,13 @@ class OnDevice:
 
     @property
     def simulated(self) -> bool:
-        """Return True if the device is simulated; each trial then creates a new one."""
+        """Return True if the device is simulated; then each trial creates a new simulation."""
         return self.url.startswith("sim:")
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A trial that the guard or the device ended early: the error, the recording and the judgement."""
+    """A trial that ended early: the error (of the safety guard or the device), its recording and its judgement."""
 
     error: GuardError | DeviceFaultError
     recorded: Recorded
@@ -83,10 +86,10 @@ class Trials:
         changes: Mapping[str, Any],
         law: Law | Callable[[float], Law] | None = None,
     ) -> Recorded | Ended:
-        """Run one trial and return its recording and judgement; raise the errors of `rig.experiments.hits.hit.hit`.
+        """Run one trial with `changes` (values by dotted key) of the experiment; return its recording and judgement.
 
-        `changes` have priority over the defaults for real time. If the guard or the device ended the trial and a
-        recording exists, return an `Ended` and raise nothing.
+        If the safety guard or the device ended the trial and a recording exists, return it as an `Ended`. Raise
+        `PlanError` if the trial is not permitted, and `RigError` after any other early end; the effort is zero.
         """
         request = HitRequest(
             experiment=experiment,
@@ -115,7 +118,7 @@ class Trials:
 
 @contextmanager
 def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
-    """Yield the trials of a measurement; a real device stays open and keeps its position zero until the block ends."""
+    """Open the device for several trials; a real device stays open and keeps its position zero until the block ends."""
     with stop_requests.listening() as series:
         if where.simulated:
             yield Trials(where, None, None, series)
@@ -131,7 +134,7 @@ def kept_open(where: OnDevice, experiment: Experiment) -> Iterator[Trials]:
 
 @contextmanager
 def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDevice, Trials]]:
-    """Open the device; yield the device, real or simulated, and the series of trials on it.
+    """Open the device; yield the device, real or simulated, and an object that runs trials on it.
 
     The caller can check the device before the first trial moves the handle.
     """
@@ -154,7 +157,7 @@ def examined(where: OnDevice, experiment: Experiment) -> Iterator[tuple[FramedDe
 
 
 def _fixed_changes(experiment: Experiment) -> dict[str, Any]:
-    """Return the experiment's rates, stiffness and damping as changes, which override the defaults for real time."""
+    """Return the experiment's rates, stiffness and damping by key, so that real time does not change them."""
     controller, wall = experiment.controller, experiment.wall
     return {
         "controller.position_rate": controller.position_rate,

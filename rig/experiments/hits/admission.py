@@ -52,9 +52,7 @@ def admit(request: HitRequest, device: FramedDevice, experiment: Experiment) -> 
 
 
 def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) -> PreparedRun:
-    """Return the prepared and checked run of an experiment on an open device.
-
-    The link is not measured, and nothing moves.
+    """Prepare an experiment for an open device and check it, without the checks of the link; nothing moves.
 
     Raises
     ------
@@ -83,7 +81,7 @@ def vetted(request: HitRequest, device: FramedDevice, experiment: Experiment) ->
 def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
     """Return the checks of a run on an open device that need no measurement of the link.
 
-    `rig doctor` and `rig hit` call `rig.doctor.gate.gate` afterwards, which judges the wall with the measured link.
+    The wall's stability with the link's delay is checked later, in `rig.doctor.gate.gate`.
     """
     x, dictionary = run.experiment, device.dictionary
     return [
@@ -96,7 +94,7 @@ def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
 
 
 def _gate(request: HitRequest, device: FramedDevice, experiment: Experiment) -> Gate | None:
-    """Return the assessment of the measured link (None in virtual time); raise if the link makes the wall dangerous."""
+    """Return the checks of the measured link (None in virtual time); raise `PlanError` if the wall is dangerous."""
     if device.link.clock.virtual:
         return None
     found = check_armable(device, experiment, anyway=request.arm_anyway, progress=request.measuring)
@@ -115,9 +113,9 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """Send a torque pulse to a real rig before a person holds the handle; raise if the rig does not move as described.
+    """Send a torque pulse to a real rig before a person holds it; raise if it does not move as described.
 
-    The pulse is not repeated on a device whose motion has been confirmed.
+    The pulse is not sent again to a device that has moved as described.
     """
     experiment = run.experiment
     if experiment.trial.kind != "human" or device.dictionary.simulated or device.moved_as_described:

@@ -83,7 +83,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SchemeImpacts:
-    """A result of one sampling scheme: a simulated hit for each encoder offset, and the mean of the hits' numbers."""
+    """Result of one sampling scheme: a simulated hit for each encoder offset, and the mean of peak, rest and others."""
 
     entry: Entry = field(repr=False)
     experiment: Experiment = field(repr=False)  # as it was run
@@ -108,7 +108,7 @@ class SchemeImpacts:
 
     @reported
     def complete(self) -> bool:
-        """Return True if each hit ran to its end, False if the guard (effort, speed, window) ended a hit early."""
+        """Return True if each hit ran to its end; False if the guard (limits of effort, speed, position) ended one."""
         return all(impact.complete for impact in self.impacts)
 
     @property
@@ -118,7 +118,7 @@ class SchemeImpacts:
         return min(peaks), max(peaks)
 
     def cells(self) -> tuple[str, ...]:
-        """Return the texts of this sampling scheme's row in the table of a full report, one text for each column."""
+        """Return this sampling scheme's row in the table of a full report, one text for each column."""
         n, (least, most) = self.numbers, self.peaks
         return (
             self.label + ("" if self.complete else ", ended by the guard"),
@@ -135,7 +135,7 @@ class SchemeImpacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class SchemeComparison(Shown, Drawn):
-    """A comparison of sampling schemes: the results of all sampling schemes for one rig, wall and start of the hit."""
+    """Results of several sampling schemes for the same simulated hit: one rig, wall and start of the handle."""
 
     experiment: Experiment = field(repr=False)
     start: Start
@@ -153,12 +153,12 @@ class SchemeComparison(Shown, Drawn):
 
     @reported
     def wall(self) -> Wall:
-        """Return the wall of the experiment; a compared sampling scheme can have another damping."""
+        """Return the wall of the experiment; a compared scheme can have another damping than this wall."""
         return self.experiment.wall
 
     @reported
     def cutoffs(self) -> str | None:
-        """Return a sentence if damped sampling schemes with no cut-off of their own get different ones; else None."""
+        """Return a sentence if schemes that state no filter cut-off get different default cut-offs; else None."""
         damped = [outcome.entry.scheme for outcome in self.outcomes if outcome.damping > 0.0]
         return describe_cutoffs(damped, self.experiment)
 
@@ -199,9 +199,8 @@ class SchemeComparison(Shown, Drawn):
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
     """Return three sampling schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
 
-    The dual-rate scheme has the experiment's velocity rate. If the velocity rate equals the position rate, use the
-    highest divisor of the position rate that is at most 2000 Hz and at most half of the position
-    rate.
+    The dual-rate scheme has the experiment's velocity rate; if that equals the position rate, the highest divisor of
+    the position rate that is at most 2000 Hz and at most half of the position rate.
     """
     own = Scheme.of(experiment)
     fast, slow = own.position_rate, own.velocity_rate
@@ -216,7 +215,7 @@ def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
 
 
 def entries_of(experiment: Experiment, schemes: Sequence[str | Scheme]) -> tuple[Entry, ...]:
-    """Return an `Entry` for each sampling scheme (if empty: `default_entries`); "none" is a wall without damping.
+    """Return the schemes as entries of a comparison; "none" is a wall without damping, no schemes are three usual ones.
 
     Raise `ConfigError` if two schemes have the same name.
     """
@@ -260,7 +259,7 @@ def compare(
     experiment
         Rig, wall, estimator, and length of the trial.
     entries
-        Schemes to compare; `default_entries` if None.
+        Schemes to compare; None: uniform without damping, uniform, and dual-rate at the experiment's rates.
     start
         Initial state of the handle and constant efforts; None: start and effort of the experiment's trial.
     offsets
@@ -306,8 +305,8 @@ def compare(
 def hit(experiment: Experiment, start: Start, offset: float) -> Impact:
     """Simulate one trial and return its traces and numbers from the first contact with the wall on.
 
-    `offset` is the distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1). Raise the
-    errors of `compare`.
+    `offset` is the distance of position zero from the lower edge of its encoder cell (counts, 0 to below 1). Raise
+    `ConfigError` if the handle never reaches the wall.
     """
     law, plant, trace = simulate(experiment, start, offset)
     side, wall = experiment.wall.side, experiment.wall.position
@@ -343,8 +342,8 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
     Returns
     -------
     tuple
-        A new controller with the same settings as the simulated one, in its initial state; the plant
-        (`sim_backend.mechanics.plant.DiscretePlant`); the trace of all ticks (`sim_backend.bare.trial.Trace`).
+        First a new controller with the settings of the simulated one, in its initial state; then the plant
+        (`sim_backend.mechanics.plant.DiscretePlant`); last the trace of all ticks (`sim_backend.bare.trial.Trace`).
     """
     rig = replace(experiment.rig, encoder=replace(experiment.rig.encoder, offset=offset))
     placed = replace(experiment, rig=rig)
@@ -365,7 +364,7 @@ def simulate(experiment: Experiment, start: Start, offset: float) -> tuple[Contr
 
 
 def _controller(experiment: Experiment, start: Start) -> ControllerState:
-    """Return a controller that starts in the phase TRIAL, without homing."""
+    """Return a controller that begins with the trial, without homing."""
     made = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     made.control["constant_effort"] = start.motor_effort
     # No homing, whose servo uses the estimate: with the same position rate the motion before the first contact is then
@@ -391,7 +390,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
 
 
 def _rows(law: ControllerState, plant: Any, trace: Any) -> NDArray[np.void]:
-    """Return the samples of a trial (`rig.core.sample.ROW`, one for each tick), recomputed from its encoder counts."""
+    """Compute a simulated trial's samples, one `rig.core.sample.ROW` per tick, from the counts of `trace`."""
     rows = np.zeros(len(trace.counts), ROW)
     rows["elapsed_ticks"] = 1
     rows["count"] = trace.counts

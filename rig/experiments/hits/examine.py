@@ -52,7 +52,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Examination:
-    """A result of an examination of this computer, its ports, and optionally one device.
+    """Result of an examination of this computer, its ports, and optionally one device.
 
     Attributes
     ----------
@@ -61,9 +61,9 @@ class Examination:
     ports
         Ports found on this computer.
     admission
-        Checks that `rig hit` makes for the experiment on this device before the link is measured.
+        Checks that `rig hit` makes for the experiment on this device before it measures the link.
     device, link, walls, gate
-        Facts of the examined device, measurement of its link, walls that the link supports, and assessment for arming;
+        Facts of the device, measurement of its link, stable walls over this link, and whether the motor may be armed;
         None or empty without a device, or if the examination ended earlier.
     experiment
         Experiment as it would run on the device.
@@ -83,7 +83,7 @@ class Examination:
 
     @reported
     def armable(self) -> bool | None:
-        """Return True if `rig hit` would arm the experiment's wall, False if not; None if the link was not measured.
+        """Return whether `rig hit` would arm the motor for the experiment's wall; None if the link was not measured.
 
         A simulated link never prevents arming.
         """
@@ -93,7 +93,7 @@ class Examination:
 
     @property
     def remedy(self) -> str:
-        """Return the remedies of all refused checks before arming, joined by semicolons; "" if no check was refused."""
+        """Return what to do before the motor may be armed: remedies of refused checks, joined by semicolons; or ""."""
         remedies = [one.remedy for one in refused(self.admission)]
         return "; ".join(dict.fromkeys(filter(None, [*remedies, self.gate.remedy if self.gate else ""])))
 
@@ -128,7 +128,7 @@ class ExaminationRequest:
     Attributes
     ----------
     experiment
-        Validated experiment, before `changes`. Its wall is checked for arming; the table of supported walls is computed
+        Validated experiment, before `changes`. Its wall is checked for arming; the table of stable walls is computed
         for its rig and estimator.
     changes
         Values by key that the user set by hand.
@@ -151,7 +151,7 @@ class ExaminationRequest:
 
 
 def examine(question: ExaminationRequest, on_progress: Progress = lambda what, share: None) -> Examination:
-    """Examine the machine and its ports; with a device also measure its link and compute the walls that it supports.
+    """Examine the machine and its ports; with a device also measure its link and compute the walls that are stable.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def examine(question: ExaminationRequest, on_progress: Progress = lambda what, s
     Raises
     ------
     ConfigError
-        The changes are invalid. All other errors, a missing device included, are stored in the result.
+        A key or value in `question.changes` is invalid. All other errors, as of a missing device, are in the result.
     """
     host = config.override(question.experiment, question.changes).host
     on_progress("examining the machine", 0.0)

@@ -55,12 +55,11 @@ class HitRequest(RigRequest):
         Encoder count at position zero of a real rig. None: determine the count with
         `rig.experiments.trials.preparation.position_zero`.
     arm_anyway
-        Arm although the measured link makes the wall dangerous (`rig.doctor.gate`). The override is reported and
-        recorded.
+        Arm although the measured link makes the wall dangerous (`rig.doctor.gate`). This is reported and recorded.
     measuring
         Called while the link is measured before arming, with the finished fraction of the measurement (0 to 1).
     judged_link
-        Called before arming with the assessment of the measured link.
+        Called before arming with the checks of the measured link.
     hands_off
         Called with an instruction to the operator (take the hands off the handle) before the torque pulse that checks a
         real rig before a person holds the handle.
@@ -189,7 +188,7 @@ class Admitted:
     run
         Run prepared for the device.
     gate
-        Assessment of the device's link before arming; None in virtual time, where a link has no delay.
+        Checks of the device's link before arming; None in virtual time, where a link has no delay.
     warnings
         One sentence for each exceeded limit that protects people, with the remedy.
     """
@@ -204,11 +203,10 @@ Watch = Callable[[int, Experiment], Callable[[int, int], None] | None]
 
 
 def in_effect(experiment: Experiment, device: FramedDevice, changes: Mapping[str, Any]) -> Experiment:
-    """Return the experiment as it runs on `device`.
+    """Return the experiment as it runs on `device`, which in real time differs from the description.
 
-    In real time the changes of `rig.config.realtime_changes` apply. If the host runs the law and the user set no rate,
-    both sampling rates become the device's default rate. `changes` (values by key that the user set) override these
-    changes and rates.
+    In real time `rig.config.realtime_changes` apply. If the host runs the law and the user set no rate, both sampling
+    rates become the device's default rate. `changes` (values by key that the user set) override all of these.
     """
     if device.link.clock.virtual:
         return config.override(experiment, changes)
@@ -239,7 +237,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
     PlanError
         The run is not permitted; nothing has moved.
     RigError
-        A trial ended early (errors of `rig.experiments.trials._trial.run_trial`); the effort is zero.
+        A trial ended early, by the link, the device, the safety guard, the law or the operator; the effort is zero.
     """
     with stop_requests.listening() as series, _open_device(request) as (device, effective):
         with series:
@@ -272,7 +270,7 @@ def hit(request: HitRequest, admit: Admit, watch: Watch | None = None) -> Iterat
 
 
 def left_by(error: Exception) -> Recorded | None:
-    """Return recording and judgement of the hit that ended with `error`; None if no trial had begun."""
+    """Return recording and verdict of the hit that ended with `error`; None if no trial had begun."""
     end = end_of(error)
     return None if end is None else _make_recorded(end)
 
@@ -328,7 +326,7 @@ def _open_device(request: HitRequest) -> Iterator[tuple[FramedDevice, Experiment
 
 
 def _rig_behind(url: str, request: HitRequest) -> RigModel | None:
-    """Return the model of the rig that a bridge to a motor drive needs; None for a board, which stores the model."""
+    """Return the rig's model for a device that needs it (bridge to a motor drive); None for a board, which has it."""
     if not devices.is_made_for_a_rig(url):
         return None
     return config.rig_model(config.with_realtime(request.experiment, request.changes))

@@ -21,13 +21,13 @@ HOMING_ALLOWANCE_S = 0.5
 
 
 class HitSimulator:
-    """A simulated rig that hits walls of any stiffness and damping.
+    """A simulated rig that hits virtual walls of any stiffness and damping.
 
     Parameters
     ----------
     experiment
         Rig, controller, trial, thresholds and wall; the wall's stiffness and damping are ignored. The seed determines
-        the start of the handle within homing's tolerance, and the tremor of a simulated hand.
+        where the handle starts, within homing's tolerance, and the tremor of a simulated hand.
     law
         Control law to run instead of the law that the experiment names.
     rig
@@ -62,13 +62,13 @@ class HitSimulator:
         self.start = start_of(experiment) * scale
 
     def hit(self, stiffness: float, damping: float) -> SimulatedHit:
-        """Simulate one hit of a wall (SI units); return the numbers from sampled and from true signals."""
+        """Simulate one hit on a wall (SI units); return its ripples and more, by sampled and by true signals."""
         wall = asdict(replace(self._wall, stiffness=stiffness, damping=damping))
         return self._rig.hit(self._template.fresh(wall), self.start)
 
 
 def start_of(experiment: Experiment) -> float:
-    """Return the start of a hit (rad or m): `trial.start` plus at most half of homing's tolerance, by the seed."""
+    """Return the handle's start (rad or m): `trial.start` plus a random part (by the seed) of homing's tolerance."""
     spread = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution / 2.0
     return experiment.trial.start + spread * float(
         np.random.default_rng(experiment.trial.seed).uniform(-1.0, 1.0)
