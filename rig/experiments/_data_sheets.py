@@ -47,7 +47,7 @@ class DataSheetQuestion:
     choices
         Allowed names; empty if the answer is a number.
     of
-        Mechanisms for which the question is asked.
+        Mechanisms (lever, carriage, linear motor) for which the question is asked.
     assumed
         Description of the value that is assumed without an answer; empty if an answer is required.
     whole
@@ -79,7 +79,7 @@ class DataSheetQuestion:
         return f"{kind} from {self.low:g} to {self.high:g}{units if self.unit else ''}"
 
     def read(self, name: str, text: str) -> Any:
-        """Return the value (SI) of the answer `name` from a text like ``38.5 mN·m``; raise `ConfigError` if invalid."""
+        """Return the answer (SI) in a text like ``38.5 mN·m``; raise `ConfigError`, which quotes `name`, if invalid."""
         if self.choices:
             return self.checked(name, text.strip())
         found = _NUMBER.fullmatch(text.strip())
@@ -93,7 +93,7 @@ class DataSheetQuestion:
         return self.checked(name, int(value) if self.whole and value.is_integer() else value)
 
     def checked(self, name: str, value: Any) -> Any:
-        """Return the answer `value` (SI); raise `ConfigError` with the answer's `name` if the value is not allowed."""
+        """Return the answer `value` (SI) if it is allowed; else raise `ConfigError`, which quotes the key `name`."""
         if self.choices:
             if value in self.choices:
                 return value
@@ -111,7 +111,6 @@ class DataSheetQuestion:
 
 
 def _normalise_unit(unit: str) -> str:
-    """Return the name of a unit without spaces and multiplication signs, so that all spellings are equal."""
     return unit.translate(_UNIT_SPELLING).replace("Ω", "ohm").replace("Ω", "ohm").replace("Ohm", "ohm")
 
 

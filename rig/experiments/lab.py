@@ -46,7 +46,7 @@ ExperimentLike = str | Path | Experiment
 
 
 class HitOptions(HitSettings, total=False):
-    """Keywords of `hit`: settings of the experiment, and fields of `HitRequest`."""
+    """Keywords of `hit`: settings of the experiment, and options of the run (device, law, recording)."""
 
     law: str | Law
     estimator: str | Estimator
@@ -90,14 +90,14 @@ def hit(
     Parameters
     ----------
     experiment
-        Preset's name, path of a file, or experiment (as in `load`).
+        Preset's name, path of a TOML file, or experiment.
     watch
         Called before the hit with the number 0 and the experiment as it runs. `watch` may return a progress function,
         which is called with (ticks, phase) while the hit runs.
     **options
-        Settings as in `load`, and: `law`, `estimator` (a name, or your own); an open `device` instead of a `url`;
-        `hands_off`, called before a torque pulse during which no hand may hold a real rig (by default it prints a line
-        to standard error); the `name` of the recording.
+        Settings in SI units, like ``stiffness=100.0``, and: `law`, `estimator` (a name, or your own); an open `device`
+        instead of a `url`; `hands_off`, called before a torque pulse during which no hand may hold a real rig (by
+        default it prints a line to standard error); the `name` of the recording.
 
     Raises
     ------
@@ -152,8 +152,9 @@ def plan(
 ) -> Plan:
     """Return the plan of a hit: its steps and checks, with the outcome of each check; no device is opened.
 
-    Parameters are those of `hit`. With `url`, `realtime` or `round_trip_s` the wall is also checked with the delay of a
-    link. `round_trip_s` is the round trip of the link (and of a drive behind a bridge), as `rig doctor` measures (s).
+    The settings are those of the hit, in SI units. With `url`, `realtime` or `round_trip_s` the wall is also checked
+    with the delay of a link. `round_trip_s` is the round trip of the link, and of a drive behind it, by `rig doctor`
+    (s).
 
     Raises
     ------
@@ -179,7 +180,7 @@ def replay(
     estimator: str | Estimator | None = None,
     **settings: Unpack[WallSettings],
 ) -> ReplayResult:
-    """Replay a recording: run its law and estimator, or others, with the recorded inputs, and compare the commands.
+    """Replay a recording: run its law and estimator, or others, on the recorded samples, and compare the commands.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ def replay(
         Name, or your own law or estimator, to use instead of the recorded ones. If the recording was made with your own
         law or estimator, pass it here.
     **settings
-        Values of keys to change (as in `load`).
+        Values of keys to change, in SI units, like ``stiffness=100.0``.
 
     Raises
     ------
@@ -227,7 +228,7 @@ def compare(
     Parameters
     ----------
     experiment
-        Preset's name, path of a file, or experiment (as in `load`); the motor pushes, without a hand.
+        Preset's name, path of a TOML file, or experiment; the motor pushes, without a hand.
     schemes
         For example ``"dual:20k/2k,estimator=kalman"``, ``"uniform:20k"``, ``"none"`` for no damping. If empty, three
         sampling schemes at the experiment's rates: no damping, uniform and dual-rate.
@@ -237,7 +238,7 @@ def compare(
     law, estimator
         Name of a built-in or installed law or estimator, or your own.
     **settings
-        Values of keys to change (as in `load`).
+        Values of keys to change, in SI units, like ``stiffness=100.0``.
 
     Raises
     ------
@@ -280,23 +281,23 @@ def zwidth(
     Parameters
     ----------
     experiment
-        Preset's name, path of a file, or experiment (as in `load`). A simulated hand with a normal grip pushes a
-        preset, unless the settings have `operator`, `effort` or ``trial.kind``.
+        Preset's name, path of a TOML file, or experiment. A simulated hand with a normal grip pushes a preset, unless
+        the settings have `operator`, `effort` or ``trial.kind``.
     schemes
-        Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's
-        scheme, and the uniform schemes at its rates.
+        Sampling schemes like ``"dual:20k/2k,estimator=kalman"``, one curve each. If empty: the experiment's scheme, and
+        the uniform schemes at its rates.
     dampings, offsets, repeats, judged
-        Dampings of the map of stable walls, encoder offsets, hits of each wall, and ripples that the verdict judges:
-        `rig.experiments.mapping._ranges.hit_plan`.
+        Dampings (N·m·s/rad or N·s/m), encoder offsets (counts), hits of each wall, and judged signals: ``"recorded"``,
+        or the simulation's ``"true"`` ones.
     lowest, highest, search, ratio
-        Range of the stiffness (N·m/rad or N/m), and the search in it: `rig.experiments.mapping._ranges.search_for`.
+        Range of the stiffness (N·m/rad or N/m), method of the search, and ratio of two tested stiffnesses.
     law, estimator
         Name, or your own. With `scheduler` or `directory` your own must be installed by a package, because other
         processes must find it.
     directory
         Directory in which the map is stored; a stopped map resumes from it. None: not stored.
     workers, scheduler, watch
-        Number of threads, address of a Dask scheduler, and progress function: `rig.experiments.sweep.run`.
+        Number of threads, address of a Dask scheduler, and a function that is called with the progress.
 
     Raises
     ------
@@ -358,10 +359,14 @@ def design(
     Parameters
     ----------
     experiment
-        Preset's name, path of a file, or experiment (as in `load`). Its verdict has the limits of the ripples of
-        velocity, effort and position; change a limit for example by ``changes={"verdict.heard_force": 0.5}``.
-    goal, must_be_stable, fidelity_to, most_noise, most_cost
-        Goal, K and B of a wall that must be stable, and the other wishes: `rig.experiments.design.Wishes`.
+        Preset's name, path of a TOML file, or experiment. Its verdict has the limits of the ripples of velocity, effort
+        and position; change a limit for example by ``changes={"verdict.heard_force": 0.5}``.
+    goal, must_be_stable
+        What to maximise (stiffness, damping or area of stable walls; quiet: least noise), and K and B that must be
+        stable.
+    fidelity_to, most_noise, most_cost
+        Frequency up to which the velocity must be faithful (Hz), largest rms velocity at rest, most processor cycles
+        per tick.
     where
         Where the law may run: on this computer, on the device, or both; None: where the experiment's law runs.
     most_rate, link, round_trip_s
@@ -375,13 +380,12 @@ def design(
     directory
         Directory in which the search is stored; a stopped search resumes from it. None: not stored.
     workers, scheduler, watch
-        Number of threads, address of a Dask scheduler, and progress function: `rig.experiments.sweep.run`. `watch` is
-        called with the name of the stage and its progress.
+        Number of threads, address of a Dask scheduler, and function that is called with the stage's name and progress.
 
     Raises
     ------
     ConfigError, PlanError
-        A scheme is invalid, or no scheme fulfils the wishes; the message names the wish that fails and by how much.
+        A scheme is invalid, or no scheme meets the requirements; the message names the limiting one and by how much.
     StoppedError
         Ctrl-C was pressed; the results of finished parts stay in the directory.
     """
@@ -402,7 +406,7 @@ def design(
 
 
 def _put_in_hand(experiment: ExperimentLike, changes: dict[str, Any]) -> Experiment:
-    """Return the changed experiment; a simulated hand pushes a preset, unless the changes set the kind of push."""
+    """Return the changed experiment; a simulated hand pushes a built-in rig unless `changes` set who pushes it."""
     built_in = isinstance(experiment, str) and experiment in presets.names()
     if built_in and not {"trial.kind", "trial.effort"} & set(changes):
         changes = changes | changes_of({"operator": "normal"}, Settings)
@@ -421,9 +425,9 @@ def _change(experiment: ExperimentLike, changes: Mapping[str, Any]) -> Experimen
 def _take_own_parts(
     options: Mapping[str, Any], changes: dict[str, Any]
 ) -> tuple[Law | None, Estimator | None]:
-    """Return the caller's own law and estimator, None for a name; write the names of law and estimator into `changes`.
+    """Return the caller's own law and estimator (None for a name), and write the names of both into `changes`.
 
-    Raise `ConfigError` if an option is neither a name nor a decorated function.
+    Raise `ConfigError` if an option is neither a name nor a function decorated by ``@rig.law`` or ``@rig.estimator``.
     """
     law, estimator = options.get("law"), options.get("estimator")
     if isinstance(law, str):

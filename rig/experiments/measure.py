@@ -56,7 +56,7 @@ def impedance(
     Parameters
     ----------
     experiment
-        Preset's name, path of a file, or experiment (as in `load`).
+        Preset's name, path of a TOML file, or experiment.
     walls
         Stiffness and damping of each wall (N·m/rad and N·m·s/rad, or N/m and N·s/m); ``(0.0, 0.0)`` is the rig without
         a wall. None: the experiment's wall.
@@ -73,14 +73,14 @@ def impedance(
     judging
         Band and thresholds of verdict and fidelity, like ``rig.Judging(band_hz=(2.0, 50.0))``.
     url, realtime, verified, arm_anyway, hands_off, output
-        Device as in `hit`: its motor excites the rig, and each realisation is recorded in `output`. Without a `url` the
-        rig is simulated without the byte link, and nothing is recorded.
+        Device and permissions: its motor excites the rig, and each realisation (draw of the phases) is recorded in
+        `output`. Without a `url` the rig is simulated without the byte link, and nothing is recorded.
     agrees
         On a device, called with the experiment before each wall; the measurement ends if it returns False.
     watch
         Called after each run with the number of finished runs and the number of all runs.
     **settings
-        Values of keys to change (as in `load`).
+        Values of keys to change, in SI units, like ``effort=2.0``.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def impedance(
     ConfigError, PlanError
         The request is invalid, or the excitation exceeds a limit; nothing has moved.
     RigError
-        A run on a device ended early, but not by the guard; the effort is zero.
+        A run on a device ended early, but not by the safety guard (limits of motion); the effort is zero.
     """
     changes = {f"excitation.{key}": value for key, value in (excitation or {}).items()}
     if url is not None:
@@ -129,14 +129,14 @@ def read_impedance(
     method: Method = "periodic",
     judging: Judging | None = None,
 ) -> ImpedanceResult:
-    """Estimate and judge the impedance of one wall from the recordings of its realisations (draws of the phases).
+    """Estimate and judge the impedance of one wall from the recordings of its realisations (random phases).
 
     Parameters
     ----------
     recordings
         Recordings of one wall with one scheme, or the paths of their files (`ImpedanceResult.recordings`).
     method, judging
-        Method of estimation, and thresholds of verdict and fidelity (as in `impedance`).
+        ``"periodic"`` or ``"welch"`` (MATLAB's tfestimate), and thresholds of verdict and fidelity.
 
     Returns
     -------
@@ -175,17 +175,17 @@ def impedance_map(
     Parameters
     ----------
     experiment, excitation, judging
-        Rig, keys of ``[excitation]``, and thresholds of verdict and fidelity (as in `impedance`).
+        Rig, keys of ``[excitation]`` like ``{"rms": 5.0}``, and thresholds of verdict and fidelity.
     schemes
         Sampling schemes, one map each. If empty: those of Chawda et al., with their four estimators.
     stiffnesses, dampings
         Values of the grid, ascending (N·m/rad and N·m·s/rad, or N/m and N·s/m). None: chosen by linear theory.
     signal
-        Measured position (as in `impedance`). None: ``"count"`` for a rigid rig, ``"truth"`` for a rig of two masses.
+        Measured position: encoder ``"count"`` (default of a rigid rig), or the handle's ``"truth"`` (of two masses).
     directory, workers, scheduler, watch
-        Directory to store and resume the map, number of threads, Dask scheduler, progress function (as in `zwidth`).
+        Directory to store and resume the map, number of threads, Dask scheduler, function called with the progress.
     **settings
-        Values of keys to change (as in `load`).
+        Values of keys to change, in SI units, like ``effort=2.0``.
 
     Returns
     -------
@@ -216,7 +216,7 @@ def impedance_map(
 
 
 class IdentifyOptions(TypedDict, total=False):
-    """Keywords of `identify`: fields of `IdentifyRequest`."""
+    """Keywords of `identify`: device, motions and recordings of an identification."""
 
     url: str | None
     changes: Mapping[str, Any]

@@ -184,7 +184,7 @@ class _Draft:
         return experiment_from_mapping(nest({key: value for key, (value, _) in self.keys.items()}), self.name)
 
     def in_real_time(self, ticks: int) -> Experiment:
-        """Return the experiment in real time, with a link that delays commands by `ticks` periods of the loop."""
+        """Return the experiment as it runs in real time, over a link that delays commands by `ticks` loop periods."""
         return config.with_realtime(self.experiment(), {"rig.simulation.computation_delay_ticks": ticks})
 
     def unit(self, key: str) -> str:
@@ -283,7 +283,7 @@ def _describe(draft: _Draft, a: DataSheets) -> None:
 
 
 def _masses(draft: _Draft, a: DataSheets, ratio: float) -> float:
-    """Set the keys of the moving masses, and return the sum of the masses at the hand (kg·m² or kg)."""
+    """Set the keys of the moving masses; return the inertia of motor and link together (kg·m² or kg)."""
     draft.set("[assumed] no elasticity between motor and hand", {"rig.mechanics.structure": "rigid"})
     if a["mechanism"] == "linear-motor":
         draft.set(
@@ -415,7 +415,7 @@ def _travel(draft: _Draft, a: DataSheets, radius: float) -> None:
 
 
 def _rates(draft: _Draft, board: str, peak_a: float) -> None:
-    """Set the rates at which the board can run the law, and the current at the full scale of the board's output."""
+    """Set rates at which the board can run the control law, and the current at the full scale of its output (A)."""
     if board == "none":
         rate = velocity = PORT_RATE
         source = "[chosen] what a computer can run behind a port"
@@ -439,7 +439,7 @@ def _rates(draft: _Draft, board: str, peak_a: float) -> None:
 
 
 def _prepare_hit(draft: _Draft) -> None:
-    """Set the keys of push, start, homing and wall, with the strongest push for which a stable wall is found."""
+    """Set the keys of a first trial: homing, wall, and the strongest push for which a stable wall is found."""
     keys = {key: value for key, (value, _) in draft.keys.items()}
     nominal, friction = keys["rig.limits.nominal_effort"], keys["rig.mechanics.motor_coulomb"]
     quantum = keys["rig.amplifier.effort_per_ampere"] * keys["rig.amplifier.current_quantum_a"]
@@ -461,7 +461,7 @@ def _prepare_hit(draft: _Draft) -> None:
 
 
 def _set_push(draft: _Draft, push: float, held: float) -> bool:
-    """Set a push (N·m or N), its start and walls; return False if no stable wall stops the handle within its travel.
+    """Set a push (N·m or N), its start and wall; return False if no stable wall stops the handle in its travel.
 
     `held` is the largest distance from the start at which friction may stop the homing servo (rad or m).
     """
@@ -500,7 +500,7 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
 
 
 def _provisional(draft: _Draft, push: float) -> Experiment:
-    """Set all keys of a hit to provisional values, and return the experiment."""
+    """Set all keys of the first trial to provisional values, and return the experiment; `push` is in N·m or N."""
     keys = {key: value for key, (value, _) in draft.keys.items()}
     half, radius = keys["rig.limits.position_maximum"], keys["rig.mechanics.handle_radius"]
     speed = HOMING_M_S / radius
@@ -576,7 +576,7 @@ class _ChosenWall:
 
 
 def _stable_wall(x: Experiment) -> _ChosenWall:
-    """Return a wall well below the limits of linear theory and effort, into which the push moves some counts deep."""
+    """Return a wall well below the limits of linear theory and effort, soft enough to rest some counts deep."""
     delta, push, limits = x.rig.encoder.resolution, motor_push(x), x.rig.limits
     # Twice the kinetic energy at the wall.
     gained = 2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
@@ -596,7 +596,7 @@ def _stable_wall(x: Experiment) -> _ChosenWall:
 
 
 def _correct(draft: _Draft, *, in_real_time: bool) -> None:
-    """Apply the changes that refused checks propose; raise `PlanError` if a check of the plan still refuses."""
+    """Apply changes that failed checks propose; raise `PlanError` if a check of the plan still fails after these."""
     before = REALTIME if in_real_time else ""
     for _ in range(CORRECTIONS + 1):
         x = draft.in_real_time(0) if in_real_time else draft.experiment()

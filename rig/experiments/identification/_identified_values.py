@@ -18,18 +18,18 @@ from rig.core.sample import unit_of
 
 @dataclass(frozen=True)
 class Identified:
-    """A set of identified values by key, and for each key a text with its ± interval and the motion behind it."""
+    """Identified values by key, and for each key a text with the 95 % interval and the motion that was fitted."""
 
     values: dict[str, Any] = field(default_factory=dict)
     sources: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def put(self, key: str, value: Any, text: str, motion: str) -> None:
-        """Set the value of a key, with a text on the value and the name of the motion that identified it."""
+        """Set the identified value of a key, with a text on its source and the name of the motion that was fitted."""
         self.values[key] = value
         self.sources[key] = (text, motion)
 
     def share(self, m: Mechanics, name: str, total: float, text: str, motion: str) -> None:
-        """Set the motor's and the link's value of a quantity in the described ratio, so that their sum is `total`."""
+        """Set both keys of a quantity: divide `total` (SI) between motor and link in the ratio of the description."""
         described = {side: float(getattr(m, f"{side}_{name}")) for side in ("motor", "link")}
         whole = sum(described.values())
         for side, before in described.items():
@@ -88,7 +88,7 @@ def identified_values(
 def _put_cogging(
     found: Identified, map_: CoggingMap, described: Cogging, ripple: Ripple | None, effort: str
 ) -> None:
-    """Set the keys of cogging and torque ripple, which share one list of orders; an unmeasured ripple is unchanged."""
+    """Set the keys of cogging and torque ripple, which share the list of orders; an unmeasured ripple is kept."""
     if ripple is None:
         shares = _by_order(described.orders, described.ripple_cosine, described.ripple_sine)
     else:
@@ -119,12 +119,11 @@ def _put_cogging(
 def _by_order(
     orders: Sequence[int], cosine: Sequence[float], sine: Sequence[float]
 ) -> dict[int, tuple[float, float]]:
-    """Return the pair (cosine, sine) of each harmonic that is not zero, by its order."""
     return {n: (c, s) for n, c, s in zip(orders, cosine, sine, strict=False) if c or s}
 
 
 def _columns(orders: Sequence[int], each: dict[int, tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return the cosines and the sines of the harmonics `orders`; zero for a harmonic that is missing in `each`."""
+    """Return two lists, cosines and sines of the harmonics `orders`; zero for a harmonic missing in `each`."""
     rows = [each.get(n, (0.0, 0.0)) for n in orders]
     return [c for c, _ in rows], [s for _, s in rows]
 

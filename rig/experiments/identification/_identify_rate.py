@@ -27,13 +27,13 @@ RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
 def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
-    """Return the experiment without a wall and at this rate (Hz); messages name the source of the change, `origin`."""
+    """Return the experiment without a wall at the loop rate `rate_hz`; error messages quote the reason `origin`."""
     return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
 
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """A rate of the loop (Hz), why identification at this rate would fail ("" if not), and the longest gap (s)."""
+    """A loop rate (Hz), why identification at it would fail ("" if not), and the longest time without a command (s)."""
 
     rate_hz: int
     reason: str
@@ -49,12 +49,12 @@ def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasur
 def choose_rate(
     x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
 ) -> RateChoice:
-    """Return `stated_hz`, or the highest of `most_hz` and its halves (Hz), at which an identification will work.
+    """Return `stated_hz`, or the highest of `most_hz` and its halves (Hz), for which the measured link is good enough.
 
     Raises
     ------
     PlanError
-        No such rate works; the message has the measured numbers, and proposes a rate that works if there is one.
+        The link is too slow or lossy at these rates; the message has the numbers, and proposes a rate if there is one.
     """
     rates = [most_hz, *halves(most_hz)]
     judged = [judge_rate(x, measurement, rate) for rate in rates]
@@ -74,13 +74,13 @@ def choose_rate(
 
 
 def halves(rate_hz: int) -> list[int]:
-    """Return a half, a quarter … of a rate (Hz), rounded down to multiples of 50 Hz, if not too slow."""
+    """Return a half, a quarter … of a rate (Hz), rounded down to multiples of 50 Hz, if fast enough to identify."""
     slower = (rate_hz >> number for number in range(1, rate_hz.bit_length()))
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 
 
 def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
-    """Judge a rate (Hz) by the measured link: lifetime of commands, lost samples, and capacity."""
+    """Judge by the measured link if identification works at a rate (Hz): command lifetime, lost samples, capacity."""
     slowed = at_rate(x, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
     pace = pace_of(measurement, rate_hz, x.verdict)

@@ -1,4 +1,4 @@
-"""Format the experiment file of an identification: all keys, the identified keys with interval and recordings.
+"""Format the experiment file of an identification: all keys, the identified ones with interval and recordings.
 
 `rig identify` and `rig.format_identification` use this module.
 """
@@ -14,7 +14,7 @@ from rig.experiments.identification.identify import Identification
 
 
 def format_identification(found: Identification) -> str:
-    """Return the text of a TOML file from which `rig.config.load_experiment` loads `found.experiment`."""
+    """Return the text of a TOML file with the identified experiment, which `rig.config.load_experiment` can read."""
     x = found.experiment
     where = "its simulation" if found.simulated else "the rig itself"
     lines = [

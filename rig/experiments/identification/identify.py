@@ -133,8 +133,8 @@ class IdentifyRequest(FreeRigRequest):
         Rate of the loop during the motions only (Hz). None: the experiment's rate, or in real time a rate that the
         device and the measured link permit.
     mass_kg, arm_m
-        Mass (kg) and lever arm (m) with which the sweeps are repeated to measure torque ripple. Without a mass (None)
-        ripple is not measured; without an arm the radius of the handle is used.
+        Mass (kg) and lever arm (m) with which the slow sweeps for cogging are repeated to measure torque ripple.
+        Without a mass (None) ripple is not measured; without an arm the radius of the handle is used.
     """
 
     realisations: Annotated[int, Keyword("Number of excitations, each with other phases.")] = 6
@@ -192,12 +192,12 @@ class Identification(Shown, Drawn):
     before, experiment
         Experiment as it was described, and with the identified values.
     signs, sliding, dynamics
-        Fits of the pushes, strokes and excitations (`rig.analysis.identification`): signs, friction, and inertia with
-        delay.
+        Fits of small pushes, of strokes at constant speed, and of a multisine excitation
+        (`rig.analysis.identification`): signs, friction, and inertia with delay.
     cogging
-        Fit of the sweeps; None if it was not requested.
+        Fit of slow sweeps over the travel; None if it was not requested.
     ripple
-        Fit of the sweeps with a mass; None without a mass.
+        Fit of the same sweeps with a mass; None without a mass.
     recordings
         Recordings of each fit: ``"signs"``, ``"sliding"``, ``"dynamics"``, ``"cogging"``, ``"ripple"``.
     sources
@@ -261,9 +261,9 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     PlanError
         The request is not permitted; nothing has moved.
     IdentificationError
-        The signs are wrong, or the data do not determine a value; the message states the reason.
+        The signs of motor and encoder are wrong, or the data do not determine a value; the message states the reason.
     RigError
-        A trial ended early (errors of `rig.experiments.trials._trial.run_trial`); the effort is zero.
+        A trial ended early, by the link, the device, the safety guard or the operator; the effort is zero.
     """
     say = tell or (lambda text: None)
     free = without_end_mass(request)
@@ -325,7 +325,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
 
 
 def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
-    """Yield warnings about values that may be wrong by more than their interval, or that were not determined."""
+    """Yield warnings about identified values that may be wrong by more than their interval, or are unknown."""
     dynamics, damping = found.dynamics, found.sliding.damping
     if repeated:
         yield f"{repeated} motions were measured again: they had lost or late samples"
@@ -350,10 +350,10 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
 
 
 def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Experiment:
-    """Return the experiment for the motions: handle free, law on this computer, requested rate.
+    """Return the experiment for the identification: handle free, law on this computer, requested rate.
 
-    Boards cannot run these motions. The end mass is removed, except on a rig that ``sim://name`` or another process
-    behind a port (`served`) simulates; there the end mass is subtracted from the result.
+    The end mass, which only automated trials have, is removed. On a rig that ``sim://name`` or another process behind a
+    port (`served`) simulates it stays, and is subtracted from the result.
     """
     experiment = config.override(request.experiment, request.changes)
     url = request.url or "sim://"
@@ -364,7 +364,7 @@ def without_end_mass(request: IdentifyRequest, *, served: bool = False) -> Exper
 
 
 def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
-    """Return the plan of all motions of a request; `free` is the experiment from `without_end_mass`."""
+    """Return the plan (steps and checks) of all motions; `free` is the experiment from `without_end_mass`."""
     plan = identification_plan(
         free,
         realisations=request.realisations,
@@ -388,7 +388,7 @@ def _arm(x: Experiment, request: IdentifyRequest) -> float:
 
 
 class _Session:
-    """A session of trials on an open device, with their recordings."""
+    """The motions of one identification on an open device, with their recordings."""
 
     def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
         self.device, self._request = device, request
@@ -402,7 +402,7 @@ class _Session:
         self.drift = 0.0  # largest change of an excited motion from period to period
 
     def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
-        """Run pushes, sweeps for cogging if requested, strokes and excitations; return all fits except cogging."""
+        """Run pushes, slow sweeps for cogging, strokes and excitations; return fits of signs, friction and dynamics."""
         request = self._request
         say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
         # The order matters: pushes need no known sign and end by themselves after a few counts; strokes need the sign,
@@ -418,7 +418,7 @@ class _Session:
         return signs, sliding, self.dynamics(x, signs, sliding)
 
     def may_go_slower(self, error: RigError) -> bool:
-        """Return True if the motions may be repeated at a lower rate: timing spoiled them, and the user set no rate."""
+        """Return True if a lower rate may help: samples were late or lost, and the user set no rate."""
         virtual = self.device.link.clock.virtual
         return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
 
@@ -463,7 +463,7 @@ class _Session:
     def _run_excitation(
         self, x: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
-        """Run one draw of the phases, again if a late command disturbed the motion; return signals, delay (ticks)."""
+        """Run the excitation with one draw of phases; return its signals, and the delay of commands (ticks)."""
         motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
@@ -483,7 +483,7 @@ class _Session:
         self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
-        """Return the map of cogging, fitted to the recorded sweeps with this inertia and damping (SI units)."""
+        """Fit cogging to the recorded sweeps with this inertia and damping (SI units)."""
         period, most_order = self._swept_in
         return fit_cogging(
             *self._swept, period=period, most_order=most_order, inertia=inertia, damping=damping
@@ -492,7 +492,7 @@ class _Session:
     def ripple(
         self, loaded: Experiment, most_order: int, inertia: float, heavy: float, damping: float
     ) -> Ripple:
-        """Return the ripple, fitted to sweeps without and with a mass (inertias `inertia` and `heavy`, kg·m² or kg)."""
+        """Run the sweeps with a mass and fit torque ripple; `heavy` is the inertia with the mass (kg·m² or kg)."""
         period = cogging_period(loaded)
         free, hanging = (
             pairs_of(*swept, wave=period / most_order, inertia=moving, damping=damping)
@@ -518,13 +518,13 @@ class _Session:
         return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
-        """Return the sent effort plus the known cogging, for each row (N·m or N)."""
+        """Return for each sample of a motion the sent effort plus the measured cogging (N·m or N)."""
         return np.asarray(rows["effort_sent"] + self._cogging.effort(rows["position"]))
 
     def _run(
         self, motion: IdentificationMotion, name: str, number: int = 0
     ) -> tuple[NDArray[np.void], float]:
-        """Run one trial, again if samples are late; return the trial's rows and their rate (Hz)."""
+        """Run one motion, again if samples are late; return its samples and their rate (Hz)."""
         x, request = motion.experiment, self._request
 
         def run() -> tuple[NDArray[np.void], Path]:
@@ -546,10 +546,10 @@ class _Session:
 def excited_run_of(
     rows: NDArray[np.void], rate: float, multisine: Multisine, effort: NDArray[np.float64]
 ) -> ExcitedRun:
-    """Return the signals of one realisation (draw of the phases), without the periods in which the motion settles.
+    """Return the signals of one excited motion, without the first periods, in which transients decay.
 
-    The effort of a row is held from its sample to the next; a later effect is a delay to be identified. If the last
-    samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than three are
+    `rows` are the logged samples, `rate` is in Hz, and `effort` (N·m or N) is held from each sample to the next. If the
+    last samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than three are
     lost.
     """
     n = round(rate * multisine.period_s)
@@ -574,7 +574,7 @@ def excited_run_of(
 
 
 def acting_effort(rows: NDArray[np.void]) -> tuple[NDArray[np.float64], int]:
-    """Return the effort from each sample to the next as the device reports it (N·m or N), and its delay in ticks."""
+    """Return the effort from each sample to the next as the device reports it (N·m or N), and its delay (ticks)."""
     # Without delay a command acts from its sample on, and the next sample reports it. With the sent effort instead of
     # the reported effort a varying delay would spoil the fit. `late` is the delay of most ticks.
     late = late_ticks(rows["current_sent"], rows["current_applied"])
@@ -598,7 +598,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
 def _at_rates(
     free: Experiment, request: IdentifyRequest, device: FramedDevice, say: Tell
 ) -> Iterator[Experiment]:
-    """Yield the experiment at the user's rate, or at the highest rate that the link permits, then at its halves."""
+    """Yield the experiment at the user's rate only, or at the highest rate of the link and then at its halves."""
     refuse([check_rig(config.rig_model(still(free)), device.dictionary)])
     if device.link.clock.virtual:
         yield free

@@ -22,25 +22,25 @@ RATES = (100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)  # Hz, the pap
 
 @dataclass(frozen=True, slots=True)
 class KMax(Drawn):
-    """A curve of the stiffness limit at B = 0 over the sampling rate (Hz), from a map of walls tested by hits."""
+    """A curve of the largest stable K at B = 0 over the sampling rate (Hz), from simulated hits on walls."""
 
     rates: tuple[int, ...]
     map: ZWidth
 
     @staticmethod
     def is_of(plan: MapPlan) -> bool:
-        """Return True if `plan` has B = 0 only and uniform sampling schemes in ascending order of their rates."""
+        """Return True if a map of walls has B = 0 only, and uniform sampling schemes in ascending order of rates."""
         rates = [scheme.position_rate for scheme in plan.schemes]
         uniform = all(scheme.position_rate == scheme.velocity_rate for scheme in plan.schemes)
         return plan.dampings == (0.0,) and uniform and rates == sorted(set(rates))
 
     @classmethod
     def of(cls, found: ZWidth) -> KMax:
-        """Return the curve of a finished map, whose plan must satisfy `is_of`."""
+        """Return the curve from a finished map of walls with B = 0 only and uniform sampling schemes (`is_of`)."""
         return cls(tuple(scheme.position_rate for scheme in found.plan.schemes), found)
 
     def curve(self, criterion: str) -> list[Boundary]:
-        """Return the stiffness limit by the ripple `criterion` ("felt", "heard", "any") for each sampling rate."""
+        """Return the stiffness limit per sampling rate by a ripple: "felt" (velocity), "heard" (effort) or "any"."""
         return [self.map.curve(number, criterion)[0] for number in range(len(self.rates))]
 
     def saturation(self, criterion: str) -> float | None:
@@ -57,7 +57,7 @@ class KMax(Drawn):
         return last.stiffness / reference.stiffness
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return limits and saturation as JSON values by name."""
+        """Return stiffness limits and their ratio at high rates (`saturation`) as JSON values by name."""
         mapping = self.map.as_mapping()
         for rate, scheme in zip(self.rates, mapping["schemes"], strict=True):
             scheme["rate_hz"] = rate
@@ -79,7 +79,7 @@ def kmax_plan(
     offsets: Sequence[float] = (0.1, 0.6),
     repeats: int = 1,
 ) -> MapPlan:
-    """Return the plan of a map at B = 0 with a uniform sampling scheme for each rate (Hz), for `KMax.of`."""
+    """Return the plan of a map of stable walls at B = 0, with a uniform sampling scheme for each rate (Hz)."""
     return MapPlan(
         experiment=experiment,
         schemes=undamped_schemes(rates),

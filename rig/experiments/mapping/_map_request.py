@@ -23,7 +23,7 @@ Text = Annotated[str, MaxLen(4096)]  # a page sends it
 
 @dataclass(frozen=True, kw_only=True)  # without slots: a page's request inherits from another class, too
 class MapRequest:
-    """A request of a map of walls tested by hits: walls, schemes, search and judged signals."""
+    """A request to find stable walls by hits: ranges of walls, sampling schemes, search method and judged signals."""
 
     stiffness: Annotated[
         Text,
@@ -58,7 +58,7 @@ class MapRequest:
     ] = None
 
     def plan(self, x: Experiment, *, on_device: bool = False) -> MapPlan:
-        """Return the plan of the map of stable walls for experiment `x`; raise `PlanError` if it is invalid."""
+        """Return the plan of a map of stable walls for experiment `x`; raise `PlanError` if a range is invalid."""
         dampings = numbers_of(self.damping, "`damping`") if self.damping else None
         parsed = [Scheme.parse(text) for text in self.schemes]
         schemes = schemes_for(x, parsed, dampings, on_device=on_device)

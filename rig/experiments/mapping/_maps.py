@@ -1,4 +1,4 @@
-"""Run a map of walls as one sweep, and store everything that belongs to one plan in one directory.
+"""Find all stable or passive walls of one plan by parallel tasks (function calls), and store them in one directory.
 
 `rig zwidth`, `rig impedance map`, `rig.experiments.lab` and the console use this module. Files: ``plan.json`` (the
 plan, written first), ``journal`` (finished tasks), ``hits.parquet`` or ``walls.parquet`` (a row for each trial, with
@@ -40,11 +40,11 @@ class Map(Protocol):
     table_name: ClassVar[str]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Return the rows of the map's table: for each trial a mapping from column name to value."""
+        """Yield the rows of the map's table, one for each trial, as mappings from column name to value."""
         ...
 
     def units(self) -> Mapping[str, str]:
-        """Return the unit of each column of the table by name, without the columns that have no unit."""
+        """Return the unit of each column of the map's table by name, without columns that have no unit."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
@@ -57,18 +57,18 @@ M_co = TypeVar("M_co", bound=Map, covariant=True)
 
 
 class Plan(Protocol[M_co]):
-    """An interface of the plan of a map: its tasks, and the function that computes the map from the tasks' results."""
+    """An interface of plans for maps of walls: independent calls (tasks), and how their results form the map."""
 
     unit: ClassVar[str]  # number in each row of a result that the progress counts
 
     @property
     def experiment(self) -> Experiment:
-        """Return the experiment; the name of its rig is part of the directory's name."""
+        """Return the experiment whose rig is mapped."""
         ...
 
     @property
     def tasks(self) -> Sequence[sweep.Task]:
-        """Return the tasks of the map, created at the first access; raise `PlanError` if one is not permitted."""
+        """Return the calls that compute the map, created at first access; `PlanError` if one is not permitted."""
         ...
 
     def as_mapping(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class Plan(Protocol[M_co]):
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:
-        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
+        """Return the finished map of walls, computed from the results of all `tasks` in their order."""
         ...
 
 
@@ -88,7 +88,7 @@ def zwidth(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
-    """Run all tasks of a map of a simulated rig, without the byte link, and return the map.
+    """Find the stable or passive walls of a simulated rig in parallel, without the byte link, and return the map.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def zwidth(
         Plan of the map: `rig.experiments.mapping.zwidth.MapPlan` or
         `rig.experiments.mapping.zwidth_frequency.FrequencyPlan`.
     journal
-        File that stores finished tasks; a later run of the same plan resumes from this file. None: not stored.
+        File that stores finished results; a later run of the same plan resumes from this file. None: not stored.
     scheduler, workers, watch
-        Address of a Dask scheduler, number of threads, and progress function (as in `rig.experiments.sweep.run`).
+        Address of a Dask scheduler, number of threads, and function that is called with the progress.
 
     Raises
     ------
@@ -121,9 +121,9 @@ def zwidth(
 
 
 def directory_for(plan: Plan[Map], where: Path, name: str, device: str = "") -> Path:
-    """Return the directory of a plan inside `where`; its name has `name` and a hash of all tasks and the code version.
+    """Return the directory of a map inside `where`; its name has `name` and a hash of the plan and the code version.
 
-    `device` names the mapped device (`rig.experiments.mapping._zwidth_rig.work_of`); empty for the simulation.
+    `device` names the mapped device, so that maps of two devices are not mixed; empty for the simulation.
     """
     # The code's version is part of the hash: a map of another version must not be resumed.
     described = [sweep.code_version(), device, [[task.key, task.payload] for task in plan.tasks]]
@@ -141,8 +141,7 @@ def map_into(
 ) -> M:
     """Find the stable or passive walls of a simulated rig, and store plan, journal and results in a directory.
 
-    Raise the errors of `zwidth`. Tasks whose results are in the directory's journal (file of finished tasks) are not
-    run again.
+    Results that are in the directory's journal (file of finished tasks) already are not computed again.
     """
     _write_plan(plan, directory)
     found = zwidth(plan, journal=directory / JOURNAL, scheduler=scheduler, workers=workers, watch=watch)
@@ -151,7 +150,7 @@ def map_into(
 
 
 def map_on_rig(plan: MapPlan, directory: Path, session: DeviceMap) -> ZWidth:
-    """Find the stable walls of a device by hits, and store all in a directory; raise the errors of `zwidth_on_rig`."""
+    """Find the stable walls of a device by hits, which a person permits, and store all in a directory."""
     _write_plan(plan, directory, session.where.url)
     found = zwidth_on_rig(plan, session, journal=directory / JOURNAL)
     write_map(found, directory)
@@ -199,9 +198,9 @@ def read_plan(directory: Path) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def recorded_hit(plan: MapPlan, series: Series, stiffness: float, output: Path) -> Path:
-    """Simulate one hit of a map again over the byte link, and return the path of the new recording in `output`.
+    """Simulate one hit of a map again with a recording, and return the path of the recording in `output`.
 
-    The recorded rows equal the hit of the map to the last bit. If the recording exists already, it is not made again.
+    The samples equal the hit of the map to the last bit. A recording that exists already is not made again.
 
     Raises
     ------
@@ -236,6 +235,6 @@ def write_map(found: Map, directory: Path) -> None:
 
 
 def summary(found: Map) -> dict[str, Any]:
-    """Return a map's results as JSON values by name, without the single trials; for impedances also Table I."""
+    """Return a map's results as JSON values by name, without single trials; for impedances also the paper's Table I."""
     more = {"table_one": plain(table_one(found))} if isinstance(found, FrequencyMap) else {}
     return {**found.as_mapping(), **more}

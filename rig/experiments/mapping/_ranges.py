@@ -75,10 +75,10 @@ def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) 
 
 
 def highest_stiffness(experiment: Experiment) -> float:
-    """Return the highest stiffness at which the push rests ``trial.minimum_rest_counts`` deep (N·m/rad or N/m).
+    """Return the stiffest wall in which a constant push comes to rest some counts deep (N·m/rad or N/m).
 
-    At least one count is required. In a stiffer wall the handle may leave the wall because the push is too weak, not
-    because the wall is unstable.
+    These are ``trial.minimum_rest_counts``, at least one. In a stiffer wall the handle may leave the wall because the
+    push is too weak, not because the wall is unstable.
     """
     least = max(1.0, experiment.trial.minimum_rest_counts) * experiment.rig.encoder.resolution
 
@@ -107,9 +107,9 @@ def search_for(
     """Return a search for the stiffness limit between `lowest` and `highest` (N·m/rad or N/m), with default bounds.
 
     By default `highest` is `highest_stiffness`, and `lowest` is `highest`/`span` or less: down to a fourth of the
-    lowest linear limit at B = 0 among the sampling schemes (`theory.default_schemes` if empty), while the handle stays
-    within its window. On a device `lowest` is at least the softest wall that may be hit. `way` is the search's method,
-    `ratio` the ratio of two tested stiffnesses.
+    lowest limit that linear theory gives at B = 0 for the sampling schemes (if empty, the experiment's), while the
+    handle stays within its window. On a device `lowest` is at least the softest wall that may be hit. `way` is the
+    search's method, `ratio` the ratio of two tested stiffnesses.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def search_for(
 
 
 def _lowest_undamped_limit(experiment: Experiment, schemes: Sequence[Scheme]) -> float:
-    """Return the lowest linear limit of K at B = 0 of the sampling schemes (SI); inf if a drive renders the wall."""
+    """Return the lowest K (SI) at B = 0 at which linear theory finds a scheme unstable; inf for a drive's own wall."""
     if experiment.controller.wall_is_elsewhere:
         return math.inf
     experiment = theory.with_linear_wall(experiment)
@@ -168,7 +168,7 @@ def _stays_in_window(experiment: Experiment, stiffness: float) -> bool:
 
 
 def _softest_allowed(experiment: Experiment, lowest: float, highest: float) -> float:
-    """Return the lowest stiffness (SI units) that a trial may hit; in softer walls the handle leaves its window."""
+    """Return the lowest stiffness (SI) that a trial may hit; in softer walls the handle would leave its window."""
 
     def refused(logarithm: float) -> bool:
         walled = replace(experiment, wall=replace(experiment.wall, stiffness=math.exp(logarithm)))
@@ -187,7 +187,7 @@ def schemes_for(
     *,
     on_device: bool = False,
 ) -> tuple[Scheme, ...]:
-    """Return the sampling schemes of a map of hits: `schemes`, or by default the experiment's and uniform ones.
+    """Return the sampling schemes of a map of stable walls: `schemes`, or the experiment's and uniform ones.
 
     The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default schemes are uniform
     from 100 Hz to 50 kHz, because without damping the velocity rate has no effect.
@@ -202,7 +202,7 @@ def schemes_for(
 def dampings_for(
     experiment: Experiment, schemes: Sequence[Scheme], columns: int = COLUMNS
 ) -> tuple[float, ...]:
-    """Return `columns` equally spaced dampings (SI units), 0 to 1.1 times the highest linear limit of all schemes."""
+    """Return `columns` equally spaced dampings (SI) from 0 to 1.1 times the largest one that theory finds stable."""
     widest = max(_damping_range(experiment, scheme) for scheme in schemes)
     return tuple(np.linspace(0.0, BEYOND * widest, columns).tolist())
 
@@ -238,9 +238,9 @@ def hit_plan(
     experiment
         Rig, trial and thresholds.
     schemes
-        Sampling schemes; `schemes_for` if empty.
+        Sampling schemes; if empty, the experiment's and uniform ones at its rates.
     dampings, search
-        Dampings (N·m·s/rad or N·s/m) and search for the stiffness; `dampings_for` and `search_for` if None.
+        Dampings (N·m·s/rad or N·s/m) and search for the stiffness; None: by linear theory and the push.
     offsets
         Distances of position zero from the lower edge of its encoder cell (counts, 0 to below 1). None:
         `rig.experiments.mapping.zwidth.OFFSETS`, or the rig's only offset on a device.
@@ -271,7 +271,7 @@ def hit_plan(
 
 
 def theory_curves(plan: MapPlan) -> dict[int, tuple[list[float], list[float]]]:
-    """Return dampings and linear limits of K (SI units) by the sampling scheme's index, if the estimator is linear."""
+    """Return dampings and largest stable K by theory (SI) for each linear scheme, by the scheme's index."""
     if plan.experiment.controller.wall_is_elsewhere:
         return {}
     dampings = np.linspace(min(plan.dampings), max(plan.dampings), CURVE_POINTS)
@@ -293,7 +293,7 @@ def _linear_only(schemes: Iterable[Scheme], curves_of: Callable[[Scheme], T]) ->
 
 
 def kmax_theory(found: KMax) -> tuple[list[float], list[float]]:
-    """Return rates (Hz) and linear limits of K at B = 0 (N·m/rad or N/m) of all sampling schemes with a linear loop."""
+    """Return the rates (Hz) of the linear sampling schemes, and their largest stable K at B = 0 (N·m/rad or N/m)."""
     plan = found.map.plan
     limits = _linear_only(plan.schemes, lambda scheme: theory.k_max(plan.experiment, scheme, 0.0).stiffness)
     return [float(found.rates[number]) for number in limits], list(limits.values())
@@ -318,9 +318,9 @@ def frequency_plan(
     experiment
         Rig and excitation.
     schemes
-        Sampling schemes; `default_schemes` if empty.
+        Sampling schemes; if empty, those with the four estimators of Chawda et al.
     stiffnesses, dampings
-        Values of the grid (N·m/rad or N/m, N·m·s/rad or N·s/m); `default_grid` if None.
+        Values of the grid (N·m/rad or N/m, N·m·s/rad or N·s/m); None: up to 40 % of the limits of linear theory.
     judging, signal
         Thresholds of the verdict, and measured position ("count" or "truth"). Without `signal` a rigid rig is measured
         by encoder counts, and a rig of two masses by the true position of the handle, because the excitation acts on
@@ -366,8 +366,8 @@ def default_grid(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return evenly spaced stiffnesses and dampings (SI units), up to 40 % of the limits of linear theory.
 
-    The limits are the largest stable stiffness over all dampings, and the largest stable damping, with an unfiltered
-    difference and the best of the rates. The ends are rounded to two digits. Stiffnesses do not include zero.
+    The limits are the largest stable stiffness and damping, with an unfiltered difference as estimator and the best of
+    the schemes' rates. The ends are rounded to two digits. Stiffnesses do not include zero.
     """
     excited = theory.with_linear_wall(config.excited(experiment))
     stiffness = damping = 0.0
@@ -387,7 +387,7 @@ def default_grid(
 def linear_curves(
     plan: FrequencyPlan, points: int = FREQUENCY_POINTS
 ) -> dict[int, tuple[list[float], list[float], list[float]]]:
-    """Return dampings, largest stable K and largest passive K by linear theory (SI), by the sampling scheme's index.
+    """Return by index of the sampling scheme lists of damping, largest stable K and largest passive K by theory (SI).
 
     Schemes with a nonlinear estimator are left out. A wall counts as passive if it is passive within the plan's band;
     the condition of Colgate and Schenkel (all frequencies) is stricter. Friction and quantisation are neglected.

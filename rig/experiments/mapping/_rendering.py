@@ -17,7 +17,7 @@ _BISECTIONS = 40
 
 
 def rendered_share(experiment: Experiment, damping: float) -> float:
-    """Return the fraction of B·velocity that remains below the effort limit in a slow motion of single counts (0 to 1).
+    """Return the fraction (0 to 1) of a wall's damping effort that the effort limit leaves in motion by single counts.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
 
 
 def rendered_damping(experiment: Experiment) -> float:
-    """Return the largest B of which the effort limit leaves at least 80 % (N·m·s/rad or N·s/m); inf if no B is cut."""
+    """Return the largest B (N·m·s/rad or N·s/m) whose effort the limit cuts by at most 20 %; inf if no B is cut."""
     high = 1.0
     while rendered_share(experiment, high) >= RENDERED:
         high *= 2.0

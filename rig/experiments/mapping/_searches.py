@@ -90,7 +90,7 @@ def bounds_of(text: str, name: str) -> tuple[float, float]:
 
 
 def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]) -> Found:
-    """Run a search: test each wall that the generator yields, send the outcome back, and return the search's result."""
+    """Run a search (generator): test each wall that it yields, send the outcome back, and return its result."""
     try:
         wall = next(search)
         while True:
@@ -102,7 +102,8 @@ def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StiffnessSearch:
-    """A search for a stiffness limit: range (N·m/rad or N/m), ratio of two tested stiffnesses, and method (`way`)."""
+    """A search for a stiffness limit: range (N·m/rad or N/m), ratio of two tested values, method (such as bisection).
+    """
 
     way: Way = "ladder"
     lowest: float
@@ -123,7 +124,7 @@ class StiffnessSearch:
         return [self.lowest * self.ratio**step for step in range(steps + 1)]
 
     def walk(self, criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-        """Yield the next stiffness to test and receive its outcome, until each ripple (felt, heard, any) has one."""
+        """Yield each stiffness to test and receive if it passed, until the limit for each ripple criterion is known."""
         rungs = self.rungs
         if self.way == "bisection":
             yield from _bisect(rungs, criteria)
@@ -137,7 +138,7 @@ class StiffnessSearch:
 
 
 def _bisect(rungs: list[float], criteria: Sequence[str]) -> Generator[float, Outcomes, None]:
-    """Yield each stiffness to test once, by bisection for each ripple criterion (felt, heard, any)."""
+    """Yield each stiffness to test once, by bisection for each criterion in turn; receive whether it passed."""
     tried: dict[int, Outcomes] = {}
     for criterion in criteria:
         # Test both ends first: if the stiffest wall passes, no bisection is needed.
@@ -180,7 +181,7 @@ class StiffnessLimit:
 
 
 def limit_of(tried: Mapping[float, Passes]) -> StiffnessLimit:
-    """Return the stiffness limit for the outcomes `tried`: True, False or None (invalid) by stiffness (SI unit)."""
+    """Return the stiffness limit from the tested stiffnesses (SI): True: passed, False: failed, None: invalid."""
     stiffness, failed_at = 0.0, None
     islands: list[tuple[float, float]] = []
     connected = False  # whether the last valid outcome belongs to the current island
@@ -222,7 +223,7 @@ class Extent:
 
     @classmethod
     def of(cls, dampings: Sequence[float], limits: Sequence[float]) -> Extent:
-        """Return the extent for limits of K (N·m/rad or N/m; 0: no wall passed) at ascending dampings."""
+        """Return the extent of stable walls from limits of K (N·m/rad or N/m; 0: none) at ascending dampings."""
         k, b = np.array(limits), np.array(dampings)
         passing = np.flatnonzero(k > 0.0)
         if not len(passing):
@@ -270,7 +271,7 @@ def boundary_search(
 
     Notes
     -----
-    The paper does not specify the behaviour at the upper ends of the ranges (here the limit is marked as capped, and
+    Chawda et al. do not specify the behaviour at the upper ends of the ranges (here the limit is marked as capped, and
     the search ends at the last damping), nor how to find a passive start (here, with `looks`, the damping rises until
     the stiffness of the start is passive; these tests are counted).
     """
@@ -307,10 +308,10 @@ def boundary_search(
 
 @dataclass(frozen=True, slots=True)
 class GridSearch:
-    """A result of a boundary search in a finished grid, and the true edge of the grid for comparison.
+    """Result of a search along the boundary of passive walls in a finished grid, and the grid's true boundary.
 
-    An edge is the highest passive stiffness at each damping. A wall is a pair of indices into `dampings` and
-    `stiffnesses`.
+    A boundary ("edge") is the highest passive stiffness at each damping. A wall is a pair of indices into `dampings`
+    and `stiffnesses`.
 
     Attributes
     ----------
@@ -348,12 +349,12 @@ class GridSearch:
 
     @property
     def above(self) -> int:
-        """Number of dampings at which the search ended above the grid's true limit, on an isolated passive wall."""
+        """Return the number of dampings at which the search ended above the true limit, on an isolated passive wall."""
         return sum(k > self.connected[b] for b, k in self.edge)
 
     @property
     def below(self) -> int:
-        """Number of dampings at which the search ended below the grid's true limit."""
+        """Return the number of dampings at which the search ended below the true limit of passive walls."""
         return sum(k < self.connected[b] for b, k in self.edge)
 
     @property
@@ -392,9 +393,9 @@ def trace_grid(
     start: Cell = (0, 0),
     looks: bool = True,
 ) -> GridSearch:
-    """Run the boundary search in a finished grid ``passive[damping, stiffness]``, and compare found and true limits.
+    """Search along the boundary of ``passive[damping, stiffness]``, and compare it with the grid's true limits.
 
-    If `dampings` or `stiffnesses` are not given, their indices are used.
+    Indices replace `dampings` or `stiffnesses` that are not given; `looks` tries more damping for a passive start.
     """
     rows, columns = passive.shape
     path: list[Cell] = []

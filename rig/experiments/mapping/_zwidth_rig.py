@@ -1,8 +1,8 @@
 """Map walls by hits on a device: home, ask a person for permission, hit, and let the motor cool, again and again.
 
 `_maps` calls this module for `rig zwidth --url`. The map is computed from the recordings of its hits. An invalid hit is
-repeated and not used. Results of finished series stay in the journal (file of results), and the same command resumes
-after them.
+repeated and not used. Results of finished stiffness searches (series) stay in the journal (file of results), and the
+same command resumes after them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ CALM_S = 0.5  # shortest pause between hits (s)
 
 @dataclass(frozen=True, slots=True)
 class Next:
-    """A description of the next hit, which a person must permit."""
+    """The next hit, which a person must permit: scheme, stiffness, damping, and its number in the map."""
 
     scheme: str
     stiffness: float
@@ -53,7 +53,7 @@ class Next:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceMap:
-    """A device whose stable walls are mapped by hits, and functions for the dialogue with a person.
+    """A device whose stable walls are searched by hits, and functions for the dialogue with a person.
 
     Attributes
     ----------
@@ -75,9 +75,9 @@ class DeviceMap:
 
 
 def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = None) -> ZWidth:
-    """Find the stable walls of a device by hits; store each finished stiffness search in the journal.
+    """Find the stable walls of a device by hits; store each finished stiffness search in the file `journal`.
 
-    Searches whose results are in the journal already are not run again.
+    Searches whose results are in this file already are not run again.
 
     Raises
     ------
@@ -119,17 +119,17 @@ def zwidth_on_rig(plan: MapPlan, session: DeviceMap, *, journal: Path | None = N
 
 
 def work_of(url: str, realtime: bool) -> str:
-    """Return the name of a device for the journal, so that the hits of two devices are not mixed."""
+    """Return the name of a device for the file of results, so that the hits of two devices are not mixed."""
     return f"{url} in real time" if realtime else url
 
 
 def cooling_s(rms_effort: float, nominal_effort: float, duration_s: float) -> float:
-    """Return the pause (s) after a push with which the mean heat is that of the nominal effort (N·m or N)."""
+    """Return how long to pause (s) after a push so that the motor's mean heat is that of its nominal effort."""
     return max(0.0, duration_s * ((rms_effort / nominal_effort) ** 2 - 1.0))
 
 
 def _make_stop_error(stop: BaseException, where: Next, journal: Path | None) -> StoppedError:
-    """Return the error for a stopped session, with the number of finished stiffness searches in its message."""
+    """Return the error for a stopped map, whose message has the number of finished stiffness searches."""
     reason = stop.message if isinstance(stop, StoppedError) else "stopped; the effort is zero"
     kept = f"{where.series - 1} of {where.total} series are done" + (
         f" and stored in {journal}" if journal else ""
@@ -155,7 +155,7 @@ def _check(plan: MapPlan) -> None:
 
 
 def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
-    """Raise `PlanError` before the measurement if the softest or stiffest wall of a sampling scheme cannot be hit."""
+    """Raise `PlanError` before anything moves if a scheme's softest or stiffest wall may not be hit."""
     rungs = plan.search.rungs
     for number, scheme in enumerate(plan.schemes):
         under = plan.experiment_of(next(one for one in plan.series() if one.scheme == number))
@@ -172,7 +172,7 @@ def _check_hits(plan: MapPlan, device: FramedDevice) -> None:
 
 @dataclass(slots=True)
 class _Hits:
-    """A runner of hits on an open device; `thrown_out` is True if the last wall drove the handle out of its window."""
+    """Runs hits on an open device; `thrown_out` is True if the last wall drove the handle out of its window."""
 
     session: DeviceMap
     trials: Trials
@@ -215,10 +215,7 @@ class _Hits:
         raise error
 
     def _hit(self, experiment: Experiment, stiffness: float) -> Recorded:
-        """Run one hit and return its recording, also if the wall or a lack of processor or link time ended the hit.
-
-        Raise the error if the hit ended early for another reason.
-        """
+        """Run one hit; return its recording, also if an unstable wall or lost time ended it; raise any other error."""
         self.thrown_out = False
         done = self.trials.run(experiment, {"wall.stiffness": stiffness})
         if isinstance(done, Recorded):

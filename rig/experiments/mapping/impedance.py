@@ -98,7 +98,7 @@ _JUDGEMENT: Final = "Excitation and judgement"  # group of options
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judging:
-    """A set of thresholds for the verdict (passive or not) on a measured impedance (`rig.analysis.impedance`)."""
+    """Thresholds with which a measured impedance is judged passive or not (`rig.analysis.impedance`)."""
 
     band_hz: Annotated[
         tuple[float, float] | None,
@@ -142,8 +142,8 @@ class ImpedanceResult(Shown, Drawn):
     experiment
         Experiment as it ran, with scheme, wall and excitation.
     impedance, judgement, fidelity
-        Impedance at each frequency, verdict on its passivity, and deviation from the ideal wall; None if the guard
-        ended a run.
+        Impedance at each frequency, verdict on its passivity, and deviation from the ideal wall; None if the safety
+        guard (limits of motion and effort) ended a run.
     fitted
         Mass and viscous damping of the rig without a wall, without the described back-EMF. None for a wall, whose K and
         B are in `fidelity`.
@@ -220,7 +220,7 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def note(self) -> str | None:
-        """Return a sentence if the host's law was simulated in place of a law on the device; else None."""
+        """Return a sentence if a simulation with the host's control law stands for a law on the device; else None."""
         return STANDS_FOR_DEVICE if self.loop == "device" and not self.recordings else None
 
     @reported
@@ -247,7 +247,7 @@ class ImpedanceResult(Shown, Drawn):
         ]
 
     def expected(self, lines_hz: Floats) -> Complexes | None:
-        """Return the impedance by linear theory at these frequencies (Hz); None for a nonlinear estimator."""
+        """Return the impedance by linear theory at frequencies `lines_hz` (Hz); None for a nonlinear estimator."""
         return expected(self.experiment, lines_hz, self.signal)
 
 
@@ -317,7 +317,7 @@ def measure_impedance(
 def unexpected(
     results: Sequence[ImpedanceResult], expected: Collection[str]
 ) -> UnexpectedVerdictError | None:
-    """Return an error for the first verdict that is not in `expected` (empty: all are accepted); else None."""
+    """Return an error for the first result whose verdict is not in `expected` (empty: all are accepted); else None."""
     for result in results:
         word = "not measured"
         if result.judgement is not None:
@@ -344,9 +344,9 @@ def measure_on_device(
 ) -> Iterator[ImpedanceResult]:
     """Measure the impedance of a real or simulated device, excited by its motor; yield each wall's result in turn.
 
-    Each realisation (draw of the phases) is a recorded trial. Parameters are those of `measure_impedance`; `agrees` is
-    called with the experiment before each wall, and the measurement ends if it returns False. If the guard ends a
-    trial, the next wall is measured.
+    Each realisation (run with other random phases) is a recorded trial. `walls`, `schemes`, `excitation`, `method`,
+    `judging` and `watch` are those of `measure_impedance`; `agrees` is called with the experiment before each wall, and
+    the measurement ends if it returns False. If the safety guard ends a trial, the next wall is measured.
 
     Raises
     ------
@@ -389,7 +389,7 @@ def prepared(
     schemes: Sequence[Scheme],
     excitation: Excitation | None,
 ) -> list[list[Experiment]]:
-    """Return the experiments to run: for each sampling scheme a list with an experiment for each wall.
+    """Return for each sampling scheme a list of the experiments to run, one for each wall; None: the described ones.
 
     Raise `ConfigError` for an invalid wall or scheme.
     """
@@ -423,8 +423,8 @@ def refuse_excitations(asked: Sequence[Experiment]) -> None:
 def refuse_other_excitation(experiments: Sequence[Experiment]) -> None:
     """Raise `ConfigError` if impedances that are compared differ in band or size of their excitation.
 
-    Coulomb friction adds to the measured damping the more, the smaller the motion is: with another band or size another
-    share, in every realisation (draw of the phases). The standard deviations do not contain it.
+    Coulomb friction adds damping that depends on band and size of the motion, in all realisations alike, so that it is
+    not in the standard deviations.
     """
     kinds = []
     for one in experiments:
@@ -448,7 +448,7 @@ def conclude(
     judging: Judging | None = None,
     recordings: tuple[Path, ...] = (),
 ) -> ImpedanceResult:
-    """Estimate and judge the impedance of one wall from the runs of all realisations (draws of the phases)."""
+    """Estimate and judge the impedance of one wall from its runs, each a realisation with other random phases."""
     judging = judging or Judging()
     saturated = float(np.mean([run.saturated for run in runs]))
     records = [run.record for run in runs if run.record is not None]
@@ -494,7 +494,7 @@ def conclude(
 def recorded_impedance(
     recordings: Sequence[Recording], *, method: Method = "periodic", judging: Judging | None = None
 ) -> ImpedanceResult:
-    """Estimate and judge the impedance of one wall from recordings; a repeated realisation replaces the earlier one.
+    """Estimate and judge the impedance of one wall from recordings; of trials with equal phases the last one counts.
 
     Raises
     ------
@@ -521,7 +521,7 @@ def recorded_impedance(
 
 
 def known_device(experiment: Experiment) -> RigidRig:
-    """Return the rig's model without a wall, as described: mass, damping, back-EMF and the amplifier's lag."""
+    """Return the described rig without a wall, as rigid body: mass, damping, back-EMF and the amplifier's lag."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
@@ -546,7 +546,7 @@ def expected(experiment: Experiment, lines_hz: Floats, signal: Signal = "count")
 def _record_whole(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, list[Path]]:
-    """Record one draw of the phases, again if samples were lost; return the last run and all recordings' paths."""
+    """Record one realisation (random phases) until no sample is lost; return its signals and all recordings' paths."""
     paths: list[Path] = []
     while True:
         try:
@@ -561,7 +561,7 @@ def _record_whole(
 def _record_realisation(
     trials: Trials, experiment: Experiment, realisation: int
 ) -> tuple[RealisationRun, Path]:
-    """Run one realisation (draw of the phases) as a recorded trial; return its signals and the recording's path."""
+    """Run one realisation (random phases) as a recorded trial; return its signals and the recording's path."""
     trial = config.as_mapping(experiment)["trial"]
     done = trials.run(
         experiment,

@@ -29,7 +29,7 @@ POINTS = 4  # common walls in the table
 
 @dataclass(frozen=True, slots=True)
 class PassiveIsland:
-    """A range of passive walls above a wall that is not passive: damping, lowest and highest stiffness."""
+    """A range of passive walls above a wall that is not passive: damping, lowest and highest stiffness (SI)."""
 
     damping: float
     lowest: float
@@ -38,7 +38,7 @@ class PassiveIsland:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyWidth:
-    """A set of widths of one sampling scheme's map, for one realisation (draw of the phases) or for all together.
+    """Extent of the passive walls of one sampling scheme, in one realisation (random phases) or in all together.
 
     Stiffnesses are in N·m/rad or N/m, dampings and fidelity errors in N·m·s/rad or N·s/m. A wall is connected if it and
     all softer walls of its damping are passive.
@@ -79,7 +79,7 @@ class FrequencyWidth:
     def of(
         cls, passive: Flags, fidelity: Floats, stiffnesses: Sequence[float], dampings: Sequence[float]
     ) -> FrequencyWidth:
-        """Return K-width, B-width and worst fidelity for verdicts and fidelity errors, shape (damping, stiffness)."""
+        """Return the extent of passive walls from verdicts and fidelity errors (SI), shape (damping, stiffness)."""
         # A passive wall above a wall that is not passive is an island: it is listed but does not count for the widths,
         # because an irregular map has islands at any stiffness.
         region = connected(passive)
@@ -114,7 +114,7 @@ class FrequencyWidth:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A mean, standard deviation and range of a number over the `count` draws of the phases in which it is finite."""
+    """Mean, standard deviation and range of a number over the `count` realisations (random phases) with a value."""
 
     mean: float
     deviation: float
@@ -124,7 +124,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Return mean, deviation and range of the finite values; NaN without values, NaN deviation for one."""
+        """Return mean, deviation (NaN for one value) and range of the finite values; all NaN without one."""
         kept = [value for value in values if math.isfinite(value)]
         if not kept:
             return cls(math.nan, math.nan, math.nan, math.nan, 0)
@@ -134,14 +134,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class SchemeWidths:
-    """A set of K-width, B-width and worst fidelity of one scheme: for all realisations together, and for each alone."""
+    """Extents of a scheme's passive walls: in all realisations (random phases) together, and in each alone."""
 
     together: FrequencyWidth
     each: tuple[FrequencyWidth, ...]
 
     @classmethod
     def of(cls, found: FrequencyMap, scheme: int) -> SchemeWidths:
-        """Return K-width, B-width and worst fidelity of the sampling scheme with index `scheme` in the map `found`."""
+        """Return the extents of the passive walls of the sampling scheme with index `scheme` in the map `found`."""
         plan = found.plan
         *each, together = (
             FrequencyWidth.of(
@@ -153,23 +153,23 @@ class SchemeWidths:
 
     @reported
     def stiffness(self) -> Spread:
-        """Return mean and range of the K-width (N·m/rad or N/m) over all draws of the phases; 0 if no wall connects."""
+        """Return mean and range of the largest passive stiffness (N·m/rad or N/m) over all realisations."""
         return Spread.of([width.stiffness for width in self.each])
 
     @reported
     def damping(self) -> Spread:
-        """Return mean and range of the B-width (N·m·s/rad or N·s/m) over draws of the phases with connected walls."""
+        """Return mean and range of the largest damping of a passive wall (N·m·s/rad or N·s/m) over all realisations."""
         return Spread.of([width.damping for width in self.each])
 
     @reported
     def worst_fidelity(self) -> Spread:
-        """Return mean and range of the largest fidelity error over the draws of the phases with connected walls."""
+        """Return mean and range of passive walls' largest fidelity error (N·m·s/rad or N·s/m) over realisations."""
         return Spread.of([width.worst_fidelity for width in self.each])
 
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """A printed column of Table I: K-width (N/m), B-width and worst fidelity (N·s/m), number of tuned values."""
+    """A column of the paper's Table I: K-width (N/m), B-width, worst fidelity error (N·s/m), number of tuned values."""
 
     stiffness: float
     damping: float
@@ -189,7 +189,7 @@ PAPERS_RIG, PAPERS_RATE = "chawda-linear", 1000
 
 @dataclass(frozen=True, slots=True)
 class SchemeRow:
-    """A row of the table: the results of one sampling scheme.
+    """Results of one sampling scheme, as in a column of the paper's Table I.
 
     Attributes
     ----------
@@ -256,7 +256,7 @@ def table_one(found: FrequencyMap) -> TableOne:
     Parameters
     ----------
     found
-        Result of `impedance_map`.
+        Map of passive walls that `rig.impedance_map` returned.
 
     Returns
     -------
@@ -303,7 +303,7 @@ def table_one(found: FrequencyMap) -> TableOne:
 
 
 def tuned_numbers(estimator: str, parameters: Mapping[str, float | str]) -> tuple[str, ...]:
-    """Return the names of an estimator's tuned numbers, among its stated settings.
+    """Return the names of an estimator's numeric settings that are stated, which count as tuned.
 
     The gains of Levant's estimator are named alpha and lambda, because the paper counts them as two.
     """
@@ -321,7 +321,7 @@ def _papers(experiment: Experiment, scheme: Scheme, estimator: str) -> Printed |
 
 
 def _choose_spaced(cells: np.ndarray[Any, np.dtype[np.int64]]) -> list[tuple[int, int]]:
-    """Return up to four of the walls, evenly spaced in the order of damping times stiffness."""
+    """Return up to four of the walls (index pairs), evenly spaced in the order of damping times stiffness."""
     if len(cells) == 0:
         return []
     order = np.argsort((cells[:, 0] + 1) * (cells[:, 1] + 1), kind="stable")

@@ -49,7 +49,7 @@ _BEFORE = "guard tripped before the wall"
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """A search for one stiffness limit: index of the scheme, damping, encoder offset (counts), index of the repeat."""
+    """A search for one stiffness limit: index of the scheme, damping (SI), encoder offset (counts), repeat number."""
 
     scheme: int
     damping: float
@@ -58,7 +58,7 @@ class Series:
 
     @property
     def key(self) -> str:
-        """Return the unique name of the stiffness search in the journal (file of finished searches)."""
+        """Return the unique name of this stiffness search in the file of finished searches."""
         return f"{self.scheme}/{self.damping!r}/{self.offset!r}/{self.repeat}"
 
 
@@ -118,7 +118,7 @@ class MapPlan:
         ]
 
     def experiment_of(self, series: Series, under: Experiment | None = None) -> Experiment:
-        """Return the experiment of one series (stiffness search) of the map of stable walls; the stiffness is not set.
+        """Return the experiment of one stiffness search (`series`) of the map; the wall's stiffness is not set.
 
         `under` is the plan's experiment with the sampling scheme of the series already applied; None: apply it here.
         """
@@ -132,7 +132,7 @@ class MapPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each stiffness search; raise `ConfigError` if the experiment of a search is invalid."""
+        """Return a function call for each stiffness search; raise `ConfigError` if an experiment is invalid."""
         applied = [scheme.applied(self.experiment) for scheme in self.schemes]
         return [
             sweep.Task(
@@ -172,12 +172,12 @@ class MapPlan:
         )
 
     def found(self, results: Sequence[Any]) -> ZWidth:
-        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
+        """Return the map of stable walls, computed from the hits of all searches in the order of `tasks`."""
         return ZWidth.of(self, results)
 
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Simulate the hits of one stiffness search; return a row for each hit. Payload and rows are JSON values."""
+    """Simulate the hits of one stiffness search; return the numbers of each hit. All values are JSON values."""
     # The result depends on the payload only, so that a map is equal to the last bit on one core, on many cores and on a
     # cluster, and a stopped map can resume.
     experiment = config.restore_experiment(payload["experiment"])
@@ -195,7 +195,7 @@ def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class Boundary:
-    """A stiffness limit of one sampling scheme at one damping by one ripple, over all encoder offsets and repeats.
+    """Stiffness limit of one sampling scheme at one damping by one ripple criterion, over encoder offsets and repeats.
 
     Attributes
     ----------
@@ -228,7 +228,7 @@ class Boundary:
 
     @property
     def counted(self) -> float:
-        """Stiffness limit for widths (N·m/rad or N/m): 0 if the effort limit cuts more than 20 % of the damping."""
+        """Return the stiffness limit (N·m/rad or N/m); 0 if the effort limit cuts more than 20 % of the damping."""
         return self.stiffness if self.rendered >= RENDERED else 0.0
 
     @classmethod
@@ -241,7 +241,7 @@ class Boundary:
         *,
         rendered: float = 1.0,
     ) -> Boundary:
-        """Return mean and scatter of all found limits of one sampling scheme, damping and ripple (felt, heard, any)."""
+        """Return mean and scatter of the stiffness limits of one sampling scheme, damping and ripple criterion."""
         stiffness = np.array([limit.stiffness for limit in limits])
         return cls(
             scheme=scheme,
@@ -260,7 +260,7 @@ class Boundary:
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """A summary of stiffness limits over the damping, without dampings of which the effort limit cuts more than 20 %.
+    """Extent of a scheme's stable walls, without dampings of which the effort limit cuts more than 20 %.
 
     Attributes
     ----------
@@ -298,7 +298,7 @@ class Width:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ZWidth(Shown, Drawn):
-    """A finished map of stable walls: its plan, its stiffness limits, and the numbers of all hits."""
+    """A finished map of stable walls: its plan, its stiffness limits, and the outcome and numbers of all hits."""
 
     table_name: ClassVar[str] = "hits.parquet"
 
@@ -310,17 +310,17 @@ class ZWidth(Shown, Drawn):
 
     @property
     def cutoffs(self) -> str | None:
-        """Return a sentence if sampling schemes with no cut-off of their own get different ones; else None."""
+        """Return a sentence if schemes that state no filter cut-off get different default cut-offs; else None."""
         return describe_cutoffs(self.plan.schemes, self.plan.experiment)
 
     @property
     def of_device_loop(self) -> bool:
-        """Return True if the host's law was simulated in place of a law on the device."""
+        """Return True if the host's control law was simulated although the experiment runs the law on the device."""
         return self.plan.experiment.controller.loop == "device" and not self.on_device
 
     @classmethod
     def of(cls, plan: MapPlan, series: Sequence[list[dict[str, Any]]], *, on_device: bool = False) -> ZWidth:
-        """Return the map of stable walls with stiffness limits computed from the hits of every stiffness search."""
+        """Return the map of stable walls, with limits computed from the hits of all stiffness searches (`series`)."""
         limits: dict[tuple[int, float, str], list[StiffnessLimit]] = {}
         hits = 0
         applied = [scheme.applied(plan.experiment) for scheme in plan.schemes]
@@ -336,12 +336,12 @@ class ZWidth(Shown, Drawn):
         return cls(plan, boundaries, hits, series, on_device)
 
     def curve(self, scheme: int, criterion: str) -> list[Boundary]:
-        """Return a sampling scheme's limits by ascending damping; `criterion`: the ripple "felt", "heard" or "any"."""
+        """Return a scheme's stiffness limits by ascending damping, for the ripple `criterion` (felt, heard, any)."""
         found = [b for b in self.boundaries if (b.scheme, b.criterion) == (scheme, criterion)]
         return sorted(found, key=lambda boundary: boundary.damping)
 
     def width(self, scheme: int, criterion: str) -> Width:
-        """Return the summary of a sampling scheme's limits; `criterion` is the ripple "felt", "heard" or "any"."""
+        """Return the extent of a scheme's stable walls (peak K, range of B) for a ripple (felt, heard, any)."""
         curve = self.curve(scheme, criterion)
         peak = max(curve, key=lambda boundary: boundary.counted)
         extent = Extent.of([b.damping for b in curve], [b.counted for b in curve])
@@ -402,7 +402,7 @@ class ZWidth(Shown, Drawn):
         return [*self.brief(), Table(head, rows, words=0)]
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield a row for each hit: scheme, damping, encoder offset, repeat, stiffness, verdicts and numbers."""
+        """Yield a row for each hit: scheme, damping, encoder offset, repeat, stiffness, verdicts and all numbers."""
         for one, rows in zip(self.plan.series(), self.series, strict=True):
             of_series = asdict(one) | {"scheme": self.plan.schemes[one.scheme].text}
             for row in rows:
@@ -447,7 +447,7 @@ class ZWidth(Shown, Drawn):
 
 
 def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
-    """Return the columns of a hit by name: outcome, passed (True, False, None) for each ripple (felt, …), all numbers.
+    """Return the columns of a hit by name: kind of verdict, whether each ripple criterion passed, all numbers.
 
     `suffix` is appended to each name: "" for recorded signals, `TRUE` for true signals.
     """
@@ -456,7 +456,7 @@ def row_of(measured: Measured, suffix: str) -> dict[str, Any]:
 
 
 def outcomes_of(row: Mapping[str, Any], judged: Judged) -> Outcomes:
-    """Return for the ripples felt, heard and any: True if the hit in `row` passed, False if not, None if invalid."""
+    """Return by ripple criterion (felt, heard, any) if the hit in `row` passed: True, False, or None if invalid."""
     return {criterion: row[_passes(criterion, judged)] for criterion in CRITERIA}
 
 

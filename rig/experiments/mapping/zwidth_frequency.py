@@ -3,9 +3,9 @@
     found = zwidth(frequency_plan(presets.load("chawda-linear")))  # rig.experiments.mapping._maps, .ranges
     table_one(found)  # rig.experiments.mapping.table_one
 
-`_maps` uses this module for `rig impedance map`. A map tests every wall of a grid. Each task of its sweep is a column
-of the grid: one sampling scheme and one damping. Source: Chawda et al., section V, Figs. 5 to 8. Verdict and fidelity
-are computed by `rig.analysis.impedance._verdict`.
+`_maps` uses this module for `rig impedance map`. A map tests every wall of a grid, in parallel tasks: each is a column
+of the grid with one sampling scheme and one damping. Source: Chawda et al., section V, Figs. 5 to 8. Verdict and
+fidelity are computed by `rig.analysis.impedance._verdict`.
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ class FrequencyPlan:
         return self.judging.band_hz or (excitation.low_hz, excitation.high_hz)
 
     def columns(self) -> list[tuple[int, float]]:
-        """Return for each task the index of its sampling scheme and its damping (N·m·s/rad or N·s/m)."""
+        """Return index of the sampling scheme and damping (N·m·s/rad or N·s/m) of each column of the grid of walls."""
         return [(number, damping) for number in range(len(self.schemes)) for damping in self.dampings]
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """Return a task for each sampling scheme and damping.
+        """Return the function call that measures the walls of each column of the grid (one scheme, one damping).
 
         Raise `PlanError` if the excitation exceeds a limit of the rig at the softest wall of a scheme.
         """
@@ -136,14 +136,14 @@ class FrequencyPlan:
         )
 
     def found(self, results: Sequence[Any]) -> FrequencyMap:
-        """Return the finished map, computed from the results of all tasks, which have the order of `tasks`."""
+        """Return the map of passive walls, computed from the measured columns in the order of `tasks`."""
         return FrequencyMap.of(self, results)
 
 
 def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Excite a simulated rig at all stiffnesses of one sampling scheme and damping; payload and rows are JSON values.
+    """Excite a simulated rig at all stiffnesses of one sampling scheme and damping; return a row for each result.
 
-    Each wall has a row for each realisation (draw of the phases), and one row for all realisations together.
+    Each wall has a row for each realisation (draw of the phases), and one for all together; all are JSON values.
     """
     experiment = config.restore_experiment(payload["experiment"])
     judging = _restore_judging(payload["judging"])
@@ -158,7 +158,7 @@ def run_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
 def wall_rows(
     bench: ExcitedRig, walled: Experiment, judging: Judging, signal: Signal
 ) -> Iterator[dict[str, Any]]:
-    """Excite one wall; yield a row for each realisation (draw of the phases), and a last row for all realisations."""
+    """Excite one wall; yield the results of each realisation (random phases), and last of all realisations together."""
     wall = walled.wall
     runs: list[RealisationRun] = []
     for realisation in range(walled.excitation.realisations):
@@ -206,10 +206,10 @@ class FrequencyMap(Shown, Drawn):
     columns
         Rows of `run_column`, in the order of `FrequencyPlan.columns`.
     passive
-        True for passive walls, ``passive[scheme, realisation, damping, stiffness]``; the last index of the realisation
-        (draw of the phases) means all realisations together.
+        True for passive walls, ``passive[scheme, realisation, damping, stiffness]``; a realisation is a draw of the
+        random phases, its last index means all together.
     fidelity
-        Rms fidelity error (N·m·s/rad or N·s/m) with the same axes; NaN if the guard ended the run.
+        Rms fidelity error (N·m·s/rad or N·s/m) with the same axes; NaN if the safety guard ended the run.
     """
 
     table_name: ClassVar[str] = "walls.parquet"
@@ -221,7 +221,7 @@ class FrequencyMap(Shown, Drawn):
 
     @classmethod
     def of(cls, plan: FrequencyPlan, columns: Sequence[list[dict[str, Any]]]) -> FrequencyMap:
-        """Return the map with its arrays built from the rows of every column."""
+        """Return the map of passive walls from the measured columns of its grid."""
         each = plan.realisations + 1
         shape = (len(plan.schemes), len(plan.dampings), len(plan.stiffnesses), each)
 

@@ -1,4 +1,4 @@
-"""Run small pushes on a board: each push is a trial of the law that every board has.
+"""Run small pushes on a board: each push is a trial against a wall of no stiffness, which every board can run.
 
     made = board_pushes(device, x, 4, Path("pulse.rigcap"), verified=True, reference_count=0, extra={})
     made.rows, made.recording
@@ -52,7 +52,7 @@ def board_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """Run pushes on the board, two in one direction, two in the other, and so on; return their rows and recording.
+    """Run pushes on the board, two in one direction, two in the other, and so on; return their samples and recording.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _prepare_push(
 
 
 def _run_push(device: FramedDevice, request: TrialRequest) -> Recording:
-    """Run one push and return its recording; a push normally ends when the handle leaves the window."""
+    """Run one push and return its recording; it normally ends early, when the handle leaves a small window."""
     try:
         end = run_trial(device, request)
     except GuardError as error:

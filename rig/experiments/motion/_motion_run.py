@@ -52,12 +52,12 @@ Result = TypeVar("Result")
 
 
 class TimingError(IdentificationError):
-    """An error: too many samples of a motion were lost or late; the motion may be repeated."""
+    """Too many samples of a motion were lost or late; the motion may be repeated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeRigRequest(RigRequest):
-    """A request of a motion with a free handle: rig and device; wall and trial of the experiment are ignored."""
+    """A request of a motion with a free handle: rig and device; the experiment's wall and trial have no effect."""
 
     verified: Annotated[
         bool, Keyword("On a real rig: a push of the wrong sign cannot do harm.", group="Device")
@@ -99,7 +99,7 @@ def run_motion(
     extra: Mapping[str, Any],
     leaves_switch: bool = False,
 ) -> tuple[NDArray[np.void], Path]:
-    """Run a motion; return the rows of its phases, one for each tick, and the path of the recording.
+    """Run a motion; return its logged samples, one for each tick, and the path of the recording.
 
     Parameters
     ----------
@@ -142,19 +142,18 @@ def run_motion(
 
 
 def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -> NDArray[np.void]:
-    """Return the rows of the given phases of a recording, one for each tick; raise the errors of `whole`."""
+    """Return the samples of some phases of a recording, one for each tick; raise `TimingError` if too many are lost."""
     return whole(recording, recording.rows[np.isin(recording.rows["phase"], phases)])
 
 
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return these rows of a recording with lost rows filled in, so that there is one row for each tick.
+    """Return logged samples (`rows`) with the lost ones filled in, so that there is one for each tick.
 
-    Up to 2 % of the rows, at most three in succession, may be lost. Positions are interpolated linearly;
-    lost ticks get the effort that the next sample reports. The excitation stays in step, because laws count elapsed
-    ticks.
+    Up to 2 % of the samples, at most three in succession, may be lost. Positions are interpolated linearly; lost ticks
+    get the effort that the next sample reports. The excitation stays in step, because laws count elapsed ticks.
 
-    Raise `TimingError` if more rows are lost, or if too many were late. Lateness is ignored if the board ran the law:
-    then only the report was late.
+    Raise `TimingError` if more are lost, or if too many were late. Lateness is ignored if the board ran the law: then
+    only the report was late.
     """
     if len(rows) < 2:
         raise TimingError(
@@ -183,7 +182,6 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Return one row for each tick; a lost row is a copy of the row before it, with position and effort filled in."""
     index = rows["sample_index"].astype(np.int64)
     ticks = np.arange(index[0], index[-1] + 1)
     after = np.searchsorted(index, ticks)
@@ -196,16 +194,16 @@ def _fill_lost(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 
 class Pushes(NamedTuple):
-    """A result of a series of pushes.
+    """Result of several small pushes that check a rig.
 
     Attributes
     ----------
     rows
-        Rows of all pushes and of the rests between them.
+        Logged samples of all pushes and of the rests between them.
     recording
         Path of the recording; the recording of the first push if each push has a file.
     ended
-        Fault by which the device ended the last push because nothing moved; None without such a fault.
+        Error with which the device ended the last push because nothing moved; None without such an error.
     """
 
     rows: NDArray[np.void]
@@ -214,7 +212,7 @@ class Pushes(NamedTuple):
 
 
 def stalled(error: DeviceFaultError) -> Recording:
-    """Return the recording of pushes that the device ended because nothing moved; raise any other `error`."""
+    """Return the recording of pushes that the device ended because the handle did not move; else raise `error`."""
     end = end_of(error)
     sealed = None if end is None else end.sealed
     fault = None if sealed is None else (sealed.trailer or {}).get("fault")
@@ -236,8 +234,8 @@ def spoiled_by_timing(error: RigError) -> bool:
 def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int) -> tuple[Result, int]:
     """Run a motion, and again if samples are late or lost; return its result and the number of repetitions.
 
-    `rate_hz` is the rate of the loop (Hz). After four attempts raise the error; its remedy names a rate that
-    tolerates the longest gap between two samples.
+    `rate_hz` is the rate of the loop (Hz). The fourth failure raises its error, with a rate as remedy that tolerates
+    the longest gap between two samples.
     """
     for repeated in range(ATTEMPTS):
         try:
@@ -253,13 +251,13 @@ def repeat_if_late(device: FramedDevice, run: Callable[[], Result], rate_hz: int
 
 
 def bearing_rate(silence_s: float) -> int:
-    """Return the highest rate (Hz) at which the lifetime of a command is at least twice the gap `silence_s` (s)."""
+    """Return the highest loop rate (Hz) at which a command lives at least twice as long as the gap `silence_s` (s)."""
     rate_hz = rate_of_lifetime(silence_s / LIFETIME_SHARE)
     return rate_hz - rate_hz % RATE_STEP
 
 
 def advice(silence_s: float, rate_hz: int) -> str:
-    """Return the remedy for a run at `rate_hz` (Hz) that failed after a gap of `silence_s` (s) without a command."""
+    """Return what to do after a gap of `silence_s` (s) without a command ended a run at `rate_hz` (Hz)."""
     bearing = bearing_rate(silence_s)
     if SLOWEST_HZ <= bearing < rate_hz:
         return (
@@ -281,10 +279,9 @@ def silence_of(error: RigError) -> float | None:
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
-    """Compare the rows of pushes, recorded at `rate` (Hz), with the described rig: direction, inertia and friction.
+    """Compare the logged samples of pushes (`rate` in Hz) with the described rig: direction, inertia and friction.
 
-    The effort of a row is the effort that the device reports with the next sample, because a slow loop or a late
-    command delays it.
+    The effort at a sample is the one that the device reports with the next sample, which includes all delays.
     """
     return check_signs(
         np.arange(len(rows)) / rate,

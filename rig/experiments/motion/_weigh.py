@@ -82,7 +82,7 @@ class Weighing:
     measured
         Effort of the weight as measured by the motor's current and the described effort per ampere (N·m or N).
     bare, loaded
-        Fits of the strokes without and with the mass.
+        Friction fits of slow strokes without and with the mass.
     described
         `rig.amplifier.effort_per_ampere` of the experiment (N·m/A or N/A).
     recordings
@@ -235,8 +235,8 @@ def hung(
 ) -> FramedDevice:
     """Let a person hang a mass on the rig, and return the device; in simulation open a new device with the mass.
 
-    `stack` closes a new device. `loaded` is the experiment from `with_mass`; `mass_kg` is in kg, `arm` in m, `gravity`
-    in m/s².
+    `stack` closes the new device. `loaded` is the experiment with the mass, `ask` shows the instruction; `mass_kg` is
+    in kg, `arm` in m, `gravity` in m/s².
     """
     if url.startswith("sim:"):
         # The end mass has the right inertia (square of the arm): scale gravity, because weight grows with the arm.
@@ -252,7 +252,7 @@ def hung(
 
 
 def with_mass(x: Experiment, mass_kg: float, arm: float) -> Experiment:
-    """Return the experiment with a mass (kg) at a lever arm (m) as its end mass, for which the servo is computed."""
+    """Return the experiment with a mass (kg) at a lever arm (m) as its end mass, for which servos are then computed."""
     at_the_handle = mass_kg * (arm / x.rig.mechanics.handle_radius) ** 2
     return config.override(x, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
 

@@ -106,11 +106,11 @@ class Pulse:
 
     @reported
     def ok(self) -> bool:
-        """Return True if the rig may be armed for a person."""
+        """Return True if no check of the torque pulse is refused, so that a person may hold the rig."""
         return not refused(self.checks)
 
     def insist(self) -> None:
-        """Raise `IdentificationError` with all refused checks and their remedies; do nothing if no check is refused."""
+        """Raise `IdentificationError`, with reasons and remedies, if the rig did not move as described."""
         if found := refused(self.checks):
             raise IdentificationError(
                 "the rig does not move as it is described: "
@@ -120,7 +120,7 @@ class Pulse:
 
 
 def check_rig_moves(request: FreeRigRequest) -> Pulse:
-    """Open a device and send a torque pulse; raise the errors of `pulse` and of opening the device."""
+    """Open a device and send a torque pulse to check that the rig moves as described; raise `RigError` on failure."""
     x = config.override(request.experiment, request.changes)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
     with devices.open_device(url, config.rig_model(still(x))) as device:
@@ -145,7 +145,7 @@ def pulse(
     Parameters
     ----------
     device
-        Open device, at rest. Its `moved_as_described` becomes True if no check is refused, else False.
+        Open device, at rest. Its `moved_as_described` becomes True if all checks pass (or only warn), else False.
     experiment
         Description of the rig, with its limits.
     recording
@@ -209,7 +209,7 @@ def _host_pushes(
     reference_count: int,
     extra: Mapping[str, Any],
 ) -> Pushes:
-    """Run all pushes in one trial, by a law on this computer; return their rows and recording."""
+    """Run all pushes in one trial, by a law on this computer; return their samples and recording."""
 
     def run() -> tuple[NDArray[np.void], Path]:
         used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
@@ -233,7 +233,7 @@ def _host_pushes(
 
 
 def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
-    """Return the changes that set the device's default rate, at most `slow_rate` (Hz); empty in virtual time."""
+    """Return by key the loop rates for slow motions on a device (at most 2 kHz); empty in virtual time."""
     if device.link.clock.virtual:
         return {}
     rate = min(device.dictionary.position_rate_default, slow_rate(x))
@@ -246,7 +246,7 @@ def energy_of(x: Experiment) -> float:
 
 
 def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
-    """Return the checks of the pushes: motion, direction, size and delay, compared with the described rig."""
+    """Return checks of pushes against the described rig: motion, direction, size (inertia) and delay."""
     most, coulomb = most_push(x), coulomb_of(x)
     effort = unit_of("effort", x.rig.motion)
     moved = [push for push in signs.pushes if push.moved]

@@ -112,7 +112,7 @@ class FoundReference:
 
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
-    """Open a device and find position zero; `tell` gets a text before each step; raise the errors of `reference`."""
+    """Open a device and find its position zero by limit switch and index; raise `RigError` if the search fails."""
     x = config.override(request.experiment, request.changes)
     _refuse_without_index(x)
     url = devices.url_for(request.url or "sim://", x.controller.loop)
@@ -274,7 +274,7 @@ class _IndexSearch:
         return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
 
     def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
-        """Move to a count; return the rows of the motion. Raise `IdentificationError` if the handle stops short."""
+        """Move to a count; return the logged samples. Raise `IdentificationError` if the handle stops short of it."""
         device, zero = self._device, self._zero if zero is None else zero
         at, to = self._scale * (device.count() - zero), self._scale * (count - zero)
         try:
@@ -310,7 +310,7 @@ class _IndexSearch:
         )
 
     def _seek(self) -> None:
-        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` if none is found."""
+        """Move until the limit switch is pressed, which ends the run; raise `IdentificationError` without a switch."""
         way = -self._away * round((1.0 + MARGIN) * self._travel / abs(self._scale))
         try:
             self._go(self._device.count() + way, "switch")
@@ -329,7 +329,7 @@ class _IndexSearch:
         )
 
     def _leave(self) -> tuple[int, int]:
-        """Move until the switch opens; return its last pressed count and the number of index edges before moving."""
+        """Move until the switch opens; return its last pressed count, and the index edges seen before the last step."""
         step = max(1, round(LEAVE * self._every))
         for _ in range(round(1.0 / LEAVE)):
             before = self._device.reference().index_edges
@@ -346,7 +346,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ by hand
 
     def by_hand(self) -> _Found:
-        """Find index and switch while a person moves the handle; return index count, switch count, index distance."""
+        """Find index and switch while a person moves the handle; return count of index, of switch, between indices."""
         away = "rising" if self._away * self._x.rig.encoder.sign > 0 else "falling"
         switched = self._reference.limit_switch != "none"
         where = "press the limit switch with the handle, then move it" if switched else "move the handle"
@@ -381,7 +381,7 @@ class _IndexSearch:
     # ------------------------------------------------------------------ judging
 
     def _one_more(self, before: int) -> int:
-        """Return the count of the index that was passed; raise unless the number of index edges is `before` + 1."""
+        """Return the index's count if exactly one index edge came after `before` edges; raise otherwise."""
         seen = self._device.reference()
         passed = (seen.index_edges - before) % 2**32
         if passed == 1:
@@ -397,7 +397,7 @@ class _IndexSearch:
         )
 
     def _check_near(self, index: int, switch: int) -> None:
-        """Raise if the index is so near to the switch that another index may be found first after another start."""
+        """Raise if the index lies so near to the switch that the next search could find the neighbouring index."""
         way = self._away * (index - switch)
         if self._reference.limit_switch == "none":
             if way < 0:
