@@ -102,8 +102,7 @@ def drive(search: Generator[Wall, Answer, Found], test: Callable[[Wall], Answer]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StiffnessSearch:
-    """A search for a stiffness limit: range (N·m/rad or N/m), ratio of two tested values, method (such as bisection).
-    """
+    """A search for a stiffness limit: range (N·m/rad or N/m), ratio of two tested values, method (like bisection)."""
 
     way: Way = "ladder"
     lowest: float
