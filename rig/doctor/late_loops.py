@@ -50,7 +50,7 @@ def late_by(experiment: Experiment, ticks: int) -> Experiment:
 
 
 def loop_delay_ticks(experiment: Experiment, measurement: LinkMeasurement, rate: int) -> int:
-    """Return the delay from a sample to its effort in ticks of `rate` (Hz); 0 if the law runs on the device."""
+    """Return the delay from a sample to its effort in ticks of `rate` (Hz); 0 if the device runs the control law."""
     if experiment.controller.loop == "device":
         return 0
     return measurement.delay_ticks(rate, experiment.host.pacing)
@@ -82,13 +82,13 @@ class LateLoops:
         law = experiment.wall.law
         if law not in SPRING_AND_DAMPER:
             raise ConfigError(
-                f"the law {law} is not a spring and damper ({', '.join(SPRING_AND_DAMPER)}), so its stability cannot "
-                "be computed",
+                f"the control law {law} is not a spring and damper ({', '.join(SPRING_AND_DAMPER)}), so its "
+                "stability cannot be computed",
                 remedy="reduce rig.limits.effort for the first trials, then raise it step by step",
             )
         if experiment.controller.wall_is_elsewhere:
             raise ConfigError(
-                "the drive renders the wall itself, with filters that the linear theory does not model",
+                "the motor drive renders the wall itself, with filters that linear theory does not model",
                 remedy="reduce rig.limits.effort for the first trials, then raise it step by step",
             )
         if delay_ticks > LARGEST_DELAY:

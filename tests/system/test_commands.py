@@ -97,7 +97,7 @@ ROWS = (
     Row("impedance measure", f"{LINES} -K 10000 -B 20", "results table picture", "worst line", (
         ("--band 1-250", 2, "--band 1-250 is not a frequency band"),
         ("-K 1,2,3 -B 1,2", 2, "3 stiffnesses and 2 dampings"), ("-K hard", 2, "is not a list of numbers"),
-        ("--judged-band 300:400", 2, "no line lies between"),
+        ("--judged-band 300:400", 2, "no excited frequency lies between"),
         ("--verified", 2, "--url"), ("--kind schroeder --realisations 3", 2, "must be 1"),
     ), "impedances/*/impedance.parquet"),
     Row("impedance map",
@@ -117,7 +117,7 @@ ROWS = (
     Row("zwidth", f"{TINY} --search bisection --ratio 3",
         "rig motion trial schemes search offsets repeats judged hits invalid cutoffs note experiment "
         "directory picture", "K peak", (
-        ("-K 10", 2, "LOW:HIGH"), ("-K 0:100", 2, "is not a range above zero"),
+        ("-K 10", 2, "LOW:HIGH"), ("-K 0:100", 2, "is not a rising range above zero"),
         ("-B 0:1:0", 2, "a count of 1"),
         ("-B x", 2, "--damping 'x' is not a list"), ("--offsets 1", 2, "--offsets"),
         ("--ratio 1", 2, "ratio of 1 between two"), ("--url sim:// --judge true", 2, "true signals of a simulation"),

@@ -200,7 +200,7 @@ def common_range(pairs: Sequence[Pair], period: float) -> tuple[float, float]:
         raise IdentificationError(
             f"the sweeps cover a common range of {high - low:.4g} rad or m; at least a period of cogging, "
             f"{period:.4g}, is needed to separate its harmonics",
-            remedy="widen the window of positions, or give rig.cogging.period if it is shorter",
+            remedy="widen the window of positions, or correct rig.cogging.period if the true period is shorter",
         )
     return low, high
 

@@ -140,9 +140,9 @@ def check_excited(runs: Sequence[ExcitedRun], resolution: float) -> tuple[Band, 
     if band.lines < LEAST_LINES:
         coherent = int(np.sum(found >= LEAST_COHERENCE))
         raise IdentificationError(
-            f"the motion does not follow the excitation: {coherent} of {len(found)} lines have a "
+            f"the motion does not follow the excitation: {coherent} of {len(found)} frequencies have a "
             f"coherence of {LEAST_COHERENCE:g} or more (median {np.median(found):.2f}); at least "
-            f"{LEAST_LINES} neighbouring lines are needed",
+            f"{LEAST_LINES} neighbouring ones are needed",
             remedy="keep hands off the handle, allow more effort (rig.limits.effort) or speed "
             "(rig.limits.speed), or use an encoder with more counts",
         )

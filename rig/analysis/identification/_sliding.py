@@ -159,8 +159,8 @@ def fit_sliding(
         raise IdentificationError(
             f"the effort of sliding scatters by {fit.scatter:.3g} N·m or N about the fitted line; at most "
             f"{LARGEST_SCATTER * largest:.3g} ({LARGEST_SCATTER:.0%} of the largest effort) is allowed",
-            remedy="slide more slowly, so that the servo follows, and look in the picture for positions at which "
-            "a part catches",
+            remedy="slide more slowly, so that the servo follows, and look in the plot for positions at which a "
+            "part of the mechanism sticks",
         )
     return fit
 

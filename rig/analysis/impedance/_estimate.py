@@ -120,7 +120,7 @@ class Impedance:
         inside = (self.lines_hz >= low - slack) & (self.lines_hz <= high + slack)
         if not inside.any():
             raise ConfigError(
-                f"no line lies between {low:g} and {high:g} Hz",
+                f"no excited frequency lies between {low:g} and {high:g} Hz",
                 remedy=f"choose a band within {self.lines_hz.min():g} to {self.lines_hz.max():g} Hz",
             )
         names = ("lines_hz", "z", "variance", "coherence_effort", "coherence_motion")
@@ -256,7 +256,7 @@ def same_lines(runs: Sequence[ExcitedRun]) -> ExcitedRun:
             or not np.array_equal(run.bins, first.bins)
         ):
             raise ConfigError(
-                "the runs differ in sampling rate, period or lines; one estimate needs runs with the same ones",
-                remedy="group the runs by rate, period and lines, and estimate an impedance from each group",
+                "the runs differ in sampling rate, period or excited frequencies, which one estimate needs to be equal",
+                remedy="group the runs by rate, period and frequencies, and estimate an impedance from each group",
             )
     return first

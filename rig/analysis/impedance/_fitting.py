@@ -95,7 +95,7 @@ def fit(
     names = tuple(dict.fromkeys(terms))
     if not names or set(names) - {"inertia", "damping", "stiffness"}:
         raise ConfigError(
-            f"the terms to fit are {', '.join(names) or 'missing'}; only three terms are known",
+            f"the parameters to fit are {', '.join(names) or 'missing'}; only three can be fitted",
             remedy="give one or more of: inertia, damping, stiffness",
         )
     part = impedance.within(band)
@@ -104,8 +104,8 @@ def fit(
     sound = np.isfinite(z) & np.isfinite(weights)
     if 2 * int(sound.sum()) < len(names):
         raise ConfigError(
-            f"only {int(sound.sum())} lines are usable to fit {len(names)} parameters (two parameters need one line)",
-            remedy="measure more lines, or widen the band",
+            f"only {int(sound.sum())} frequencies are usable to fit {len(names)} parameters (two need one)",
+            remedy="excite more frequencies, or widen the band",
         )
     s: Complexes = np.asarray(2j * np.pi * part.lines_hz[sound], dtype=np.complex128)
     columns: dict[Term, Complexes] = {
@@ -139,8 +139,8 @@ def _values_at_lines(part: Impedance, whole: Impedance, subtract: Complexes | Ri
     values = np.asarray(subtract, dtype=np.complex128)
     if values.shape != whole.z.shape:
         raise ConfigError(
-            f"the array to subtract has {values.size} values, but the impedance has {len(whole.z)} lines",
-            remedy="give one complex value for each line, or a RigidRig",
+            f"the array to subtract has {values.size} values, but the impedance has {len(whole.z)} frequencies",
+            remedy="give one complex value for each frequency, or a RigidRig",
         )
     return values[np.searchsorted(whole.lines_hz, part.lines_hz)]
 

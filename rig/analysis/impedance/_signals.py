@@ -84,9 +84,9 @@ class ExcitedRun:
         inside = len(self.bins) and self.bins[0] >= 1 and 2 * self.bins[-1] < self.period_samples
         if not inside or (np.diff(self.bins) < 1).any() or off.max() > ON_GRID:
             raise ConfigError(
-                f"the lines must be ascending multiples of {self.rate_hz / self.period_samples:g} Hz (1/period), "
-                f"above 0 and below {self.rate_hz / 2.0:g} Hz (half the rate)",
-                remedy="give the frequencies of the lines that the excitation contains",
+                f"the excited frequencies must be ascending multiples of {self.rate_hz / self.period_samples:g} Hz "
+                f"(1/period), above 0 and below {self.rate_hz / 2.0:g} Hz (half the rate)",
+                remedy="give the frequencies that the excitation contains (lines_hz)",
             )
 
     @property

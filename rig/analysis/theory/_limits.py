@@ -214,7 +214,7 @@ def _dampings(given: Sequence[float] | Vector) -> Vector:
     b = np.asarray(given, float).ravel()
     if not np.isfinite(b).all():
         wrong = float(b[~np.isfinite(b)][0])
-        raise ConfigError(f"a damping is {wrong}; it must be a finite number", remedy="give finite dampings")
+        raise ConfigError(f"a wall's damping is {wrong}; it must be finite", remedy="give finite dampings")
     return b
 
 

@@ -106,7 +106,7 @@ def realise(
         raise NotLinearError(
             f"estimator {name} has no linear theory here: its estimate depends on the motor's effort too",
             reason="its estimate depends on the motor's effort, which this theory does not contain",
-            remedy="simulate it, or use an estimator of the counts alone, such as fdm-butterworth or tracking",
+            remedy="use a simulation, or an estimator of the counts alone, such as fdm-butterworth or tracking",
         )
     found = _find_realisation(estimator, tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
@@ -245,6 +245,6 @@ def _realise(name: str, h: Vector, period_s: float) -> Realisation:
     if best is None or best.error > ACCEPTED:
         raise ConfigError(
             f"estimator {name}: no state space of up to {LARGEST_ORDER} states reproduces its impulse response",
-            remedy="choose a higher cut-off or a lower order of its filter; or simulate it",
+            remedy="choose a higher cut-off or a lower order of its filter; or use a simulation",
         )
     return best

@@ -54,7 +54,7 @@ class Subject:
 
     @property
     def port_damping(self) -> float:
-        """Return the least damping of the motor's side with any passive hand on the link (N·m·s/rad or N·s/m).
+        """Return the least damping of the motor's side with any passive hand on the handle (N·m·s/rad or N·s/m).
 
         On a rigid rig this is `damping`. On two masses the link's damper b_l acts through the transmission's damper c,
         and the least damping over all frequencies and passive hands is b_m + c·b_l/(c + b_l). Back-EMF is included.
@@ -67,7 +67,7 @@ class Subject:
 
     @property
     def inertia(self) -> float:
-        """Return the inertia of a rigid motion of motor and link, without the hand (kg·m² or kg)."""
+        """Return the inertia of a rigid motion of motor and link, without a hand on the handle (kg·m² or kg)."""
         return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
 
 
@@ -232,8 +232,8 @@ def _controller(subject: Subject, scheme: Scheme | None) -> Controller:
         return (experiment if scheme is None else scheme.applied(experiment)).controller
     if scheme is None:
         raise ConfigError(
-            "a rig without an experiment has no scheme, and the scheme is missing in this call",
-            remedy="give a scheme, such as dual:20k/2k",
+            "no sampling scheme is given, and this rig has no experiment that contains one",
+            remedy="give a sampling scheme, such as dual:20k/2k",
         )
     if scheme.position_rate % scheme.velocity_rate:
         raise ConfigError(
@@ -277,7 +277,7 @@ def _check_fixed_rates(controller: Controller) -> None:
     slow = controller.slow_velocity_rate
     if controller.slow_below > 0.0 and slow is not None and slow != controller.velocity_rate:
         raise NotLinearError(
-            f"a velocity rate of {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
+            f"a velocity rate that drops to {slow} Hz below {controller.slow_below:g} rad/s or m/s is not linear",
             reason=f"its velocity rate is {slow} Hz below {controller.slow_below:g} rad/s or m/s",
             remedy=f"analyse the two rates separately: {controller.velocity_rate} and {slow} Hz; or simulate",
         )

@@ -1,4 +1,4 @@
-"""Compute the fraction of the recommended stiffness that remains on other rigs than described, and in other hands.
+"""Compute the fraction of the recommended stiffness that remains on rigs and in hands other than described.
 
 `_search` calls this module. Simulated hits at one damping find the limit with each identified parameter changed alone
 by 20 %, with each modelled hand alone, and on 16 rigs with all parameters drawn at random. A parameter is identified if
@@ -168,7 +168,7 @@ def _vary_singly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
 
 
 def _vary_jointly(described: Experiment) -> Iterator[tuple[str, Experiment]]:
-    """Yield name and experiment of rigs with all parameters drawn at random, each with all hands that may hold it."""
+    """Yield name and experiment of rigs with all parameters drawn at random, each with all valid hand models."""
     random, values = np.random.default_rng(SEED), identified(described)
     for number in range(1, SAMPLES + 1):
         factors = random.uniform(1.0 - SHARE, 1.0 + SHARE, len(values)).tolist()

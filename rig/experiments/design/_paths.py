@@ -69,7 +69,7 @@ def cost(controller: Controller, board: str) -> float | None:
 
 
 def fits_a_tick(controller: Controller, board: str) -> bool:
-    """Return True if the board's processor can finish the law within a tick at the position rate."""
+    """Return True if the board's processor can compute the control law within a tick at the position rate."""
     return controller.position_rate <= _budget(board).rate_maximum(controller.estimator)
 
 

@@ -219,11 +219,11 @@ def refuse_unmet(wishes: Wishes, shares: Sequence[Mapping[str, float]]) -> None:
             beside[name] = max(one[name] for one in others)
     reached = beside or alone
     binds = min(reached, key=lambda name: reached[name])
-    among = "among those that fulfil the other wishes" if beside and len(shares[0]) > 1 else "of all"
+    among = "among those that meet the others" if beside and len(shares[0]) > 1 else "of all"
     raise UnmetError(
-        f"none of {len(shares)} schemes fulfils all wishes: the limiting one is {wishes.asked(binds)}; the best scheme "
-        f"{among} reaches {reached[binds]:.2g} of it",
-        remedy="relax this wish, allow higher rates (`most_rate`), or list other schemes (`scheme`)",
+        f"none of {len(shares)} schemes meets all requirements: the limiting one is {wishes.asked(binds)}; the best "
+        f"scheme {among} reaches {reached[binds]:.2g} of it",
+        remedy="relax this requirement, allow higher rates (`most_rate`), or list other schemes (`scheme`)",
     )
 
 

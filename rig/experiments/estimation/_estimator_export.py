@@ -231,8 +231,8 @@ def _check_fits(case: Case, rate_hz: float, resolution: float) -> Case:
     ):
         return case
     raise ConfigError(
-        f"{case.name} has {case.resolution:.6g} per count at {case.rate_hz:g} Hz, but the rig has {resolution:.6g} per "
-        f"count at {rate_hz:g} Hz",
+        f"{case.name} has a resolution of {case.resolution:.6g} at {case.rate_hz:g} Hz, but the rig has "
+        f"{resolution:.6g} rad or m for a count at {rate_hz:g} Hz",
         remedy="export for the rig of the recording, or test with a signal",
     )
 

@@ -113,7 +113,7 @@ def _reference_count(request: HitRequest, device: FramedDevice, experiment: Expe
 
 
 def _check_it_moves(request: HitRequest, device: FramedDevice, run: PreparedRun) -> None:
-    """Send a torque pulse to a real rig before a person holds it; raise if it does not move as described.
+    """Send a torque pulse to a real rig before a person holds it; raise if it moves otherwise than described.
 
     The pulse is not sent again to a device that has moved as described.
     """

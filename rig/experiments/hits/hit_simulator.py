@@ -1,4 +1,4 @@
-"""Simulate hits on one rig with one sampling scheme, without the byte link.
+"""Simulate hits on one rig with one sampling scheme, without the messages between host and device.
 
 Maps, papers and the simulated hand of a session's plan call this module. It opens no device and records nothing. The
 trajectory of a hit equals, to the last bit, the trajectory that the loop over the byte link produces.

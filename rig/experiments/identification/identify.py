@@ -478,7 +478,7 @@ class _Session:
         return run, late
 
     def sweep(self, x: Experiment, most_order: int) -> None:
-        """Run the sweeps and fit cogging with the described inertia; later motions compensate this cogging."""
+        """Run slow sweeps and fit cogging with the rig's described inertia; later motions compensate this cogging."""
         self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
         self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
 
@@ -586,7 +586,7 @@ def _check_undisturbed(rows: NDArray[np.void]) -> None:
     bound = (rows["flags"] & (RowFlag.SATURATED | RowFlag.SLEW_BOUND)) != 0
     if bound.any():
         raise IdentificationError(
-            f"the guard clipped the effort or its slew rate in {int(bound.sum())} of {len(rows)} ticks, but the "
+            f"the effort or its slew rate was clipped at its limit in {int(bound.sum())} of {len(rows)} ticks, but the "
             "excitation must not be clipped",
             remedy="raise rig.limits.slew or rig.limits.effort",
         )

@@ -88,7 +88,7 @@ def zwidth(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> M:
-    """Find the stable or passive walls of a simulated rig in parallel, without the byte link, and return the map.
+    """Find the stable or passive walls of a simulated rig in parallel, without messages over a link; return the map.
 
     Parameters
     ----------

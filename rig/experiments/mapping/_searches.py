@@ -111,9 +111,11 @@ class StiffnessSearch:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.lowest < self.highest < math.inf:
-            raise ValueError(f"stiffness from {self.lowest:g} to {self.highest:g} is not a range above zero")
+            raise ValueError(
+                f"stiffness from {self.lowest:g} to {self.highest:g} is not a rising range above zero"
+            )
         if not 1.0001 <= self.ratio <= 1e6:
-            raise ValueError(f"a ratio of {self.ratio:g} between two stiffnesses is not in 1.0001 to 1e6")
+            raise ValueError(f"a ratio of {self.ratio:g} between two stiffnesses is outside of 1.0001 to 1e6")
 
     @property
     def rungs(self) -> list[float]:

@@ -148,8 +148,8 @@ def _check(plan: MapPlan) -> None:
         )
     if len(plan.offsets) != 1:
         raise PlanError(
-            f"{len(plan.offsets)} encoder offsets (of the wall within a count) are given; only a simulation can vary "
-            "this offset",
+            f"{len(plan.offsets)} encoder offsets (positions of the wall within a count) are given; only a "
+            "simulation can vary them",
             remedy="give a single offset (any value; a device ignores it), and raise the number of repeats instead",
         )
 

@@ -215,7 +215,7 @@ class ImpedanceResult(Shown, Drawn):
 
     @reported
     def loop(self) -> str:
-        """Return where the law ran: ``host`` or ``device``."""
+        """Return where the control law ran: ``host`` (this computer) or ``device``."""
         return self.experiment.controller.loop
 
     @reported
@@ -434,7 +434,7 @@ def refuse_other_excitation(experiments: Sequence[Experiment]) -> None:
     if len(set(kinds)) > 1:
         raise ConfigError(
             f"the compared impedances were excited differently: {'; '.join(dict.fromkeys(kinds))}. Friction adds "
-            "another share to the damping of each, which the deviations do not contain",
+            "a different damping to each, which their standard deviations do not contain",
             remedy="measure all walls with the same band and size of the excitation, or show them one by one",
         )
 
@@ -521,7 +521,7 @@ def recorded_impedance(
 
 
 def known_device(experiment: Experiment) -> RigidRig:
-    """Return the described rig without a wall, as rigid body: mass, damping, back-EMF and the amplifier's lag."""
+    """Return the rig's description without a wall, as rigid body: mass, damping, back-EMF and amplifier lag."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
         inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,

@@ -110,7 +110,7 @@ class Weighing:
 
     @reported
     def agrees(self) -> bool:
-        """Return True if the described effort per ampere lies within the 95 % interval of the measured one."""
+        """Return True if the experiment's effort per ampere lies within the 95 % interval of the calibrated one."""
         return self.effort_per_ampere.holds(self.described)
 
     def rows(self) -> list[Row]:

@@ -409,7 +409,7 @@ class _IndexSearch:
         if not NEAR * self._every <= way <= (1.0 - NEAR) * self._every:
             raise IdentificationError(
                 f"the index is {way} counts from the limit switch; allowed are {NEAR * self._every:.0f} to "
-                f"{(1.0 - NEAR) * self._every:.0f}, else another index may be found first at another start",
+                f"{(1.0 - NEAR) * self._every:.0f}, else the next search may find another index",
                 remedy="move the switch by about half of the distance between two indices",
             )
 

@@ -1,4 +1,4 @@
-"""Submit the tasks of a sweep, store the results, report the progress and handle Ctrl-C, all in the caller's thread.
+"""Submit the tasks (function calls) of a sweep, store results, report progress and handle Ctrl-C, in one thread.
 
 `rig.experiments.sweep.run` uses the class `Coordinator`. After the first Ctrl-C no new task starts; after the second
 Ctrl-C the sweep does not wait for running tasks.

@@ -1,4 +1,4 @@
-"""Run the tasks of a sweep: interface of all executors, and an executor with daemon threads of this process.
+"""Run the tasks (function calls) of a sweep: interface of all executors, and an executor with daemon threads.
 
 `rig.experiments.sweep.run` uses this module; `rig.extras.cluster` has an executor for Dask. Payloads and results are
 passed as JSON text, errors as `Failure`, so that every executor gives the same values to the last bit. Only the
@@ -153,7 +153,7 @@ class Threads:
         return self._workers
 
     def explain(self, error: BaseException) -> Failure:
-        """Raise `error`, because it is not the error of a task: `perform` returns errors of tasks as results."""
+        """Raise `error`, the exception of a broken thread: exceptions of tasks are returned as results by `perform`."""
         raise error
 
     def close(self) -> None:

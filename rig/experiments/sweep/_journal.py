@@ -39,7 +39,7 @@ class Memory:
         return [index for index, text in enumerate(self._texts) if text is not None]
 
     def append(self, index: int, key: str, text: str) -> None:
-        """Store the result (JSON text) of the task with this index; the key is ignored."""
+        """Store the result (JSON text) of the task with this index; the key, needed in a file only, is ignored."""
         self._texts[index] = text
 
     def results(self, indices: Iterable[int]) -> Iterator[Any]:
@@ -131,7 +131,7 @@ class Journal:
         there = object_of(first)
         if there is None or "sweep" not in there:
             raise RecordingError(
-                f"{self.path} is not the journal of a sweep, or its first line is damaged",
+                f"{self.path} is not a file of task results (journal), or its first line is damaged",
                 remedy=f"give another file, or remove {self.path} to start again",
             )
         _refuse_other_sweep(self.path, there, json.loads(json.dumps(header)))

@@ -1,4 +1,4 @@
-"""Run the tasks of a sweep, and return their results in the order of the tasks.
+"""Run the tasks of a sweep (independent function calls), and return their results in the order of the tasks.
 
 A task is a key, a function of a module and plain data, from which the function computes JSON values. Results are equal
 to the last bit on any executor, in any order, and after a stop and a resume: every result is converted to JSON text and
@@ -21,7 +21,7 @@ from rig.realtime.source_files import code_version
 
 
 class Results(Sequence[Any]):
-    """A sequence of the results (JSON values) of `tasks`, in the order of the tasks.
+    """The results (JSON values) of the function calls `tasks`, as a sequence in the order of the tasks.
 
     Results in a journal are read from the file at each access, so that a sweep may have more results than fit in
     memory.
@@ -82,7 +82,7 @@ def run(
     unit: str | None = None,
     watch: Watch | None = None,
 ) -> Results:
-    """Run all tasks in parallel, and return their results in the order of the tasks.
+    """Run all tasks (function calls) in parallel, and return their results in the order of the tasks.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from rig.core.sample import unit_of
 
 
 class _Limit(NamedTuple):
-    """A limit that becomes a parameter of the device: key and quantity in the experiment, and SI size of a quantum."""
+    """A limit that becomes a parameter of the device: key and quantity in the experiment, SI size of its unit step."""
 
     key: str
     quantity: str
@@ -42,7 +42,7 @@ _LIMITS = {
 
 
 def check_limits(run: PreparedRun, dictionary: Dictionary) -> Check:
-    """Compare the limits of a run with the ranges that its device declares.
+    """Check that the device accepts the limits of a run: speed, current, and the ends of the position window.
 
     Returns
     -------

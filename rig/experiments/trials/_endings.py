@@ -165,7 +165,7 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
     fault
         The device's fault report; None if no report was received.
     rows
-        Last rows of the run; a `LinkLostError` stores these rows.
+        Last logged samples of the run; a `LinkLostError` stores these.
     """
     if end.reason == EndReason.FINISHED:
         return None
@@ -199,6 +199,6 @@ def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np
 
 
 def _slower(rows: NDArray[np.void]) -> str:
-    """Return advice to lower the rate until no tick of `rows` would be a whole period late; "" if no tick was late."""
+    """Return advice to choose a loop rate at which the latest tick would be in time; "" if no tick was late."""
     late_ns = int(rows["lateness"].max()) if len(rows) else 0
     return f"choose a rate of {int(1e9 // late_ns)} Hz or less, " if late_ns > 0 else ""

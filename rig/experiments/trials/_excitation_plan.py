@@ -80,7 +80,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
 
 def _rendered_check(found: Peak, motion: Motion) -> Check:
-    """Warn if the rendered effort exceeds its limit: the guard clips it, which is safe but spoils the measurement."""
+    """Warn if the rendered effort exceeds its limit: it will be clipped, which is safe but spoils the measurement."""
     return limited(
         found.name,
         found.holds,
@@ -144,7 +144,7 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
 
 
 def _heat_checks(x: Experiment) -> list[Check]:
-    """Check the heat of the motor if the motor excites the rig; return an empty list with a second actuator."""
+    """Check the heat of the motor if the rig's own motor excites the rig; else return an empty list."""
     if x.excitation.channel != "motor":
         return []
     seconds = x.excitation.realisations * config.excitation_s(x)[0]

@@ -99,7 +99,7 @@ HARD = 5.0
 
 @dataclass(frozen=True, slots=True)
 class IdentificationMotion:
-    """A trial of an identification: its experiment, the law that moves the handle, and the phases of the motion.
+    """A motion that identification records as a trial: its experiment, control law, and phases to evaluate.
 
     `law` is None if the experiment's own law runs.
     """
@@ -114,8 +114,8 @@ def identification_plan(
 ) -> Plan:
     """Return the plan (steps and checks) of an identification, computed from the described rig; no device is opened.
 
-    `realisations` is the number of excitations, `period_s` their period (s). `cogging`, the highest harmonic of cogging
-    to identify, adds slow sweeps.
+    `realisations` is the number of runs with other random phases, `period_s` the excitation's period (s). `cogging`,
+    the highest harmonic of cogging to identify, adds slow sweeps.
     """
     limits = x.rig.limits
     effort, position, speed = (_unit(x, quantity) for quantity in ("effort", "position", "velocity"))
@@ -169,7 +169,7 @@ def identification_plan(
 
 
 def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Plan:
-    """Return the plan with sweeps for cogging added that run with a mass on the rig.
+    """Return `plan` with added sweeps for cogging that run with a mass on the rig, to measure torque ripple.
 
     `weight` is the load (N·m or N), `x` the rig with the mass, `most_order` the highest harmonic.
     """
@@ -189,7 +189,7 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
 
 
 def _check_following(x: Experiment, limit: float) -> Check:
-    """Check that friction keeps the handle within `limit` (rad or m) of the servo's set point.
+    """Check that friction keeps the handle within `limit` (rad or m) of the set-point of the position servo.
 
     A slower loop permits only a softer servo, whose position error by friction is larger.
     """
@@ -208,7 +208,7 @@ def _check_following(x: Experiment, limit: float) -> Check:
 
 
 def _check_stroke_counts(x: Experiment, travel: float) -> Check:
-    """Check that a stroke of ± `travel` (rad or m) has enough counts to measure a speed in a third of the stroke."""
+    """Check that a stroke of ± `travel` (rad or m) has enough encoder counts to measure its speed in a third of it."""
     counts, wider = 2.0 * travel / x.rig.encoder.resolution, LEAST_STROKE_COUNTS * x.rig.encoder.resolution
     return limited(
         "counts of a stroke",
@@ -245,13 +245,13 @@ def _check_repeatable(x: Experiment) -> Check:
 
 
 def _check_whole_period(x: Experiment, measured: float) -> Check:
-    """Check that the sweeps, over `measured` (rad or m), contain a whole period, to separate the harmonics."""
+    """Check that the sweeps measure a whole period of cogging, to separate its harmonics; `measured` in rad or m."""
     period, unit = cogging_period(x), _unit(x, "position")
     return limited(
         "period of cogging",
         period <= measured,
         f"{period:.3g} {unit}, the sweeps measure {measured:.3g}",
-        "widen the window of positions, or give rig.cogging.period if it is shorter",
+        "widen the window of positions, or correct rig.cogging.period if the true period is shorter",
     )
 
 
@@ -301,11 +301,11 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
-    """Return one push from `at` (rad or m) in the direction `way`, as a trial of the law that every board has.
+    """Return one push from `at` (rad or m) in the direction `way`, as a trial that every board can run by itself.
 
     The wall has no stiffness. The slew limit lets the effort grow slowly. The window extends from `at` by the travel of
-    a push to both sides: the guard ends the push in the tick in which the handle has moved this far, for any signs of
-    motor and encoder.
+    a push to both sides: the safety guard ends the push in the tick in which the handle has moved this far, for any
+    signs of motor and encoder.
     """
     around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
     growth = push_growth(x)
@@ -326,7 +326,7 @@ def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
 
 
 def strokes_motion(x: Experiment) -> IdentificationMotion:
-    """Return a motion of strokes at constant speeds, driven by the homing servo with at most the nominal effort."""
+    """Return a motion of strokes at constant speeds, driven by a position servo with at most the nominal effort."""
     path, _ = strokes_of(x)
     limit = min(x.rig.limits.effort, x.rig.limits.nominal_effort)
     rate = slow_rate(x)
@@ -336,10 +336,10 @@ def strokes_motion(x: Experiment) -> IdentificationMotion:
 
 
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
-    """Return a slow motion from `at` to `to` (rad or m) by the homing servo, with homing's speed and effort.
+    """Return a slow motion from `at` to `to` (rad or m) by a position servo, with homing's speed and effort.
 
     The window is the travel plus `margin` (rad or m) at both ends, in place of the described window. If the board runs
-    the law, the motion is the homing of a trial that then does nothing.
+    the law, its homing makes this motion, and the trial after it does nothing.
     """
     rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
     on_board = x.controller.loop == "device"
@@ -384,7 +384,7 @@ def weighing_motion(x: Experiment) -> IdentificationMotion:
 
 
 def _loaded_homing(x: Experiment, rate: int, limit: float) -> dict[str, Any]:
-    """Return changes of [homing] for a rig under a load: effort up to `limit` (N·m or N), tolerance for the sag."""
+    """Return by key the changes of [homing] for a loaded rig: effort up to `limit` (N·m or N), room for the sag."""
     hangs = limit / servo_of(x, rate)[0] / x.rig.encoder.resolution
     return {
         **_homing_changes(x, rate),
@@ -424,7 +424,7 @@ def cogging_sweeps(
 ) -> tuple[list[tuple[float, float]], list[Stroke]]:
     """Return the path of the sweeps for cogging (time in s, position in rad or m), and a list of the sweeps.
 
-    `most_order` is the highest harmonic. Each pair, forth and back over most of the window, has another speed. With
+    `most_order` is the highest harmonic. Each pair, forth and back over most of the window, has its own speed. With
     `loaded` the path begins with a rest, in which the operator lets go of the mass.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
@@ -445,7 +445,7 @@ def cogging_sweeps(
 
 
 def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> IdentificationMotion:
-    """Return a multisine (one draw of the phases) about the window's middle, where a soft spring centres the handle."""
+    """Return a multisine motion about the window's middle, where a soft spring by the control law holds the handle."""
     rate = x.controller.position_rate
     periods = settle_periods(multisine.period_s) + PERIODS
     law = bilateral.excited_law(multisine.period(rate), round(multisine.period_s * rate))
@@ -454,10 +454,10 @@ def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Id
 
 
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
-    """Return stiffness and damping of a well damped servo that is stable with the delay of loop and velocity filter.
+    """Return stiffness and damping of a position servo that is well damped in spite of loop and filter delays.
 
-    The units are N·m/rad and N·m·s/rad, or N/m and N·s/m. The described homing servo is not used, because it may need
-    an end mass that is not mounted now. The damping is at most that of homing, because a resonance may limit it.
+    The units are N·m/rad and N·m·s/rad, or N/m and N·s/m. The servo of homing is not used, because it may need an end
+    mass that is not mounted now. The damping is at most that of homing, because a resonance may limit it.
     """
     ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
     delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
@@ -466,13 +466,13 @@ def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
 
 
 def _cutoff_hz(x: Experiment, rate: int) -> float:
-    """Return the cut-off of the velocity filter (Hz), so low that a single count does not exceed the speed limit."""
+    """Return the velocity filter's cut-off (Hz) at which one encoder count does not exceed the speed limit."""
     quiet = COUNT_SHARE * x.rig.limits.speed / (COUNT_PEAK * x.rig.encoder.resolution)
     return min(CUTOFF_SHARE * _divisor(rate, SLOW_RATE), quiet)
 
 
 def _homing_changes(x: Experiment, rate: int) -> dict[str, Any]:
-    """Return changes of [homing]: the servo of `servo_of`, and a tolerance for friction and cogging."""
+    """Return by key the changes of [homing] for a motion: a well damped servo, and room for friction and cogging."""
     stiffness, damping = servo_of(x, rate)
     held = 2.0 * (coulomb_of(x) + x.rig.cogging.crest) / stiffness / x.rig.encoder.resolution
     return {
@@ -502,7 +502,7 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
 
 
 def _settles(x: Experiment, length_s: float, travel: float) -> bool:
-    """Return True if the servo reaches a stroke's constant speed before the last third of the stroke.
+    """Return True if a position servo reaches a stroke's constant speed before the last third of the stroke.
 
     `length_s` is the duration (s) and `travel` half of the length (rad or m) of the stroke. After a reversal friction
     holds the handle until the servo's spring is reversed, too. Then the error of the speed decays with the slower pole
@@ -552,24 +552,24 @@ def centring(inertia: float) -> float:
 
 
 def inertia_of(x: Experiment) -> float:
-    """Return the described inertia of motor, link and load together (kg·m² or kg)."""
+    """Return the inertia of motor, link and load together by the rig's description (kg·m² or kg)."""
     return x.rig.mechanics.motor_inertia + x.rig.mechanics.loaded_link_inertia
 
 
 def coulomb_of(x: Experiment) -> float:
-    """Return the described Coulomb friction of motor and link together (N·m or N)."""
+    """Return the Coulomb friction of motor and link together by the rig's description (N·m or N)."""
     return x.rig.mechanics.motor_coulomb + x.rig.mechanics.link_coulomb
 
 
 def push_growth(x: Experiment) -> float:
-    """Return the growth rate of a push's effort (N·m/s or N/s), with which it exceeds friction within 1.5 s."""
+    """Return how fast the effort of a test push grows (N·m/s or N/s), so that it exceeds friction within 1.5 s."""
     gentle = 6.0 * inertia_of(x) * push_way(x) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(x.rig.limits.nominal_effort, x.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(x))) / PUSH_S
 
 
 def most_push(x: Experiment) -> float:
-    """Return the highest effort of a push (N·m or N), reached after 1.5 s or earlier.
+    """Return the highest effort of a test push (N·m or N), reached after 1.5 s or earlier.
 
     The effort is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a
     handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
@@ -595,7 +595,7 @@ def pushes_checks(x: Experiment) -> list[Check]:
 
 
 def observable_check(x: Experiment) -> Check:
-    """Warn if a push may not overcome the described friction, weight and cogging; true friction may be lower."""
+    """Warn if the test pushes may be weaker than the described friction, weight and cogging of the rig."""
     held, most, effort = holding_effort(x), most_push(x), _unit(x, "effort")
     return finding(
         "pushes of rig device check",
@@ -609,7 +609,7 @@ def observable_check(x: Experiment) -> Check:
 
 
 def _observable_limits(x: Experiment) -> dict[str, float]:
-    """Return changes of `rig.limits` with which `most_push` overcomes friction; empty if the amplifier is too weak."""
+    """Return by key limits of the rig with which test pushes overcome friction; empty if the motor is too weak."""
     limits, wanted = x.rig.limits, SPARE * OBSERVABLE * holding_effort(x)
     if (most := round_up(wanted / PUSH_SHARE)) > x.rig.amplifier.effort_limit:
         return {}
@@ -625,19 +625,19 @@ def _observable_limits(x: Experiment) -> dict[str, float]:
 
 
 def push_way(x: Experiment) -> float:
-    """Return the travel of a push (rad or m): some counts, or less with a coarse encoder in a small window."""
+    """Return the travel after which a test push ends (rad or m): 30 counts, or less in a small window."""
     count, limits = x.rig.encoder.resolution, x.rig.limits
     half = 0.5 * (limits.position_maximum - limits.position_minimum)
     return max(LEAST_PUSH_COUNTS * count, min(PUSH_COUNTS * count, half / COARSE_ROOM))
 
 
 def pushes_s(pushes: int = PUSHES) -> float:
-    """Return the total duration of this number of pushes (s)."""
+    """Return the total duration of this number of test pushes and the rests between them (s)."""
     return pushes * (PUSH_S + REST_S) + REST_S
 
 
 def slow_rate(x: Experiment) -> int:
-    """Return the position rate of pushes and strokes (Hz): the experiment's rate, divided to at most 2 kHz."""
+    """Return the position rate for pushes and strokes (Hz): the experiment's, divided to at most 2 kHz."""
     return _divisor(x.controller.position_rate, SLOW_RATE)
 
 
@@ -685,7 +685,7 @@ _NO_WALL: dict[str, Any] = {
 
 
 def still(x: Experiment) -> Experiment:
-    """Return the experiment of a trial that leaves the handle free: no wall, and negligible effort."""
+    """Return the experiment with a trial that leaves the handle free: no wall, and negligible effort."""
     return _set_motion(x, _middle(x), 1.0, slow_rate(x), {})
 
 
@@ -694,7 +694,7 @@ def _middle(x: Experiment) -> float:
 
 
 def _free_impedance(x: Experiment, inertia: float) -> Callable[[Floats], Any]:
-    """Return a function of frequency (Hz): impedance of a rigid rig on its centring spring (N·m·s/rad or N·s/m).
+    """Return a function of frequency (Hz): impedance of a rigid rig on a spring that centres it (N·m·s/rad or N·s/m).
 
     Damping and back-EMF are as described; `inertia` is given (kg·m² or kg).
     """

@@ -29,7 +29,7 @@ FRICTION_SPEED_COUNTS = 2.0
 
 @dataclass(frozen=True, slots=True)
 class MotionScale:
-    """A scale of the encoder (measured over predicted motion), and the error that half a count per sample can cause."""
+    """Measured over predicted motion (1: the encoder's scale is right), and the error by half a count per sample."""
 
     value: float
     doubt: float
@@ -55,7 +55,7 @@ class MotionBalance:
 
     @property
     def ratio(self) -> float | None:
-        """Encoder's scale after the contact divided by the scale before it; None if a scale is too uncertain."""
+        """Return the encoder's scale after the contact over the scale before it; None if one is too uncertain."""
         return _ratio(self.before, self.after)
 
     @property
@@ -89,8 +89,7 @@ def motion_balance(
     Parameters
     ----------
     position, effort
-        Measured position (rad or m) and applied effort (N·m or N) of every tick of the phase TRIAL; no tick may be
-        missing.
+        Measured position (rad or m) and applied effort (N·m or N) of every tick of the push; no tick may be missing.
     contact
         Index of the tick of the first contact.
     tick_s, resolution
@@ -138,7 +137,7 @@ def _windows(
     coulomb: float,
     damping: float,
 ) -> tuple[Floats, Floats]:
-    """Return predicted and measured motion in half-overlapping windows, shape (windows, length), less their trend."""
+    """Return predicted and measured motion in half-overlapping time windows, (windows, length), trends removed."""
     view = np.lib.stride_tricks.sliding_window_view
     if len(position) < length:
         return np.zeros((0, length)), np.zeros((0, length))
@@ -155,7 +154,6 @@ def _windows(
 
 
 def _remove_trend(rows: Floats) -> Floats:
-    """Return each row minus its fitted straight line."""
     t = np.linspace(-1.0, 1.0, rows.shape[1])
     rows = rows - rows.mean(axis=1, keepdims=True)
     return rows - np.outer(rows @ t / (t @ t), t)

@@ -73,7 +73,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class TrialRequest:
-    """A request of a trial on an open device: prepared run, recording's path, progress and judging functions."""
+    """A request of a trial on an open device: the prepared run, its recording, and progress and judging functions."""
 
     run: PreparedRun
     recording: Path
@@ -117,7 +117,7 @@ class TrialEnd:
 
 
 def end_of(error: BaseException) -> TrialEnd | None:
-    """Return the end of the trial that raised `error`; None if no trial began."""
+    """Return how the trial that raised `error` ended (reason, recording); None if no trial began."""
     end: TrialEnd | None = getattr(error, "end", None)
     return end
 
@@ -213,7 +213,7 @@ class _Watch:
 
 
 def _ring(device: FramedDevice, request: TrialRequest) -> Ring:
-    """Return the ring buffer of rows that loop and recorder share; in real time other processes can read it."""
+    """Allocate the ring buffer of samples that loop and recorder share; in real time other processes can read it."""
     run, gate = request.run, request.extra.get("gate")
     info = {
         "url": device.link.url.text,
@@ -280,14 +280,14 @@ def _compares_currents(device: FramedDevice, law: LawOnDevice | None) -> bool:
 
 
 def _switch_rule(experiment: Experiment, *, leaves: bool) -> int:
-    """Return the loop's `limit_switch`: 0 no switch; n > 0 a press ends the run after n − 1 ticks of open switch."""
+    """Return when a limit switch ends the run: 0 never, 1 at once, n > 1 when it was open for n − 1 ticks before."""
     if experiment.rig.reference.limit_switch == "none":
         return 0
     return 1 + math.ceil(BOUNCE_S * experiment.controller.position_rate) if leaves else 1
 
 
 def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
-    """Compile the loop; return its thread class, for a law on the host or for the supervision of a device's law."""
+    """Compile the loop; return its thread class: computing the law, or supervising a law on the device."""
     if run.on_device is None:
         LoopThread.prepare(link, run.controller)
         return LoopThread
@@ -296,7 +296,7 @@ def _loop_of(run: PreparedRun, link: Link) -> Callable[..., LoopThread]:
 
 
 def _supervise(settings: LoopSettings, law: LawOnDevice, parameters: Mapping[str, Value]) -> LoopSettings:
-    """Return the settings of a loop that supervises the law on the device and computes the same rows on the host."""
+    """Return the settings of a loop that supervises the law on the device and computes the same law in parallel."""
     return replace(
         settings,
         lifetime_us=int(parameters["supervise_lifetime_us"]),
@@ -318,7 +318,7 @@ def _bring_to_rest(device: FramedDevice, loop: LoopThread) -> None:
 def _seal(
     request: TrialRequest, truth: NDArray[np.void] | None, error: Exception | None
 ) -> tuple[Recording | None, Judgement | None]:
-    """Judge the recording, seal (compress and check) its file; return the sealed recording and the judgement.
+    """Judge the recording of a trial, and seal (compress and check) its file; return both results.
 
     If sealing fails after a run that ended with `error`, add a note to `error`; after any other run raise.
     """
@@ -352,10 +352,10 @@ def _conclude(
     exchanges: list[NDArray[np.void]],
     stopped: Exception | None,
 ) -> tuple[LoopEnd, Exception | None]:
-    """Read the device's fault report, disarm the device and close the recording; return the loop's end and its error.
+    """Read the device's fault report, disarm the device and close the recording.
 
-    The error is None after a run without problems. `stopped` is the exception that the caller's progress function
-    raised, or None.
+    Return how the loop ended, and the error of the run (None without problems). `stopped` is the exception that the
+    caller's progress function raised, or None.
     """
     rows = loop.ring.last_rows(BLACK_BOX_ROWS)
     exchanges.append(as_exchanges(loop.exchanges()))
@@ -428,7 +428,7 @@ def _header(
 
 
 def _where_the_law_runs(law: LawOnDevice | None, echo: Echo) -> dict[str, Any]:
-    """Return the header's entries about the law: host or device, arithmetic, and wall as the device computes it."""
+    """Return header entries on the control law: host or device, arithmetic, and the wall as the device computes it."""
     if law is None:
         return {"loop": "host"}
     return {"loop": "device", "arithmetic": law.arithmetic, "wall": law.rendered(echo.values)}

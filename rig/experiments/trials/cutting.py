@@ -1,4 +1,4 @@
-"""Cut a part from a recording; a replay of the cut equals the recorded rows to the last bit.
+"""Cut a part from a recording; the cut can be replayed with results equal to the last bit.
 
 `rig.cut_recording` is defined here; the console calls it.
 """
@@ -18,16 +18,16 @@ from rig.recording.reader import open_recording
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutResult:
-    """A saved cut: a new recording with the rows of another recording between two times.
+    """A saved cut: a new recording with the samples of another recording between two times.
 
     Attributes
     ----------
     path
         Path of the cut's file.
     rows
-        Number of rows in the cut.
+        Number of samples in the cut.
     first_s, last_s
-        Times of the first and the last row of the cut, since the first row of the whole recording (s).
+        Times of the first and the last sample of the cut, since the first one of the whole recording (s).
     no_replay
         Reason why the cut cannot be replayed; empty if a replay is possible.
     """
@@ -47,25 +47,25 @@ def cut_recording(
     output: str | Path | None = None,
     zero_ns: int | None = None,
 ) -> CutResult:
-    """Save the rows of a recording between two times as a new recording, and return its path and size.
+    """Save the samples of a recording between two times as a new recording, and return its path and size.
 
     Parameters
     ----------
     recording
-        Path of a sealed recording, or of a capture that no process writes any more.
+        Path of a sealed (compressed, checked) recording, or of a capture that no process writes any more.
     first_s, last_s
-        Beginning and end of the cut, since the first row of the recording (s).
+        Beginning and end of the cut, since the first sample of the recording (s).
     output
         Directory of the cut; None: the directory of the recording.
     zero_ns
-        Device time from which `first_s` and `last_s` count, instead of the first row (ns). A display that started
-        during the run passes the time of the first row that it received.
+        Device time from which `first_s` and `last_s` count, instead of the first sample (ns). A display that started
+        during the run passes the time of the first sample that it received.
 
     Raises
     ------
     RecordingError
-        The file is not a recording, fewer than two rows are between the two times, ticks are missing between them, or
-        the file cannot be written.
+        The file is not a recording, fewer than two samples are between the two times, ticks are missing between them,
+        or the file cannot be written.
     """
     whole = open_recording(recording)
     if zero_ns is not None and len(whole):

@@ -1,8 +1,8 @@
 """Record the signals from which an impedance is estimated: whole periods of a rig that is excited about its wall.
 
 Identification, measured impedances, their maps and papers call this module. A record
-(`rig.analysis.impedance._signals.ExcitedRun`) comes from a simulation without bytes (`ExcitedRig`: excited by a second
-actuator or the rig's motor), or from a recording (`record_of`: excited by the rig's motor). This module opens no
+(`rig.analysis.impedance._signals.ExcitedRun`) comes from a simulation without the byte link (`ExcitedRig`: excited by a
+second actuator or the rig's motor), or from a recording (`record_of`: excited by the rig's motor). This module opens no
 device, and must not fit an impedance (`rig.analysis.impedance`).
 """
 
@@ -40,12 +40,12 @@ Signal = Literal["count", "truth"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealisationRun:
-    """A run of one realisation (one draw of the phases) of the excitation.
+    """A run of one realisation of the excitation (one draw of its random phases).
 
     Attributes
     ----------
     record
-        Signals of whole periods of the excitation; None if the guard ended the run early.
+        Signals of whole periods of the excitation; None if the safety guard (limits of motion) ended the run early.
     ended
         Reason for the early end in a few words; empty for a complete run.
     ended_s
@@ -61,7 +61,7 @@ class RealisationRun:
 
 
 def multisine_of(experiment: Experiment, realisation: int = 0) -> Multisine:
-    """Return the multisine of draw of the phases number `realisation`, by the experiment's ``[excitation]``.
+    """Return the excitation by the experiment's ``[excitation]``; each `realisation` number has its own phases.
 
     If the device generates the excitation, the multisine has the device's phases.
     """
@@ -91,11 +91,11 @@ def ramp_s(experiment: Experiment) -> float:
 def device_table(
     experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None
 ) -> ExcitationTable:
-    """Return the table of frequencies and phases from which a device generates the excitation (one draw of phases).
+    """Return the frequencies and phases from which a device generates a realisation of the excitation.
 
     Frequencies and amplitude come from ``[excitation]``; each realisation has its own phases. `current_quantum_a` is
-    the current quantum of the device (A); None: the experiment's quantum. Raise `ConfigError` for an excitation that a
-    device cannot generate.
+    the step of current that the device can set (A); None: the experiment's. Raise `ConfigError` for an excitation that
+    a device cannot generate.
     """
     given, amplifier = experiment.excitation, experiment.rig.amplifier
     quantum = amplifier.current_quantum_a if current_quantum_a is None else current_quantum_a
@@ -138,10 +138,10 @@ def _device_table(
 
 
 def excited_law(experiment: Experiment, realisation: int = 0, current_quantum_a: float | None = None) -> Law:
-    """Return a control law: a bilateral wall, plus an excitation (one draw of the phases) as effort of the motor.
+    """Return a control law: a bilateral wall, plus one realisation of the excitation as effort of the motor.
 
     If the device generates the excitation, the law uses the device's table, so that host and device compute equal
-    efforts to the last bit; `current_quantum_a` is the current quantum that the device declares (A).
+    efforts to the last bit; `current_quantum_a` is the step of current that the device can set (A).
     """
     if _made_by_the_device(experiment):
         quantum = (
@@ -167,8 +167,8 @@ class ExcitedRig:
         Rig, controller, excitation and wall; the wall's stiffness and damping are ignored.
     signal
         Position signal for the impedance: encoder counts ("count"), or the true position of the handle ("truth"). A
-        second actuator pushes at the handle. If motor and handle are two masses, only the true position belongs to this
-        port, so only with it does the phase of the impedance show passivity.
+        second actuator pushes at the handle: on a rig of two masses only the true position then gives an impedance
+        whose phase shows passivity.
     acquisition_hz
         Lowest rate at which positions are stored (Hz).
 
@@ -201,7 +201,7 @@ class ExcitedRig:
         self._excitations: dict[int, _Excitation] = {}
 
     def excite(self, stiffness: float, damping: float, realisation: int = 0) -> RealisationRun:
-        """Excite the rig at a wall, and return the signals of the run.
+        """Excite the simulated rig at a wall, and return the signals of the run.
 
         The wall has the given stiffness (N·m/rad or N/m) and damping (N·m·s/rad or N·s/m); `realisation` selects the
         phases.
@@ -257,7 +257,7 @@ class ExcitedRig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Excitation:
-    """A realisation (draw of the phases) of the excitation, as signals for the simulation."""
+    """One realisation of the excitation (draw of its random phases), as signals for the simulation."""
 
     multisine: Multisine
     external: Floats  # effort of the second actuator in each step of the simulation (N·m or N)
@@ -274,7 +274,7 @@ class _Excitation:
 
 
 def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
-    """Return the signals of one draw of the phases, from a trial of experiment `x` recorded with the law ``excited``.
+    """Return effort and position in whole periods from a recorded trial whose motor excited the rig.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
 
 
 def bound_share(recording: Recording) -> float:
-    """Return the fraction of a trial's ticks in which the guard clipped the effort or its slew rate (0 to 1)."""
+    """Return the fraction of a trial's ticks in which the effort or its slew rate was clipped (0 to 1)."""
     flags = recording.rows["flags"][recording.rows["phase"] == Phase.TRIAL]
     return float(np.mean((flags & _BOUND) != 0)) if len(flags) else 0.0
 
@@ -341,7 +341,7 @@ def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
 
 
 def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
-    """Return the ratio of sampled to true motion of the rig at each frequency (complex), while the effort is held.
+    """Return at each frequency (Hz) the ratio (complex) of sampled to true motion of a rig under a held effort.
 
     The ratio is 1 at low frequencies. It is the sum of all aliases of the frequency response, divided by the response
     itself. A wall changes sum and response in the same way, so that the ratio does not depend on the wall.

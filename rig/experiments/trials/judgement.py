@@ -54,7 +54,7 @@ def experiment_of(recording: Recording) -> Experiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdicts:
-    """A set of verdicts on the wall of a recording, stored in the recording's trailer.
+    """The verdicts on the wall of a recorded trial, as stored at the end of the recording.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Verdicts:
         Verdict by the recorded signals, and by the true signals of a simulation (None on a real rig). A verdict is
         invalid for a trial that ended early, or unstable if the wall drove the handle out of its window.
     began
-        Position at the beginning of the phase TRIAL (rad or m); None if this phase was not reached.
+        Position at the beginning of the push (rad or m); None if the run ended before it.
     motion
         Encoder's scale before and after the contact; None if effort or friction are unknown.
     """
@@ -79,7 +79,6 @@ class Verdicts:
         position, velocity, effort = (unit_of(name, motion) for name in ("position", "velocity", "effort"))
 
         def beside(text: str, name: str, threshold: float = 0.0) -> str:
-            """Return the text, followed by the true value of the verdict's attribute `name` if it is known."""
             value = None if true is None else getattr(true, name)
             shown = "" if value is None else f"true {written(_drop_rounding(value, threshold))}"
             return ", ".join(part for part in (text, shown) if part)
@@ -124,7 +123,6 @@ class Verdicts:
         ]
 
     def _start(self, experiment: Experiment, unit: str) -> list[Row]:
-        """Return a row with the trial's first position if it is more than one count away from `trial.start`."""
         away = 0.0 if self.began is None else abs(self.began - experiment.trial.start)
         if away <= experiment.rig.encoder.resolution:
             return []
@@ -150,14 +148,12 @@ class Verdicts:
 
 
 def _current_text(windows: int) -> str:
-    """Return a text on the check of the motor's current; `windows` is the number of checked windows of 10 ms."""
     if windows == 0:
         return "not checked: not measured, or too small compared with the sensor's noise"
     return f"followed the command, in {windows} windows of 10 ms"
 
 
 def _scale_text(motion: MotionBalance | None) -> str:
-    """Return a text on the encoder's scale after the contact, or on why the scale was not checked."""
     if motion is None:
         return "not checked: the effort that moves the handle is unknown"
     if motion.ratio is None:
@@ -166,13 +162,13 @@ def _scale_text(motion: MotionBalance | None) -> str:
 
 
 def _drop_rounding(value: Any, threshold: float) -> Any:
-    """Return 0 for a value below a millionth of its threshold, which is a filter's rounding error; else the value."""
+    """Return 0 for a value so far below its threshold that it is a filter's rounding error; else the value."""
     return 0.0 if isinstance(value, float) and abs(value) < 1e-6 * threshold else value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement(Verdicts):
-    """A judgement of a recording: the verdicts, and the measurements from which they follow.
+    """The verdicts on the wall of a recorded trial, and the measurements from which they follow.
 
     Attributes
     ----------
@@ -188,10 +184,9 @@ class Judgement(Verdicts):
 
 
 def verdicts_of(recording: Recording, experiment: Experiment) -> Verdicts:
-    """Return the verdicts that were stored when a recording was sealed; judge the recording now if they are missing.
+    """Return the verdicts stored in a recording; judge the recording now if it has none.
 
-    Verdicts are missing in an unsealed capture, in a cut, and in a recording that another version wrote in another
-    format.
+    A running or crashed trial, a cut, and a recording in the format of another version have none.
     """
     try:
         stored: Verdicts = pydantic.TypeAdapter(Verdicts).validate_python(recording.trailer)
@@ -278,7 +273,7 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
 
 
 def unexpected(verdicts: Sequence[Verdict], expected: Collection[str]) -> UnexpectedVerdictError | None:
-    """Return an error for the first verdict whose kind is not in `expected` (empty: all are accepted); else None."""
+    """Return an error for the first verdict, like "unstable", that is not in `expected` (empty: all are), else None."""
     words = [str(one.kind).replace(" ", "-") for one in verdicts]
     wrong = [(number, word) for number, word in enumerate(words) if expected and word not in expected]
     if not wrong:
@@ -310,7 +305,7 @@ FALSE_START = (Kind.INVALID, f"{Opening.FALSE_START}the handle moved before the 
 
 
 def thrown_out(recording: Recording) -> str:
-    """Return a sentence on how the wall drove the handle out of its limits and ended the run; empty if it did not."""
+    """Return a sentence on how an unstable wall drove the handle out of its limits; empty if it did not."""
     trailer = recording.trailer or {}
     if (trailer.get("fault") or {}).get("name") in THROWN_OUT:
         return THREW_OUT["out_of_window"]
@@ -323,7 +318,7 @@ def out_of_time(recording: Recording) -> bool:
 
 
 def ended_early(recording: Recording) -> tuple[Kind, str] | None:
-    """Return kind and reason of the verdict if the run ended before the end of the push; else None.
+    """Return kind and reason of the verdict if the run ended before the push into the wall did; else None.
 
     The kind is unstable if the wall drove the handle out of its limits, and invalid after any other early end, and for
     a cut.

@@ -87,8 +87,8 @@ def change_wall(
     ConfigError
         No loop runs, a key may not change while a loop runs, or a value is out of its range.
     PlanError
-        The plan's checks, the arming gate (`rig.doctor.gate`) or the law on the device refuse the wall, or the wall is
-        bilateral (with a spring on both sides).
+        The plan's checks, the check of stability with the link's delay, or the law on the device refuse the wall; or
+        the wall is bilateral (with a spring on both sides).
     RunEndedError
         The loop has ended.
     RigError
@@ -109,7 +109,7 @@ def change_wall(
 
 
 def parameter_set(experiment: Experiment, *, current_quantum_a: float, reference_count: int) -> list[float]:
-    """Return a parameter set for the loop: the wall's position (rad or m), then the parameters of the wall's law.
+    """Return the numbers that set a wall in the loop: its position (rad or m), then the parameters of its law.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def _allowed() -> str:
 
 
 def _post(ring: Ring, changes: Mapping[str, Any]) -> tuple[int, Experiment]:
-    """Post the parameter set of the changed experiment to the loop; return the set's number and the changed experiment.
+    """Write the changed wall's parameters to the loop; return their number and the changed experiment.
 
     Retry if another program changed the wall at the same time.
     """
@@ -194,7 +194,7 @@ def _check_sides(experiment: Experiment) -> None:
 def _info_with(
     info: Mapping[str, Any], experiment: Experiment, changes: Mapping[str, Any], number: int
 ) -> dict[str, Any]:
-    """Return the run's public description with the changed experiment and a list of all changes, the newest last."""
+    """Return what a run publishes about itself, with the changed experiment and its changes, the newest last."""
     sets = [*info.get("parameter_sets", ()), {"number": number, "changes": dict(changes)}]
     return {**info, "experiment": config.as_mapping(experiment), "parameter_sets": sets[-REMEMBERED:]}
 

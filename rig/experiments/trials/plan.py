@@ -63,7 +63,7 @@ STANDS_FOR_DEVICE = (
 
 
 def stands_for_device(experiment: Experiment) -> str:
-    """Return a sentence on how well simulations with the host's law represent a law on a device or in a drive."""
+    """Return a sentence on how well a simulation of the host's law represents the law on a device or in a drive."""
     rates = experiment.controller
     return wall_elsewhere(rates.arithmetic).stands_for if rates.wall_is_elsewhere else STANDS_FOR_DEVICE
 
@@ -76,7 +76,7 @@ LAW_NAMES = frozenset(parameter.name for parameter in LAW_PARAMETERS)
 
 
 def make_plan(experiment: Experiment) -> Plan:
-    """Return an experiment's plan (steps, checks); raise the errors of `rig.config.controller.prepare_controller`."""
+    """Return an experiment's plan (steps, checks); raise `ConfigError` if its law or estimator cannot be prepared."""
     return plan_of(controller.prepare_controller(experiment))
 
 
@@ -94,9 +94,9 @@ def plan_of(
 ) -> Plan:
     """Return the plan (steps and checks) of a prepared run.
 
-    `linked` adds the checks of `delay_checks`, with the round trip `round_trip_s` (s). `board` names the processor for
-    which the time of a tick is estimated if the law runs on the device. Raise `ConfigError` for an unknown board, and
-    `PlanError` for a round trip that is not above 0.
+    `linked` adds the wall's stability with the delay of a link, whose round trip is `round_trip_s` (s). `board` names
+    the processor for which the time of a tick is estimated if the law runs on the device. Raise `ConfigError` for an
+    unknown board, and `PlanError` for a round trip that is not above 0.
     """
     experiment = run.experiment
     delay = delay_checks(experiment, round_trip_s) if linked else []
@@ -129,10 +129,9 @@ def plan_of(
 
 
 def _drive_wall_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
-    """Return the checks of a wall that a motor drive renders in place of the board; empty for all other walls.
+    """Return checks of a wall that a motor drive renders by itself; empty for all other walls.
 
-    With `dictionary`, the device's description, check that this device can render the wall; without it, check that the
-    experiment can be planned with such a wall.
+    They check that the device with this `dictionary` (description) renders the wall; None: that it can be planned.
     """
     if not x.controller.wall_is_elsewhere:
         return []
@@ -141,7 +140,7 @@ def _drive_wall_checks(x: Experiment, dictionary: Dictionary | None = None) -> l
 
 
 def _tick_checks(x: Experiment, board: str) -> list[Check]:
-    """Warn if the board's processor is too slow for the law at the requested rate; empty if the host runs the law."""
+    """Warn if the board's processor is too slow for the control law at this rate; empty if this computer runs it."""
     if x.controller.loop != "device" or x.controller.wall_is_elsewhere:
         return []
     budget, own = named_budget(board), x.controller
@@ -169,8 +168,8 @@ def _cutoff_checks(x: Experiment) -> list[Check]:
 def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: float | None) -> list[Check]:
     """Check that the device supports the requested rate, and that the link's capacity is enough for every sample.
 
-    `rate_maximum` is the device's highest rate (Hz). `bytes_per_second` is the link's capacity; None: the capacity is
-    unknown and not checked.
+    `rate_maximum` is the device's highest rate (Hz). `bytes_per_second` is the link's capacity; None: unknown and not
+    checked.
     """
     rate = experiment.controller.position_rate
     checks = [
@@ -248,7 +247,7 @@ def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
 
 
 def _batch_check(x: Experiment, usable: float) -> Check:
-    """Check that the link's `usable` capacity (bytes/s) is enough for every tick of a law on the device."""
+    """Check that the link's capacity `usable` (bytes/s) is enough to report every tick of a law on the device."""
     needed = device_law.bytes_per_second(x)
     remedy = "choose a lower `rate`, or a faster link"
     if x.controller.measured_current:
@@ -265,7 +264,7 @@ def _batch_check(x: Experiment, usable: float) -> Check:
 
 
 def device_checks(run: PreparedRun, dictionary: Dictionary) -> list[Check]:
-    """Check that a device accepts the limits of a run, and supports the law if the law must run on the device.
+    """Check that a device accepts the limits of a run, and supports its control law if the device must compute it.
 
     Parameters
     ----------
@@ -353,7 +352,7 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
 
 
 def _hand_travel(x: Experiment, distance: float) -> float:
-    """Return how far a hand would move the handle from the start without the wall at `distance` (rad or m)."""
+    """Return how far a hand would push the handle from its start (rad or m) if the wall at `distance` were missing."""
     operator = x.operator
     stretch = math.inf
     if operator.hand_stiffness > 0.0:
@@ -362,7 +361,7 @@ def _hand_travel(x: Experiment, distance: float) -> float:
 
 
 def _reach_velocity(x: Experiment, distance: float) -> float:
-    """Return the hand's velocity at the wall (rad/s or m/s), at `distance` from the start (rad or m).
+    """Return a modelled hand's velocity at the wall (rad/s or m/s), at `distance` from the start (rad or m).
 
     The position follows a raised cosine over the whole distance that the hand would move without a wall.
     """
@@ -416,7 +415,7 @@ def _baseline_step(x: Experiment) -> tuple[Step, ...]:
 
 
 def _watch_checks(x: Experiment) -> list[Check]:
-    """Check the push against the guard's limit of energy, and state the guard's limit of oscillations."""
+    """Check the push against the limit of energy that ends a run, and state the limit of oscillations."""
     energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
     checks = []
     if energy > 0.0 and x.wall.stiffness > 0.0:
@@ -445,7 +444,7 @@ def _watch_checks(x: Experiment) -> list[Check]:
 
 
 def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
-    """Check the limits that protect a person: refused on a `real` rig, else a warning; empty without a person."""
+    """Check the limits that protect a person: exceeded limits are refused on a `real` rig, else they are warnings."""
     if x.trial.kind != "human":
         return []
     limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
@@ -476,7 +475,7 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
 
 
 def _saturation_remedy(x: Experiment) -> str:
-    """Return the remedy for a hit in which the wall's effort exceeds the effort limit at the deepest point."""
+    """Return what to do about a hit in which the wall's effort exceeds the effort limit at the deepest point."""
     if (
         x.trial.kind == "human"
         and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
@@ -550,7 +549,7 @@ def _wall_checks(x: Experiment) -> list[Check]:
 
 
 def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
-    """Return changes of effort and stiffness with which the handle reaches the wall below the speed limit.
+    """Return by key a push and stiffness with which the handle reaches the wall below the speed limit.
 
     `velocity` is the predicted velocity at the wall (rad/s or m/s). Empty for a person's trial, and if `velocity` is
     low enough.
@@ -568,7 +567,7 @@ def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
 
 
 def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
-    """Return the change of `wall.stiffness` that stops the handle within the window; empty for a person's trial."""
+    """Return by key the stiffness of a wall that stops the handle within the window; empty for a person's trial."""
     limits = x.rig.limits
     end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
     room = LESS * abs(end - x.wall.position)
@@ -579,7 +578,7 @@ def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
 
 
 def _let_go_check(x: Experiment) -> Check:
-    """Check that a pressing hand stays within the window when the wall is switched off at the end of the push."""
+    """Check that a pressing hand stays within the window when the wall is switched off at the end of a trial."""
     limits = x.rig.limits
     start = x.trial.start
     end = start + x.wall.side * _hand_travel(x, abs(x.wall.position - start))

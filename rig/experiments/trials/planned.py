@@ -1,4 +1,4 @@
-"""Define the plan of a run: its steps, its checks with their outcomes, and the prepared run.
+"""Define the plan of a run: its steps, its checks with their outcomes, and the run ready to start.
 
 Hits, motions and excitations have such plans, and commands print them. This module must not open a device.
 """
@@ -34,7 +34,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Plan(Shown):
-    """A plan of a run: steps and checks, and how often all steps are repeated.
+    """A plan of a trial: its steps, its checks (passed, warning or refused), and how often the steps are repeated.
 
     `run` is the prepared run; None if the plan consists of several different runs, as in an identification.
     """
@@ -52,7 +52,7 @@ class Plan(Shown):
 
     @reported
     def ok(self) -> bool:
-        """Return True if no check of the plan has the outcome "refused"."""
+        """Return True if no check of the plan is refused, so that the run is permitted."""
         return not refused(self.checks)
 
     def brief(self) -> list[Item]:
@@ -72,7 +72,7 @@ class Plan(Shown):
 
 
 def limited(name: str, holds: bool, text: str, remedy: str, otherwise: Outcome = Outcome.REFUSED) -> Check:
-    """Return a check called `name`: OK if the limit holds, else with the outcome `otherwise`.
+    """Return a check called `name`: OK if the value is within its limit (`holds`), else with the outcome `otherwise`.
 
     `text` states the value and the limit; `remedy` is advice for the case that the limit is exceeded.
     """
@@ -99,7 +99,7 @@ def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Che
 
 
 def where_it_runs(x: Experiment) -> str:
-    """Return a text on where the law runs; for a law on the device also its arithmetic and its data rate."""
+    """Return a text on where the control law runs; if on the device, also its arithmetic and its data rate."""
     if x.controller.loop == "host":
         return "the law on this computer"
     arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]

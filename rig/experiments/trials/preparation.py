@@ -24,12 +24,11 @@ def prepared_on(
     reference_count: int = 0,
     law: Law | None = None,
 ) -> PreparedRun:
-    """Return the run of an experiment, prepared for an open device (`rig.config.controller.prepare_controller`).
+    """Return the run of an experiment, prepared for an open device.
 
     `verified` is True if the operator has checked the signs of motor and encoder. `reference_count` is the encoder
-    count at position zero; if the device found this count by the encoder's index, the run is marked as referenced.
-    `law` replaces the experiment's law. Raise `PlanError` if this computer would have to run the law in real time, but
-    its system cannot.
+    count at position zero; the run is marked if the device found this count by the encoder's index. `law` replaces the
+    experiment's law. Raise `PlanError` if this computer would have to run the law in real time, but its system cannot.
     """
     if experiment.controller.loop == "host" and not device.link.clock.virtual:
         if law is None:

@@ -1,4 +1,4 @@
-"""After a crash, find the captures (files that a run writes) that were not sealed, seal them, and report lost rows.
+"""After a crash, find captures (files that a run writes) that were not sealed, and seal (compress, check) them.
 
 `rig recording recover` calls this module. A capture that another process has locked, or to which a running loop writes,
 is not changed. This module must not remove a capture: `rig.recording.seal` does so after a comparison with the sealed
@@ -38,7 +38,7 @@ class CaptureState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """A result of the recovery of one capture (file that a run writes), with the number of rows lost in the crash.
+    """Result of the recovery of one capture (file that a run writes), with the number of samples lost in the crash.
 
     Attributes
     ----------
@@ -47,18 +47,18 @@ class Recovered:
     outcome
         State of the capture after recovery.
     recording
-        Path of the sealed file; None if the capture was not sealed.
+        Path of the sealed (compressed, checked) file; None if the capture was not sealed.
     rows
-        Number of rows that were read.
+        Number of samples that were read.
     rows_lost
-        Number of rows that are lost because the middle of the file is damaged.
+        Number of samples that are lost because the middle of the file is damaged.
     duration_s
-        Duration of the rows that were read (s).
+        Duration of the samples that were read (s).
     lost_at_most_s
         Upper bound of the run's time that is missing from the recording (s); None if unknown, as in virtual time, where
         the simulation can be run again.
     complete
-        True if the file was written to its end, so that no row is missing at the end.
+        True if the file was written to its end, so that no sample is missing at the end.
     reason
         Reason why the capture was not sealed, with a remedy; empty if the capture was sealed.
     """
@@ -154,9 +154,9 @@ def _remove_drafts(sealed: Path) -> None:
 
 
 def _make_result(capture: Path, sealed: Path, recording: Recording) -> Recovered:
-    """Return the result of a recovery, with the time that may be lost.
+    """Return the result of recovering `capture` as the file `sealed`, with the time that may be lost.
 
-    `sealed` equals `capture` if the capture was not sealed, because pyarrow is missing.
+    Both are the same path if the capture could only be read, because pyarrow is missing.
     """
     tick_s = _tick_s(recording)
     missing = sum(loss.rows or 0 for loss in recording.lost)
@@ -186,7 +186,7 @@ def _tick_s(recording: Recording) -> float:
 
 @contextmanager
 def _lock(capture: Path) -> Iterator[bool]:
-    """Lock a recording's file; yield False if another process has the lock. Raise `OSError` if the file is missing."""
+    """Lock the file of a run; yield False if another process has the lock. Raise `OSError` if the file is missing."""
     descriptor = os.open(capture, os.O_RDONLY)
     try:
         ours = True
@@ -198,7 +198,7 @@ def _lock(capture: Path) -> Iterator[bool]:
 
 
 def _name_user(capture: Path) -> str | None:
-    """Return a sentence on the process whose loop writes or will seal this file of a recording; None without one."""
+    """Return a sentence on the process that still writes this recording; None without one."""
     for loop in running.running(done=True):
         named = loop.info.get("recording")
         if not isinstance(named, str):
@@ -210,7 +210,7 @@ def _name_user(capture: Path) -> str | None:
 
 
 def failed(results: Iterable[Recovered]) -> RecordingError | None:
-    """Return one error that lists all recordings that could not be sealed; None if all were sealed or in use."""
+    """Return an error that lists recordings that could not be recovered; None if all were recovered or in use."""
     broken = [result for result in results if result.outcome == CaptureState.FAILED]
     if not broken:
         return None

@@ -45,18 +45,18 @@ COMPUTED = (
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ReplayResult(Shown, Drawn):
-    """A result of a replay: recorded and replayed rows of the same ticks, and their differences.
+    """Result of a replay: recorded and computed samples of the same ticks, and their differences.
 
     Attributes
     ----------
     of
         Recording that was replayed.
     recorded, rows
-        Recorded and replayed rows, one for each tick (`rig.core.sample.ROW`).
+        Recorded and replayed samples, one for each tick (`rig.core.sample.ROW`).
     exact
         True if every computed column is equal to the last bit.
     velocity_difference, effort_difference
-        Rms difference of velocity (rad/s or m/s) and effort (N·m or N) over all rows.
+        Rms difference of velocity (rad/s or m/s) and effort (N·m or N) over all samples.
     """
 
     of: Recording = field(repr=False)
@@ -128,10 +128,10 @@ def replay(
 
 
 def state_before(recording: Recording, row: int) -> dict[str, Any]:
-    """Return the controller's state before row number `row`, computed by a replay of all earlier rows.
+    """Return the controller's state before sample number `row`, computed by a replay of all earlier samples.
 
-    The result has the form of `ControllerState.as_mapping`. Raise `RecordingError` if the earlier rows cannot be
-    replayed; `ConfigError` and `LawError` as in `replay`.
+    The result has the form of `ControllerState.as_mapping`. Raise `RecordingError` if earlier samples are missing,
+    `ConfigError` if the recorded law is not installed, and `LawError` if it raises an exception.
     """
     recorded, bundle = _rows(recording)[:row], _controller(recording, None, None)
     _run(bundle, recorded, recorded.copy(), _parameter_sets(recording, None, None))
@@ -172,7 +172,7 @@ def _rows(recording: Recording) -> NDArray[np.void]:
 def _parameter_sets(
     recording: Recording, changes: Mapping[str, Any] | None, law: Law | None
 ) -> NDArray[np.float64]:
-    """Return the parameter sets that became active during the run, one row each: tick, wall position, law parameters.
+    """Return the wall changes during the run, one row each: tick, wall position (rad or m), law parameters.
 
     Return no row if the replay has another wall or law.
     """
@@ -210,7 +210,7 @@ def _controller(recording: Recording, changes: Mapping[str, Any] | None, law: La
 
 
 def _clear_last_effort(recorded: NDArray[np.void], replayed: NDArray[np.void]) -> None:
-    """Set the last replayed row's effort and current to zero if the loop ended there or the device was faulty."""
+    """Set the last replayed effort and current to zero if the loop ended there or the device was faulty."""
     last = recorded[-1]
     faulty = last["fault"] != 0 or last["device_state"] == State.FAULT
     if faulty or replayed["phase"][-1] == DONE:

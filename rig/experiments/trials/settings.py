@@ -32,7 +32,7 @@ def _key(key: str, help: str = "", *names: str) -> Keyword:
 
 
 class Settings(TypedDict, total=False):
-    """Settings of the push and of the sampling."""
+    """Keywords that set the push and the sampling of an experiment, without the wall."""
 
     side: Annotated[Literal[-1, 1], _key("wall.side")]
     pull: Annotated[Literal["clamp", "allow"], _key("wall.pull")]
@@ -59,7 +59,7 @@ class Settings(TypedDict, total=False):
 
 
 class WallSettings(Settings, total=False):
-    """Settings of the push and of the sampling, and the stiffness and damping of a wall."""
+    """Keywords that set the push, the sampling, and the wall's stiffness and damping of an experiment."""
 
     stiffness: Annotated[
         float, _key("wall.stiffness", "Wall stiffness (N·m/rad or N/m).", "-K", "--stiffness")
@@ -68,7 +68,7 @@ class WallSettings(Settings, total=False):
 
 
 class HitSettings(WallSettings, total=False):
-    """Settings of the push, the sampling and the wall, and the number of hits."""
+    """Keywords that set the push, the sampling, the wall, and the number of hits of an experiment."""
 
     repeats: Annotated[int, Ge(1), Le(100_000), _key("trial.repeats", "Number of hits.")]
 
@@ -78,7 +78,7 @@ def _excitation(key: str, help: str) -> Keyword:
 
 
 class ExcitationSettings(TypedDict, total=False):
-    """Settings of the excitation of a rig; `band` is its lowest and its highest frequency (Hz)."""
+    """Keywords that set the excitation of a rig; `band` is its lowest and its highest frequency (Hz)."""
 
     channel: Annotated[
         Literal["external", "motor"],
@@ -141,7 +141,7 @@ class RigRequest:
 
 
 def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
-    """Return the changes of an experiment (values by dotted key) for `options` (values by short name).
+    """Return values by dotted key of an experiment for `options`, values by short name like ``stiffness``.
 
     The option ``changes``, values by dotted key, overrides all other options. `known` is the TypedDict of the permitted
     names. Raise `ConfigError` for an unknown name; the error proposes the closest permitted name.
@@ -161,14 +161,14 @@ def changes_of(options: Mapping[str, Any], known: type) -> dict[str, Any]:
 
 
 def _pushed_by(operator: str) -> dict[str, Any]:
-    """Return the changes for a push by a hand with the grip `operator`, or by the motor if `operator` is "none"."""
+    """Return by key who pushes the handle: a hand with the grip `operator`, or the motor if it is "none"."""
     if operator == "none":
         return {"trial.kind": "constant-effort"}
     return {"trial.kind": "human", "operator.grip": operator}
 
 
 def takes(options: type, request: type = RigRequest) -> Callable[[F], F]:
-    """Return a decorator that replaces ``**options`` in a function's signature and docstring by named keywords.
+    """Return a decorator that shows the keywords behind ``**options`` in a function's signature and docstring.
 
     `options` is the TypedDict of the keywords; the dataclass `request` supplies default values of some keywords.
     """

@@ -447,7 +447,7 @@ def test_one_realisation_is_refused(rubbing: Any) -> None:
 def test_motion_that_does_not_follow_the_excitation_is_refused(rubbing: Any) -> None:
     rng = np.random.default_rng(3)
     noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in rubbing]
-    with pytest.raises(IdentificationError, match="2 of 28 lines have a coherence of"):
+    with pytest.raises(IdentificationError, match="2 of 28 frequencies have a coherence of"):
         check_excited(noisy, QUANTUM)
 
 

@@ -229,7 +229,7 @@ def test_invalid_bands_and_terms_are_refused() -> None:
         passive(rig_with_wall(0.0, 0.0), (500.0, 600.0))
     with pytest.raises(ConfigError, match="terms"):
         fit(rig_with_wall(0.0, 0.0), ())
-    with pytest.raises(ConfigError, match="only 1 lines are usable to fit 3"):
+    with pytest.raises(ConfigError, match="only 1 frequencies are usable to fit 3"):
         fit(rig_with_wall(0.0, 0.0), ("inertia", "damping", "stiffness"), band=(5.0, 5.0))
     with pytest.raises(ConfigError, match="subtract"):
         fit(rig_with_wall(0.0, 0.0), subtract=np.zeros(3))

@@ -144,7 +144,7 @@ def test_two_of_them_may_stand_in_one_file(tmp_path: Path) -> None:
 
 
 def test_a_case_of_another_rig_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="sine has 1e-06 per count at 2000 Hz, but the rig has"):
+    with pytest.raises(ConfigError, match="sine has a resolution of 1e-06 at 2000 Hz, but the rig has"):
         written(Variant("fdm"), tmp_path, case=signal_case(SIGNALS["sine"], 2000.0, 1e-6))
 
 

@@ -232,7 +232,7 @@ def test_a_journal_of_other_code_is_refused_with_both_versions(
 def test_a_file_that_is_no_journal_is_refused_and_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "experiment.toml"
     path.write_text("[wall]\nstiffness = 300.0\n")
-    with pytest.raises(RecordingError, match="not the journal of a sweep"):
+    with pytest.raises(RecordingError, match="not a file of task results"):
         sweep.run(FEW, journal=path)
     assert path.read_text() == "[wall]\nstiffness = 300.0\n"
 
