@@ -26,7 +26,7 @@ RULES_PLACES = ("etc/udev/rules.d", "run/udev/rules.d", "usr/lib/udev/rules.d", 
 
 @question("serial ports", "the user must be allowed to open the rig's port")
 def serial_ports(machine: Machine) -> Check:
-    """Check that this user may open each serial port; without a port, that the user is in the group of ports."""
+    """Check that this user may open each serial port; without a port, that the user is in the group that owns ports."""
     ports = sorted(path for pattern in PORTS for path in (machine.root / "dev").glob(pattern))
     closed = [path for path in ports if not machine.openable(path)]
     if not ports:

@@ -105,7 +105,7 @@ def measured_pace(device: FramedDevice, host: Host, rate_hz: int, limits: Verdic
 
 
 def pace_of(measurement: LinkMeasurement, rate_hz: int, limits: VerdictLimits) -> Pace:
-    """Return the samples that a loop at `rate_hz` (Hz) would lose, from a measurement of the link at this rate."""
+    """Return how many samples a loop at `rate_hz` (Hz) would lose, from a measurement of the link at this rate."""
     received_ns = measurement.exchanges[:, EXCHANGE.host_received]
     apart_ns = np.diff(received_ns)
     late_ns = np.maximum(apart_ns - int(np.median(apart_ns)), 0)

@@ -177,7 +177,7 @@ def _homing_slew(x: Experiment) -> Check:
 
 
 def _homing_resolution(x: Experiment, ticks: int) -> Check:
-    """Check that one encoder count changes the effort of the homing servo by no more than the share `COUNT_SHARE`."""
+    """Check that one encoder count changes the homing servo's effort only by a small share of the effort it has."""
     h, unit = x.homing, unit_of("effort", x.rig.motion)
     delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
     text = (

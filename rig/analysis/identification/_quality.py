@@ -64,7 +64,7 @@ class Band:
 
     @property
     def chosen(self) -> slice:
-        """Return the slice that selects the band's lines from an array over all excited spectral lines."""
+        """Return the slice that selects this frequency band from an array over all excited frequencies."""
         return slice(self.first, self.first + self.lines)
 
     @property

@@ -78,7 +78,7 @@ class SignCheck:
 
     @reported
     def ok(self) -> bool:
-        """Return True if positive effort raises the position and the inertia is right to a factor of `SAME_SCALE`."""
+        """Return True if positive effort raises the position, and the inertia is roughly the expected one."""
         return self.sign == 1 and 1.0 / SAME_SCALE <= self.scale <= SAME_SCALE
 
 

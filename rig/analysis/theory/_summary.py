@@ -268,7 +268,7 @@ def _of_scheme(lifted: Lifted, scheme: Scheme, experiment: Experiment | None, da
 
 
 def _dampings(largest: DampingLimit, passive: float, damping: float) -> Floats:
-    """Return the dampings of the curve of limits: evenly spaced, next to B_max, and denser in the passive range."""
+    """Return dampings at which to compute limits: evenly spaced, next to B_max, and denser in the passive range."""
     reach = CURVE_REACH * max(largest.with_islands, damping)
     return np.unique(
         [

@@ -140,7 +140,7 @@ class Design(Shown, Drawn):
         return "\n".join(lines) + "\n"
 
     def brief(self) -> list[Item]:
-        """Return the lines of a short report: recommended scheme, gain over the experiment's scheme, and margin."""
+        """Return the lines of a short report: recommended scheme, gain over the experiment's scheme, and robustness."""
         return [
             f"design of {self.experiment.rig.name}: {self.recommended.label}",
             Row("goal", self._goal_text()),
@@ -217,7 +217,7 @@ class Design(Shown, Drawn):
         return Table(("change", "left", "by linear theory"), rows, caption)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all results as JSON values by name."""
+        """Return all results of the search for a sampling scheme as JSON values by name."""
 
         def as_facts(one: Standing) -> dict[str, Any]:
             return {

@@ -194,7 +194,7 @@ class Wishes:
 
 
 def measure_of(goal: Goal) -> str:
-    """Return the name of the measure by which two sampling schemes are compared for this goal."""
+    """Return the name of the measure by which schemes are compared for a goal: the goal itself, or area for "quiet"."""
     return "area" if goal == "quiet" else goal
 
 

@@ -321,7 +321,7 @@ class _Search:
         )
 
     def _with_wall(self, finalists: list[Standing]) -> list[Standing]:
-        """Hit the requested wall with each finalist at all encoder offsets; return the finalists with the result."""
+        """Simulate hits on the requested wall for each scheme of the last round; return the schemes with the result."""
         wall = self.request.wishes.wall
         if wall is None:
             return finalists

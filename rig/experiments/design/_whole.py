@@ -169,7 +169,7 @@ class Against:
         return Table(head, rows, self.text)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the comparison as JSON values by name."""
+        """Return the comparison with a paper's sampling scheme as JSON values by name."""
 
         def as_facts(one: MappedScheme) -> dict[str, Any]:
             return {

@@ -85,17 +85,17 @@ class Case:
 
     @cached_property
     def judged_time_s(self) -> Floats:
-        """Return the times of the judged samples (s)."""
+        """Return the times of the samples from which an estimator's score is computed (s)."""
         return self.time_s[self.judged]
 
     @cached_property
     def true_velocity(self) -> Floats:
-        """Return the true velocity at the judged samples (rad/s or m/s)."""
+        """Return the true velocity at the samples from which the score is computed (rad/s or m/s)."""
         return self.truth(self.judged_time_s)
 
     @reported
     def speed_rms(self) -> float:
-        """Return the rms of the true velocity over the judged samples (rad/s or m/s)."""
+        """Return the rms of the true velocity over the samples from which the score is computed (rad/s or m/s)."""
         return float(np.sqrt(np.mean(np.square(self.true_velocity))))
 
     @cached_property

@@ -57,7 +57,7 @@ class Variant:
 
     @property
     def label(self) -> str:
-        """Name and settings of the estimator as text, for tables and legends."""
+        """Return name and settings of the estimator as text, for tables and legends."""
         settings = (
             f"{k}={v:g}" if isinstance(v, int | float) else f"{k}={v}" for k, v in self.settings.items()
         )
@@ -202,7 +202,7 @@ def errors(case: Case, velocity: Floats) -> tuple[float, float, float]:
 
 
 def raw_error(case: Case, velocity: Floats) -> float:
-    """Return the rms error (rad/s or m/s) of an estimated velocity of shape (n,), over the judged samples."""
+    """Return the rms error (rad/s or m/s) of an estimated velocity of shape (n,), over the samples to be scored."""
     return _rms(velocity[case.judged] - case.true_velocity)
 
 

@@ -90,7 +90,7 @@ class HitRequest(RigRequest):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A recorded hit: experiment with all changes applied, recording as read from its file, and judgement."""
+    """A recorded hit: experiment as it ran, recording as read from its file, and verdict with its measurements."""
 
     experiment: Experiment
     recording: Recording

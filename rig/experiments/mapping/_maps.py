@@ -48,7 +48,7 @@ class Map(Protocol):
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the results as JSON values by name, without the single trials."""
+        """Return the map's results as JSON values by name, without the single trials."""
         ...
 
 
@@ -72,7 +72,7 @@ class Plan(Protocol[M_co]):
         ...
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as JSON values by name, for the file ``plan.json``."""
+        """Return the plan of the map as JSON values by name, for the file ``plan.json``."""
         ...
 
     def found(self, results: Sequence[Any]) -> M_co:

@@ -150,7 +150,7 @@ class MapPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as JSON values by name, from which `from_mapping` restores the plan."""
+        """Return the plan of the map of walls as JSON values by name, from which `from_mapping` restores the plan."""
         own = {"search": asdict(self.search), "schemes": [scheme.text for scheme in self.schemes]}
         named = {
             name: getattr(self, name) for name in ("dampings", "offsets", "repeats", "judged", "criteria")
@@ -159,7 +159,7 @@ class MapPlan:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> MapPlan:
-        """Return the plan from JSON values; `where` names their source in the message of a `ConfigError`."""
+        """Return the plan of a map of walls from JSON values; `where` names their source in error messages."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -418,7 +418,7 @@ class ZWidth(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plan, limits and widths as JSON values by name, without the single hits."""
+        """Return plan, limits and extents of the stable walls as JSON values by name, without the single hits."""
         plan = self.plan
         labels = [scheme.label(plan.experiment) for scheme in plan.schemes]
         return {

@@ -118,14 +118,14 @@ class FrequencyPlan:
         ]
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the plan as JSON values by name, from which `from_mapping` restores the plan."""
+        """Return the plan of the map of walls as JSON values by name, from which `from_mapping` restores the plan."""
         own = {"judging": asdict(self.judging), "schemes": [scheme.text for scheme in self.schemes]}
         named = {name: getattr(self, name) for name in ("stiffnesses", "dampings", "signal")}
         return {**plain(named), **own, "experiment": config.as_mapping(self.experiment)}
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> FrequencyPlan:
-        """Return the plan from JSON values; `where` names their source in the message of a `ConfigError`."""
+        """Return the plan of a map of walls from JSON values; `where` names their source in error messages."""
         return cls(
             experiment=config.experiment_from_mapping(mapping["experiment"], where),
             schemes=tuple(Scheme.parse(text) for text in mapping["schemes"]),
@@ -266,7 +266,7 @@ class FrequencyMap(Shown, Drawn):
         }
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return plan and verdicts as JSON values by name, without the rows of single walls and without Table I."""
+        """Return plan and verdicts as JSON values by name, without single results and without the paper's Table I."""
         plan, x = self.plan, self.plan.experiment
         return {
             "domain": "frequency",

@@ -241,7 +241,7 @@ def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
 
 
 def energy_of(x: Experiment) -> float:
-    """Return the largest energy of one push (J): its largest effort times its travel."""
+    """Return the largest energy of one push of a torque pulse (J): its largest effort times its travel."""
     return most_push(x) * push_way(x)
 
 

@@ -89,7 +89,7 @@ class TrialRequest:
 
 @dataclass(frozen=True, slots=True)
 class TrialEnd:
-    """An end of a trial: why the trial ended, and its recording.
+    """How a trial ended, and its recording.
 
     Attributes
     ----------

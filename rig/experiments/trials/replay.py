@@ -87,7 +87,7 @@ class ReplayResult(Shown, Drawn):
 def replay(
     recording: Recording, changes: Mapping[str, Any] | None = None, *, law: Law | None = None
 ) -> ReplayResult:
-    """Run the recorded inputs through the recorded law and estimator, or through changed ones, and compare the outputs.
+    """Run recorded counts through the recorded law and estimator, or through changed ones, and compare the outputs.
 
     Parameters
     ----------
