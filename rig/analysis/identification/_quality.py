@@ -84,11 +84,7 @@ def coherence(runs: Sequence[ExcitedRun]) -> Floats:
 
 
 def find_band(lines_hz: Floats, found: Floats) -> Band:
-    """Return the lowest range of the frequencies `lines_hz` (Hz) in which the coherence `found` suffices for a fit.
-
-    A gap of up to an octave, such as an anti-resonance in which the handle stands still, does not end the range if
-    enough frequencies for a fit follow.
-    """
+    """Return the lowest range of the frequencies `lines_hz` (Hz) in which the coherence `found` suffices for a fit."""
     reach = min(NEAR_LINES, len(found)) // 2
     near = sliding_window_view(np.pad(np.nan_to_num(found), reach, mode="edge"), 2 * reach + 1)
     smooth = np.median(near, axis=1)
@@ -97,6 +93,8 @@ def find_band(lines_hz: Floats, found: Floats) -> Band:
     if not rows:
         return Band(first=0, lines=0, low_hz=float(lines_hz[0]), high_hz=float(lines_hz[0]))
     first, end = rows[0]
+    # A gap, such as an anti-resonance in which the handle stands still, does not end the band if enough lines follow:
+    # the fit weights lines in the gap by their scatter.
     for begin, later in rows[1:]:
         if begin - end <= BRIDGED_LINES:
             end = later

@@ -5,10 +5,6 @@ this effort is the command minus the back-EMF, whose damping must be given: no m
 A constant external effort (weight, a bent cable) adds to one level and subtracts from the other, and sliding cannot
 separate it from friction that differs by direction. So only the levels up and down are measured; `coulomb` is half of
 up + down, `bias` half of up − down.
-
-The mean over a piece of a stroke is one point. Friction varies with position, and with a coarse encoder the servo's
-effort has ripple, so intervals are computed from the scatter of the points about the line. Errors of the pieces of one
-stroke are correlated, so all pieces of a stroke count as one point.
 """
 
 from __future__ import annotations
@@ -133,6 +129,9 @@ def fit_sliding(
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]
     residual = level - matrix @ solution
     freedom = len(level) - matrix.shape[1]
+    # Friction varies with position, and with a coarse encoder the servo's effort has ripple: scatter about the line
+    # gives the intervals. Errors of the pieces of one stroke are correlated, so all pieces of a stroke count as one
+    # point.
     covariance = PIECES * float(residual @ residual) / max(freedom, 1) * np.linalg.inv(matrix.T @ matrix)
     factor = quantile(freedom)
     level_variance = 0.25 * float(covariance[:2, :2].sum())

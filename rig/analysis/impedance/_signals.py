@@ -105,15 +105,13 @@ class ExcitedRun:
         return np.asarray(s * np.exp(s * self.position_delay_s))
 
     def level_position(self) -> Floats:
-        """Return the position (rad or m) minus its mean and, with two periods or more, minus its steady drift.
-
-        The drift is the mean change from a sample to the sample one period later, which is zero for a periodic
-        motion. If it were left in, the jump from the record's end to its start would add to every line.
-        """
+        """Return the position (rad or m) minus its mean and, with two periods or more, minus its steady drift."""
         centred = self.position - self.position.mean()
         if self.periods < 2:
             return np.asarray(centred)
         n = self.period_samples
+        # A periodic motion has no change over a period. If a drift were left in, the jump from the record's end to its
+        # start would add to every line.
         slope = float(np.mean(centred[n:] - centred[:-n])) / n
         steps = np.arange(len(centred)) - 0.5 * (len(centred) - 1)
         return np.asarray(centred - slope * steps)

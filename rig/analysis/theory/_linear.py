@@ -153,16 +153,14 @@ class _Probe:
 
 
 def _settled_response(probe: _Probe) -> tuple[int, Vector]:
-    """Return the number of samples after which the impulse response no longer depends on time, and the response h.
-
-    A recursive Kalman filter, for example, is linear, but its response is constant only after it has settled.
-    """
+    """Return the number of samples after which the impulse response no longer depends on time, and the response h."""
     length = FIRST_LENGTH
     while True:
         h = probe.impulse(rest=FIRST_REST, length=length)
         if np.abs(h[length // 2 :]).max() <= FADED * np.abs(h).max() or length >= LONGEST_LENGTH:
             break
         length *= 4
+    # The response of a recursive Kalman filter, which is linear, is constant only after the filter has settled.
     rest = FIRST_REST
     while True:
         h = probe.impulse(rest=rest, length=length)

@@ -46,10 +46,8 @@ class Subject:
 
     @property
     def damping(self) -> float:
-        """Return the damping of a rig in slow rigid motion (N·m·s/rad or N·s/m): motor, link and back-EMF.
-
-        A hand on the handle is left out, because a passive wall must be stable with any hand, even the lightest.
-        """
+        """Return the damping of a rig in slow rigid motion (N·m·s/rad or N·s/m): motor, link and back-EMF."""
+        # Without the hand: a passive wall must be stable with any hand, even the lightest.
         return self.model.damping
 
     @property

@@ -268,11 +268,11 @@ def rigid_b_max(loop: LinearLoop) -> float:
     """Return the approximate largest stable damping of a wall on a rigid rig, b + (π/2)·J/τ (N·m·s/rad or N·s/m).
 
     J is the rig's inertia and b its damping, without back-EMF behind a lag. The loop of a damper is an integrator
-    1/(J·s) behind the delay τ: that of the estimator at zero frequency, half the hold, lag and computation. The rule
-    treats τ as a pure delay without attenuation, so its value is too low: by 4 % if the filter of a dual-rate wall
-    dominates, by 20 % if the lag or a difference without filter does.
+    1/(J·s) behind the delay τ: that of the estimator at zero frequency, half the hold, lag and computation.
     """
     # The b of fast motion: with that of slow motion the rule would be too high by up to 1.8 times.
+    # τ counts as a pure delay without attenuation, so the rule is too low: by 4 % if the filter of a dual-rate wall
+    # dominates, by 20 % if the lag or a difference without filter does.
     hold = loop.tick_s if loop.extrapolate else loop.period_s
     tau = estimator_delay_s(loop) + 0.5 * hold + loop.late_s
     return _fast_damping(loop.subject) + 0.5 * math.pi * loop.subject.inertia / tau

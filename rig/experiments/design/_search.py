@@ -253,10 +253,7 @@ class _Search:
         dampings: Sequence[float],
         own: Linear,
     ) -> list[Candidate]:
-        """Return the candidates sorted by linear theory, the best first.
-
-        They come in turn from two rankings: by limits at which a toggling count stays unnoticed, and by all limits.
-        """
+        """Return the candidates sorted by linear theory, the best first."""
         wishes = self.request.wishes
 
         def value(one: Candidate, quiet: bool) -> tuple[float, ...]:
@@ -268,6 +265,8 @@ class _Search:
             measures = path.measures(dampings, quiet=quiet)
             return rules.key(wishes, measures, shares, own.measures(dampings, quiet=quiet).area)
 
+        # Both rankings in turn: limits at which a toggling count stays unnoticed are too low, limits without it too
+        # high.
         rankings = [
             sorted(candidates, key=lambda one: value(one, quiet=True), reverse=True),
             sorted(candidates, key=lambda one: value(one, quiet=False), reverse=True),

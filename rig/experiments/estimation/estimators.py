@@ -233,8 +233,7 @@ def delay(case: Case, velocity: Floats) -> float:
 def rest_noise(variant: Variant, dt: float, resolution: float) -> tuple[float, float]:
     """Return the rms velocity at rest after a steady approach (rad/s or m/s): with a constant and a toggling count.
 
-    The toggling count has one of two neighbouring values at random at each sample, like a handle that rests on the
-    boundary of an encoder cell. `dt` is the velocity period (s), `resolution` the travel for one count (rad or m).
+    `dt` is the velocity period (s), `resolution` the travel for one count (rad or m).
     """
     return _rest_noise(estimators.get(variant.estimator), tuple(variant.settings.items()), dt, resolution)
 
@@ -246,6 +245,7 @@ def _rest_noise(
     approach, rest = round(APPROACH_S / dt), round(REST_S / dt)
     path = APPROACH_PERIOD_COUNTS * np.minimum(np.arange(approach + rest), approach)
     counts = np.floor(path).astype(np.int64)
+    # The count of a handle that rests on the boundary of an encoder cell.
     toggle = np.where(
         np.arange(len(counts)) > approach, np.random.default_rng(1).integers(0, 2, len(counts)), 0
     )

@@ -199,12 +199,12 @@ class SchemeComparison(Shown, Drawn):
 def default_entries(experiment: Experiment) -> tuple[Entry, Entry, Entry]:
     """Return three sampling schemes at the experiment's position rate: uniform without damping, uniform, and dual-rate.
 
-    The dual-rate scheme has the experiment's velocity rate; if that equals the position rate, the highest divisor of
-    the position rate that is at most 2000 Hz and at most half of the position rate.
+    The dual-rate scheme has the experiment's velocity rate, or a divisor of the rate if the experiment is uniform.
     """
     own = Scheme.of(experiment)
     fast, slow = own.position_rate, own.velocity_rate
     if fast == slow:
+        # The experiment is uniform: the highest divisor of its rate up to 2000 Hz and up to half of the rate.
         slow = next(rate for rate in range(min(USUAL_VELOCITY_RATE, fast // 2), 0, -1) if fast % rate == 0)
     uniform = Scheme(position_rate=fast, velocity_rate=fast)
     return (

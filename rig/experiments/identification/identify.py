@@ -548,9 +548,8 @@ def excited_run_of(
 ) -> ExcitedRun:
     """Return the signals of one excited motion, without the first periods, in which transients decay.
 
-    `rows` are the logged samples, `rate` is in Hz, and `effort` (N·m or N) is held from each sample to the next. If the
-    last samples are lost, all periods are taken correspondingly earlier. Raise `TimingError` if more than three are
-    lost.
+    `rows` are the logged samples, `rate` is in Hz, and `effort` (N·m or N) is held from each sample to the next. Raise
+    `TimingError` if more than three of the last samples are lost.
     """
     n = round(rate * multisine.period_s)
     end = (settle_periods(multisine.period_s) + PERIODS) * n
@@ -560,6 +559,7 @@ def excited_run_of(
             f"the last {lost} samples of the excitation are missing, allowed are {LONGEST_FILLED}",
             remedy="identify again",
         )
+    # If the last samples are lost, take all periods correspondingly earlier.
     kept = slice(end - PERIODS * n - lost, end - lost)
     return ExcitedRun(
         rate_hz=rate,

@@ -75,11 +75,8 @@ def bisect(holds: Callable[[float], bool], low: float, high: float, steps: int) 
 
 
 def highest_stiffness(experiment: Experiment) -> float:
-    """Return the stiffest wall in which a constant push comes to rest some counts deep (N·m/rad or N/m).
-
-    These are ``trial.minimum_rest_counts``, at least one. In a stiffer wall the handle may leave the wall because the
-    push is too weak, not because the wall is unstable.
-    """
+    """Return the stiffest wall (N·m/rad or N/m) in which the push rests ``trial.minimum_rest_counts`` (or 1) deep."""
+    # In a stiffer wall the handle may leave the wall because the push is too weak, not because the wall is unstable.
     least = max(1.0, experiment.trial.minimum_rest_counts) * experiment.rig.encoder.resolution
 
     def rests(stiffness: float) -> bool:
@@ -189,12 +186,12 @@ def schemes_for(
 ) -> tuple[Scheme, ...]:
     """Return the sampling schemes of a map of stable walls: `schemes`, or the experiment's and uniform ones.
 
-    The uniform schemes have the experiment's rates. In a simulation with B = 0 only, the default schemes are uniform
-    from 100 Hz to 50 kHz, because without damping the velocity rate has no effect.
+    The uniform schemes have the experiment's rates; in a simulation with B = 0 only, rates from 100 Hz to 50 kHz.
     """
     if schemes:
         return tuple(schemes)
     if not on_device and dampings is not None and tuple(dampings) == (0.0,):
+        # Without damping the velocity rate has no effect.
         return undamped_schemes()
     return tuple(theory.default_schemes(experiment))
 

@@ -269,12 +269,6 @@ def boundary_search(
         Wall at which the search starts (index of damping, index of stiffness); it should be passive.
     looks
         True to try walls with more damping if the start is not passive.
-
-    Notes
-    -----
-    Chawda et al. do not specify the behaviour at the upper ends of the ranges (here the limit is marked as capped, and
-    the search ends at the last damping), nor how to find a passive start (here, with `looks`, the damping rises until
-    the stiffness of the start is passive; these tests are counted).
     """
     damping, stiffness = start
     edge: list[tuple[int, int]] = []
@@ -282,6 +276,7 @@ def boundary_search(
     while not (yield damping, stiffness):
         edge.append((damping, -1))
         damping += 1
+        # Chawda et al. do not say how to find a passive start: here the damping rises, and these tests are counted.
         if not looks or damping == dampings:
             return tuple(edge), (), "start not passive"
     passive, fresh = True, False  # of the wall (damping, stiffness); whether it still has to be tested
@@ -292,6 +287,8 @@ def boundary_search(
             while passive and stiffness + 1 < stiffnesses:
                 stiffness += 1
                 passive = yield damping, stiffness
+            # Nor do they specify the upper ends of the ranges: here the limit is capped, and the search ends at the
+            # last damping.
             edge.append((damping, stiffness if passive else stiffness - 1))
             if passive:
                 capped.append(damping)

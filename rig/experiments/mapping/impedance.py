@@ -421,11 +421,9 @@ def refuse_excitations(asked: Sequence[Experiment]) -> None:
 
 
 def refuse_other_excitation(experiments: Sequence[Experiment]) -> None:
-    """Raise `ConfigError` if impedances that are compared differ in band or size of their excitation.
-
-    Coulomb friction adds damping that depends on band and size of the motion, in all realisations alike, so that it is
-    not in the standard deviations.
-    """
+    """Raise `ConfigError` if impedances that are compared differ in band or size of their excitation."""
+    # Coulomb friction adds damping that depends on band and size of the motion, alike in all realisations, so that
+    # their scatter does not show it.
     kinds = []
     for one in experiments:
         ((name, size),) = config.excitation_size(one).items()

@@ -303,10 +303,7 @@ def table_one(found: FrequencyMap) -> TableOne:
 
 
 def tuned_numbers(estimator: str, parameters: Mapping[str, float | str]) -> tuple[str, ...]:
-    """Return the names of an estimator's numeric settings that are stated, which count as tuned.
-
-    The gains of Levant's estimator are named alpha and lambda, because the paper counts them as two.
-    """
+    """Return the names of an estimator's numeric settings that are stated, which count as tuned."""
     names = [name for name, value in parameters.items() if not isinstance(value, str)]
     if estimator == "levant":
         others = [name for name in names if name not in LEVANT_GAINS]

@@ -149,11 +149,8 @@ def trial_rows(recording: Recording, phases: Sequence[Phase] = (Phase.TRIAL,)) -
 def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
     """Return logged samples (`rows`) with the lost ones filled in, so that there is one for each tick.
 
-    Up to 2 % of the samples, at most three in succession, may be lost. Positions are interpolated linearly; lost ticks
-    get the effort that the next sample reports. The excitation stays in step, because laws count elapsed ticks.
-
-    Raise `TimingError` if more are lost, or if too many were late. Lateness is ignored if the board ran the law: then
-    only the report was late.
+    Positions are interpolated linearly; lost ticks get the effort that the next sample reports. Raise `TimingError` if
+    more than 2 % of the samples, or more than three in succession, are lost, or if too many were late.
     """
     if len(rows) < 2:
         raise TimingError(
@@ -173,11 +170,13 @@ def whole(recording: Recording, rows: NDArray[np.void]) -> NDArray[np.void]:
             f"gap is {math.floor(longest * slower / rate)} samples",
         )
     late = float(np.mean((rows["flags"] & RowFlag.LATE) != 0))
+    # If the board ran the law, only the report was late.
     if late > LATE_SHARE and recording.header["extra"].get("loop") != "device":
         raise TimingError(
             f"{recording.path}: {100 * late:.1f} % of the ticks were late, allowed are {100 * LATE_SHARE:g} %",
             remedy=f"end other programs on the computer, or choose `rate` {rate // 2}",
         )
+    # The excitation stays in step with the filled samples, because laws count elapsed ticks.
     return _fill_lost(rows) if lost else rows
 
 
@@ -279,12 +278,10 @@ def silence_of(error: RigError) -> float | None:
 
 
 def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
-    """Compare the logged samples of pushes (`rate` in Hz) with the described rig: direction, inertia and friction.
-
-    The effort at a sample is the one that the device reports with the next sample, which includes all delays.
-    """
+    """Compare the logged samples of pushes (`rate` in Hz) with the described rig: direction, inertia and friction."""
     return check_signs(
         np.arange(len(rows)) / rate,
+        # The effort that the next sample reports: a slow loop or a late command delays the sent one.
         np.append(rows["effort_applied"][1:], rows["effort_sent"][-1]),
         rows["position"],
         resolution=x.rig.encoder.resolution,

@@ -189,11 +189,9 @@ def loaded_plan(plan: Plan, x: Experiment, most_order: int, weight: float) -> Pl
 
 
 def _check_following(x: Experiment, limit: float) -> Check:
-    """Check that friction keeps the handle within `limit` (rad or m) of the set-point of the position servo.
-
-    A slower loop permits only a softer servo, whose position error by friction is larger.
-    """
+    """Check that friction keeps the handle within `limit` (rad or m) of the set-point of the position servo."""
     stiffness = servo_of(x, slow_rate(x))[0]
+    # A slower loop permits only a softer servo, whose position error by friction is larger.
     held, unit = coulomb_of(x) / stiffness, _unit(x, "position")
     # The servo's stiffness grows with the square of the rate; a factor of 3 leaves a margin.
     stiffer = math.sqrt(3.0 * held / limit)
@@ -301,12 +299,9 @@ def pushes_motion(x: Experiment, at: float, pushes: int = PUSHES) -> Identificat
 
 
 def single_push(x: Experiment, at: float, way: Literal[-1, 1]) -> Experiment:
-    """Return one push from `at` (rad or m) in the direction `way`, as a trial that every board can run by itself.
-
-    The wall has no stiffness. The slew limit lets the effort grow slowly. The window extends from `at` by the travel of
-    a push to both sides: the safety guard ends the push in the tick in which the handle has moved this far, for any
-    signs of motor and encoder.
-    """
+    """Return one push from `at` (rad or m) in the direction `way`, as a trial that every board can run by itself."""
+    # The window, not the law, ends the push: in the tick in which the handle has moved by its travel, for any signs of
+    # motor and encoder. The slew limit lets the effort grow slowly, and the wall has no stiffness.
     around, length, most = pushes_motion(x, at).experiment, push_way(x), most_push(x)
     growth = push_growth(x)
     limits = around.rig.limits
@@ -338,8 +333,7 @@ def strokes_motion(x: Experiment) -> IdentificationMotion:
 def way_motion(x: Experiment, at: float, to: float, margin: float) -> IdentificationMotion:
     """Return a slow motion from `at` to `to` (rad or m) by a position servo, with homing's speed and effort.
 
-    The window is the travel plus `margin` (rad or m) at both ends, in place of the described window. If the board runs
-    the law, its homing makes this motion, and the trial after it does nothing.
+    The window is the travel plus `margin` (rad or m) at both ends, in place of the described window.
     """
     rate, way_s = slow_rate(x), abs(to - at) / x.homing.speed
     on_board = x.controller.loop == "device"
@@ -364,6 +358,7 @@ def way_motion(x: Experiment, at: float, to: float, margin: float) -> Identifica
             "homing.settle_s": WAY_REST_S,
             "homing.timeout_s": min(600.0, 2.0 * way_s + WAY_PATIENCE_S),
         }
+        # The board's homing makes this motion; the trial after it does nothing.
         moved = _set_motion(x, to, WAY_END_S, rate, changes)
         return IdentificationMotion(moved, None, (Phase.HOMING, Phase.SETTLE, Phase.TRIAL))
     law = make_tracing_law(
@@ -456,11 +451,12 @@ def excitation_motion(x: Experiment, multisine: Multisine, inertia: float) -> Id
 def servo_of(x: Experiment, rate: int) -> tuple[float, float]:
     """Return stiffness and damping of a position servo that is well damped in spite of loop and filter delays.
 
-    The units are N·m/rad and N·m·s/rad, or N/m and N·s/m. The servo of homing is not used, because it may need an end
-    mass that is not mounted now. The damping is at most that of homing, because a resonance may limit it.
+    The units are N·m/rad and N·m·s/rad, or N/m and N·s/m.
     """
     ticks = SERVO_TICKS + x.rig.amplifier.set_point_ticks(1.0 / rate)
     delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(x, rate)
+    # The servo of homing is not used, because it may need an end mass that is not mounted now. Its damping is an upper
+    # bound, because a resonance may limit it.
     corner = min(SERVO_PHASE / delay_s, (x.homing.damping or math.inf) / inertia_of(x))
     return 0.25 * inertia_of(x) * corner**2, inertia_of(x) * corner
 
@@ -504,13 +500,13 @@ def strokes_of(x: Experiment) -> tuple[list[tuple[float, float]], list[Stroke]]:
 def _settles(x: Experiment, length_s: float, travel: float) -> bool:
     """Return True if a position servo reaches a stroke's constant speed before the last third of the stroke.
 
-    `length_s` is the duration (s) and `travel` half of the length (rad or m) of the stroke. After a reversal friction
-    holds the handle until the servo's spring is reversed, too. Then the error of the speed decays with the slower pole
-    of servo, mass and viscous damping.
+    `length_s` is the duration (s) and `travel` half of the length (rad or m) of the stroke.
     """
     stiffness, damping = servo_of(x, slow_rate(x))
     damping, mass = damping + config.rig_model(x).damping, inertia_of(x)
     pole = 2.0 * stiffness / (damping + math.sqrt(max(0.0, damping**2 - 4.0 * mass * stiffness)))
+    # After a reversal friction holds the handle until the servo's spring is reversed, too. Then the error of the speed
+    # decays with the slower pole of servo, mass and viscous damping.
     held_s = 2.0 * coulomb_of(x) / stiffness * length_s / (2.0 * travel)
     decayed = pole * ((1.0 - 1.0 / PIECES) * length_s - held_s)
     return decayed > 0.0 and 2.0 * (1.0 + decayed) * math.exp(-decayed) < UNSTEADY
@@ -569,11 +565,9 @@ def push_growth(x: Experiment) -> float:
 
 
 def most_push(x: Experiment) -> float:
-    """Return the highest effort of a test push (N·m or N), reached after 1.5 s or earlier.
-
-    The effort is lower if a free handle with a dead encoder would come near the speed limit: under an effort g·t a
-    handle of inertia m and Coulomb friction F has the speed (g·t − F)²/(2·g·m).
-    """
+    """Return the highest effort of a test push (N·m or N), reached after 1.5 s or earlier."""
+    # With a dead encoder a free handle must stay below the speed limit: under an effort g·t a handle of inertia m and
+    # Coulomb friction F has the speed (g·t − F)²/(2·g·m).
     growth, speed = push_growth(x), UNSEEN_SPEED * x.rig.limits.speed
     return min(growth * PUSH_S, coulomb_of(x) + math.sqrt(2.0 * growth * inertia_of(x) * speed))
 

@@ -341,15 +341,13 @@ def late_ticks(sent: NDArray[np.int64], applied: NDArray[np.int64]) -> int:
 
 
 def seen_at_ticks(model: RigModel, tick_s: float, frequency_hz: Floats) -> Complexes:
-    """Return at each frequency (Hz) the ratio (complex) of sampled to true motion of a rig under a held effort.
-
-    The ratio is 1 at low frequencies. It is the sum of all aliases of the frequency response, divided by the response
-    itself. A wall changes sum and response in the same way, so that the ratio does not depend on the wall.
-    """
+    """Return at each frequency (Hz) the ratio (complex) of sampled to true motion of a rig under a held effort."""
     space = state_space(model.mechanics, model.amplifier)
     a, b, n = space.a, space.b[:, :1], space.order
     both = expm(np.block([[a, b], [np.zeros((1, n + 1))]]) * tick_s)
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    # Samples show the sum of all aliases of the response. A wall changes sum and response in the same way, so that
+    # their ratio does not depend on the wall; it is 1 at low frequencies.
     sampled = _frequency_response(both[:n, :n], both[:n, n:], np.exp(s * tick_s), space.sensed_position)
     true = _frequency_response(a, b, s, space.sensed_position) * hold(frequency_hz, tick_s)
     return np.asarray(sampled / true)

@@ -330,14 +330,11 @@ class PredictedImpact:
 
 
 def predict_impact(experiment: Experiment) -> PredictedImpact:
-    """Predict the hit from the balance of energy: the wall's spring absorbs the work of the push minus friction.
-
-    Only Coulomb friction is considered. A person's hand is assumed to follow the intended motion without lag, and to be
-    so soft that its mass can be neglected.
-    """
+    """Predict the hit by energy balance: the wall's spring absorbs the work of the push minus Coulomb friction."""
     mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
     distance = abs(wall.position - experiment.trial.start)
+    # A hand follows the intended motion without lag, and is so soft that its mass can be neglected.
     if experiment.trial.kind == "human":
         inertia += experiment.operator.pads_mass * mechanics.handle_radius**2
         velocity = _reach_velocity(experiment, distance)
