@@ -63,6 +63,7 @@ LONG = {  # half a second and more
     "how-to/drive.md",
     "how-to/estimators-in-a-wall.md",
     "reference/python.md",
+    "reference/ranking-entries.md",
     "tutorials/ci.md",
     "tutorials/first-hit.md",
     "tutorials/own-estimator.md",
