@@ -54,6 +54,7 @@ def rulings(chawda: Chawda) -> dict[str, Ruling]:
         "lowest-error": _lowest_error(chawda),
         "error-order": _error_order(chawda),
         "best-gains": _best_gains(chawda),
+        "combined": rules.combined(*(chawda.combined.width(0, 0, number) for number in range(3))),
         "damping-widths": _damping_widths(chawda),
         "attenuated": _attenuated(chawda),
         "common-error": rules.lower(

@@ -97,6 +97,7 @@ class ChawdaPlan:
             read=read_all(found["map"]),
             frictionless=found["frictionless"],
             variants=found["variants"],
+            combined=found["combined"],
             variant_names=tuple(self._variants),
             linear={name: done.one(f"linear/{name}") for name in (rigs.FDM, rigs.AKF)},
             linear_dampings=tuple(self._linear_dampings()),
@@ -160,6 +161,10 @@ class ChawdaPlan:
                 measurements=1,
             ),
         }
+        grids["combined"] = replace(
+            grids["variants"],
+            schemes=(rigs.SCHEMES[rigs.FOAW], rigs.SCHEMES[rigs.LEVANT], rigs.COMBINED_SCHEME),
+        )
         for preset in rigs.KOUL:
             rig = rigs.dual_rig(preset, scale)
             grids[f"dual/{preset}"] = ExcitationGrid(
@@ -197,27 +202,14 @@ def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
 def words(chawda: Chawda) -> dict[str, Any]:
     """Return the values that the templates of the report use, by name."""
     return {
-        "chawda": chawda,
-        "rigs": rigs,
-        "rules": rules,
-        "of": derived,
-        "most_share": MOST,
-        "acquisition_hz": excitation_run.ACQUISITION_HZ,
-        "levant": levant_regions,
-        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),
-        "nominal_wall": WALLS[0],
+        "chawda": chawda, "rigs": rigs, "rules": rules, "of": derived, "most_share": MOST,
+        "acquisition_hz": excitation_run.ACQUISITION_HZ, "levant": levant_regions,
+        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S), "nominal_wall": WALLS[0],
         "verdict": presets.load(rigs.RIG).verdict,
-    }
+    }  # fmt: skip
 
 
 CHAWDA = Paper(
-    name="chawda",
-    quick=rigs.QUICK,
-    full=rigs.FULL,
-    plan=ChawdaPlan,
-    rulings=rulings,
-    words=words,
-    numbers=numbers,
-    provenance=provenance,
-    pictures=PICTURES,
-)
+    name="chawda", quick=rigs.QUICK, full=rigs.FULL, plan=ChawdaPlan, rulings=rulings, words=words,
+    numbers=numbers, provenance=provenance, pictures=PICTURES,
+)  # fmt: skip

@@ -87,6 +87,7 @@ class Chawda:
     frictionless: Readings
     variants: Readings
     variant_names: tuple[str, ...]
+    combined: Readings  # with FOAW, with Levant's differentiator, and with both
     linear: Mapping[str, Mapping[str, Any]]
     linear_dampings: tuple[float, ...]
     controls: Mapping[str, Mapping[str, float]]
@@ -178,6 +179,7 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
         },
         "frictionless": _grid(chawda.frictionless, [s.text for s in chawda.frictionless.grid.schemes]),
         "variants": _grid(chawda.variants, chawda.variant_names),
+        "combined": _grid(chawda.combined, [rigs.FOAW, rigs.LEVANT, rigs.COMBINED]),
         "linear": {"dampings": list(chawda.linear_dampings), **chawda.linear},
         "controls": chawda.controls,
         "impedances": [_impedance(result) for result in chawda.impedances],
@@ -249,14 +251,10 @@ def provenance(chawda: Chawda) -> dict[str, Any]:
     """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     x = rigs.excited_rig(chawda.scale)
     return {
-        "haptic-rig": code_version(),
-        "scale": asdict(chawda.scale),
-        "seed": rigs.SEED,
-        "runs": chawda.runs,
-        "hits": chawda.hits.hits + chawda.slow_hits.hits,
+        "haptic-rig": code_version(), "scale": asdict(chawda.scale), "seed": rigs.SEED,
+        "runs": chawda.runs, "hits": chawda.hits.hits + chawda.slow_hits.hits,
         "schemes": {name: scheme.text for name, scheme in rigs.SCHEMES.items()},
-        "readings": [reading.text for reading in rigs.READINGS],
-        "excitation": asdict(x.excitation),
+        "readings": [reading.text for reading in rigs.READINGS], "excitation": asdict(x.excitation),
         "push": dict(rigs.PUSH),
         "presets": {name: config.as_mapping(presets.load(name)) for name in (rigs.RIG, *rigs.KOUL)},
-    }
+    }  # fmt: skip

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from statistics import median
 
+from rig.experiments.mapping.interface import FrequencyWidth
 from rig.extras.papers.rules import MOST, Ruling, each, judge, judge_settable, over, within
 
 # What the paper says.
@@ -166,3 +167,19 @@ def traced(above: int, below: int, unseen: int, columns: int, **numbers: float) 
     return judge(
         {"": wrong <= (1.0 - TRACED) * columns}, above=above, below=below, unseen=unseen, columns=columns
     ).having(**numbers)
+
+
+def combined(foaw: FrequencyWidth, levant: FrequencyWidth, both: FrequencyWidth) -> Ruling:
+    """Judge the claim that FOAW and Levant's differentiator together can be better than each: in K, in B and in error.
+
+    No measure may be worse than that of either, and one must be better. Undecided if some measures are worse: the paper
+    neither defines the combination nor weighs the measures.
+    """
+    names = ("K-width", "B-width", "fidelity error")
+    values = [(one.stiffness, one.damping, -one.worst_fidelity) for one in (foaw, levant, both)]
+    best = [max(pair) for pair in zip(*values[:2], strict=True)]
+    cases = {name: own >= other for name, own, other in zip(names, values[2], best, strict=True)}
+    better = any(own > other for own, other in zip(values[2], best, strict=True))
+    return judge(
+        {**cases, "one measure better": better}, found=[(k, b, -error) for k, b, error in values]
+    ).undecided()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.core.operators import GRIPS
 from rig.core.present import plain
+from rig.experiments.estimation.interface import SIGNALS, signal_case, tune_estimator
 from rig.experiments.hits.compare import simulate
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.experiments.mapping.interface import (
@@ -36,6 +38,7 @@ from rig.experiments.mapping.interface import (
 )
 from rig.experiments.sweep import Task
 from rig.extras.papers.koul import compare as compare_koul
+from rig.extras.papers.koul import rigs, rules
 from rig.extras.papers.parts import Part
 
 PASSIVE_POINTS = 12  # of the curve below which walls are passive
@@ -345,3 +348,38 @@ def _noise(motion: _Motion, rate_hz: int, cutoff_hz: float) -> float:
 
     error = seen(motion.counts, motion.resolution) - seen(motion.fine, motion.resolution / FINER)
     return float(np.sqrt(np.mean(np.square(error[early[::every]]))))
+
+
+# --- other cut-offs and another estimator ------------------------------------------------------------------------
+
+
+def lower_cutoffs(payload: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return the rms velocity error (rad/s) in a hit of the preset's wall at 200 Hz, then at each of `rules.LOWER_HZ`.
+
+    The wall is dual-rate and in floating point; keys are rig and push.
+    """
+    found = {}
+    for held in rigs.HELD:
+        x, parameters = (
+            held.experiment(),
+            [{"cutoff_hz": hz} for hz in (compare_koul.CUTOFF_HZ, *rules.LOWER_HZ)],
+        )
+        schemes = [replace(rigs.SCHEMES[rigs.DUAL], parameters=one) for one in parameters]
+        hits = [HitSimulator(one.applied(x)).hit(x.wall.stiffness, x.wall.damping) for one in schemes]
+        found[held.name] = [hit.rendering.velocity_error for hit in hits]
+    return found
+
+
+def differentiators(payload: Mapping[str, Any]) -> list[tuple[str, int, float, float]]:
+    """Return (resolution, rate in Hz, rms error in m/s of the filtered difference, that of Levant's differentiator).
+
+    Each is tuned on the reference hit at each rate, Levant's differentiator in two discretisations: the better counts.
+    """
+    found = []
+    for resolution, rate in product((1e-6, 2e-5), (1000, 2000, 4000, 20_000, 50_000)):
+        case = signal_case(SIGNALS["wall-bounce"], rate, resolution)
+        filtered = tune_estimator("fdm-butterworth", case, free=["cutoff_hz"]).objective_best
+        forms = ({"discretisation": form} for form in ("explicit", "implicit"))
+        levant = [tune_estimator("levant", case, settings=form, free=["lipschitz"]) for form in forms]
+        found.append((f"{1e6 * resolution:g} µm", rate, filtered, min(one.objective_best for one in levant)))
+    return found

@@ -244,13 +244,6 @@ def _label(axes: Any, title: str) -> None:
 PICTURES: dict[str, Callable[[Koul, Path], None]] = {
     "figure-5": _figure_5,
     **{f"figure-6-{preset}": partial(_figure_6, preset=preset) for preset in rigs.PRESETS},
-    "hands": _hands,
-    "ways": _ways,
-    "figure-7": _figure_7,
-    "figure-8": _figure_8,
-    "theory": _theory,
-    "effects": _effects,
-    "plants": _plants,
-    "ranking": _ranking,
-    "ideas": _ideas,
-}
+    "hands": _hands, "ways": _ways, "figure-7": _figure_7, "figure-8": _figure_8, "theory": _theory,
+    "effects": _effects, "plants": _plants, "ranking": _ranking, "ideas": _ideas,
+}  # fmt: skip

@@ -101,6 +101,8 @@ class KoulPlan:
             }
             parts[f"plants/{number}"] = part(koul_parts.random_plants, payload, 50.0 * len(chunk))
         parts["noise"] = part(koul_parts.velocity_noise, {"offsets": scale.impact_offsets}, 60.0)
+        parts["lower-cutoffs"] = part(koul_parts.lower_cutoffs, {}, 60.0)
+        parts["differentiators"] = part(koul_parts.differentiators, {}, 300.0)
         for bits in scale.state_bits:
             payload = {"bits": bits, "offsets": scale.impact_offsets}
             parts[f"words/{bits}"] = part(koul_parts.word_lengths, payload, 60.0)
@@ -147,6 +149,8 @@ class KoulPlan:
             words=tuple(row for bits in scale.state_bits for row in done.one(f"words/{bits}")),
             figure_8=compare_koul.koul_figure_8(),
             noise=done.one("noise"),
+            lower_cutoffs=done.one("lower-cutoffs"),
+            differentiators=done.one("differentiators"),
             plants=tuple(
                 row
                 for name, results in done.results.items()
@@ -253,26 +257,13 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
 def words(koul: Koul) -> dict[str, Any]:
     """Return the values that the templates of the report use, by name."""
     return {
-        "koul": koul,
-        "rigs": rigs,
-        "rules": rules,
-        "parts": koul_parts,
-        "ideas": koul_ideas,
-        "compare": compare_koul,
-        "verdict": presets.load(rigs.COMPLIANT).verdict,
-        "by_cutoff": by_cutoff,
+        "koul": koul, "rigs": rigs, "rules": rules, "parts": koul_parts, "ideas": koul_ideas,
+        "compare": compare_koul, "verdict": presets.load(rigs.COMPLIANT).verdict, "by_cutoff": by_cutoff,
         "cutoff": cutoff,
-    }
+    }  # fmt: skip
 
 
 KOUL = Paper(
-    name="koul",
-    quick=rigs.QUICK,
-    full=rigs.FULL,
-    plan=KoulPlan,
-    rulings=rulings,
-    words=words,
-    numbers=numbers,
-    provenance=provenance,
-    pictures=PICTURES,
-)
+    name="koul", quick=rigs.QUICK, full=rigs.FULL, plan=KoulPlan, rulings=rulings, words=words,
+    numbers=numbers, provenance=provenance, pictures=PICTURES,
+)  # fmt: skip

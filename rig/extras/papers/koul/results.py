@@ -97,6 +97,8 @@ class Koul:
     words: tuple[dict[str, Any], ...]
     figure_8: Profiles
     noise: Mapping[str, float]
+    lower_cutoffs: Mapping[str, list[float]]
+    differentiators: list[tuple[str, int, float, float]]
     plants: tuple[dict[str, Any], ...]
     ideas: Mapping[str, Tried]
     hits: int
@@ -260,6 +262,8 @@ def numbers(koul: Koul) -> dict[str, Any]:
         "word_lengths": koul.words,
         "figure_8": koul.figure_8,
         "noise": koul.noise,
+        "lower_cutoffs": koul.lower_cutoffs,
+        "differentiators": koul.differentiators,
         "random_plants": koul.plants,
         "ideas": koul.ideas,
     }
@@ -269,12 +273,7 @@ def provenance(koul: Koul) -> dict[str, Any]:
     """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
-        "haptic-rig": code_version(),
-        "scale": asdict(koul.scale),
-        "seed": rigs.SEED,
-        "hits": koul.hits,
+        "haptic-rig": code_version(), "scale": asdict(koul.scale), "seed": rigs.SEED, "hits": koul.hits,
         "presets": {name: config.as_mapping(presets.load(name)) for name in rigs.PRESETS},
-        "verdict": asdict(limits),
-        "lowest_stiffness": rigs.LOWEST_STIFFNESS,
-        "automated_trial": rigs.PUSH,
-    }
+        "verdict": asdict(limits), "lowest_stiffness": rigs.LOWEST_STIFFNESS, "automated_trial": rigs.PUSH,
+    }  # fmt: skip
