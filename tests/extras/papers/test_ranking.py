@@ -143,6 +143,9 @@ def test_the_best_pair_is_recommended_and_ties_are_not() -> None:
     assert made("a", x=2.0, y=1.9).recommended("0") == []
     assert made("a", x=2.0, y=1.9).never_lose("0") == ["x", "y"]
     assert found.best("firm", "0", ["y", "z"]) == "y"
+    tied = made("a", **{"x": 2.0, "x, passive": 1.9, "y": 1.0})
+    assert tied.recommended("0") == []
+    assert tied.recommended("0", own_laws=False) == ["x", "x, passive"]
 
 
 def test_the_stability_is_the_tau_of_the_rankings() -> None:

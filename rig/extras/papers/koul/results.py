@@ -170,10 +170,9 @@ class Koul:
         whole = [plant["with_islands"][0] / plant["with_islands"][1] for plant in self.plants]
         return {
             "quartiles": [float(q) for q in np.percentile(ratios, (25, 50, 75))],
-            "larger": float((ratios > 1.0).mean()),
-            "same": _share_of_ones(dual / slow),
+            "larger": float((ratios > 1.0).mean()), "same": _share_of_ones(dual / slow),
             "same_with_islands": _share_of_ones(whole),
-        }
+        }  # fmt: skip
 
     def against(self, key: str) -> Change:
         """Return limits and area of an idea for a larger Z-width, divided by those of the paper's dual-rate wall."""

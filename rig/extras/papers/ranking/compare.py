@@ -114,13 +114,18 @@ class RigResults:
         """Return the pairs that win or tie against the best other pair in each grip and without a hand."""
         return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay)]
 
-    def recommended(self, delay: str) -> list[str]:
-        """Return the pairs that never lose and win at least once; none if a condition of the hand is not measured."""
-        complete = self.axis(0) == list(rule.CONDITIONS)
-        return [pair for pair in self.never_lose(delay) if complete and "wins" in self._outcomes(pair, delay)]
+    def recommended(self, delay: str, *, own_laws: bool = True) -> list[str]:
+        """Return the pairs that never lose and win at least once; none if a condition of the hand is not measured.
 
-    def _outcomes(self, pair: str, delay: str) -> list[Outcome]:
-        others = [one for one in self.pairs if one != pair]
+        Other pairs of the same estimator are rivals too, unless `own_laws` is False.
+        """
+        complete = self.axis(0) == list(rule.CONDITIONS)
+        outcomes = {pair: self._outcomes(pair, delay, own_laws=own_laws) for pair in self.pairs if complete}
+        return [pair for pair, found in outcomes.items() if "loses" not in found and "wins" in found]
+
+    def _outcomes(self, pair: str, delay: str, *, own_laws: bool = True) -> list[Outcome]:
+        own = pair.partition(", ")[0]
+        others = [one for one in self.pairs if one != pair and (own_laws or one.partition(", ")[0] != own)]
         return [
             self.ratio(pair, self.best(grip, delay, others), grip, delay).outcome for grip in self.axis(0)
         ]

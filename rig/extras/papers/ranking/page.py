@@ -85,7 +85,10 @@ def _parts(found: Sequence[RigResults]) -> Iterator[str]:
     yield _wrap(
         "`rig design` may recommend a tracking loop, a disturbance observer or another law only where this table does: "
         + ("; ".join(sorted(new)) if new else "nowhere")
-        + ". A pair does not win where it ties with another law of the same estimator."
+        + ". A pair does not win where it ties with another law of the same estimator. If only other estimators were "
+        "rivals, this would be recommended too: "
+        + ("; ".join(text for one in found for n in delays for text in _other_reading(one, n)) or "nothing")
+        + ". The rule was committed with the first reading, which therefore decides."
     )
     yield from _dual(found, delays)
     yield _wrap(
@@ -178,6 +181,14 @@ def _answer(one: RigResults, delay: str) -> str:
         return "; ".join(f"**{pair}**" for pair in chosen)
     equal = one.never_lose(delay)
     return f"none; never lose: {'; '.join(equal)}" if equal else "none: the best differs with the hand"
+
+
+def _other_reading(one: RigResults, delay: str) -> list[str]:
+    """Return what would be recommended if only other estimators were rivals: estimator, rig and delay."""
+    more = {*one.recommended(delay, own_laws=False)} - {*one.recommended(delay)}
+    return [
+        f"{name} on {one.rig}, delay {delay}" for name in sorted({pair.partition(", ")[0] for pair in more})
+    ]
 
 
 def _observer(one: RigResults, grip: str, delay: str) -> str:
