@@ -200,8 +200,8 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return the rig's inertia without a hand (kg·m² or kg), as a mapping with the setting's name ``inertia``."""
-    return {"inertia": moved_mechanics(rig_model(experiment.rig)).inertia}
+    """Return the device's inertia in the trial, without a hand (kg·m² or kg), by the setting's name ``inertia``."""
+    return {"inertia": moved_mechanics(rig_model(experiment)).inertia}
 
 
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:

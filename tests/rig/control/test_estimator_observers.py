@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
-from rig.config import prepare_estimator
+from rig.config import prepare_estimator, settings_of_rig
 from rig.control import estimators
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _poles as poles
@@ -67,14 +67,9 @@ def test_the_disturbance_observer_without_effort_tends_to_the_steady_kalman_filt
     common = {"resolution": RESOLUTION}
     filtered = rig.estimate("kalman", COUNTS, PERIOD, **common, bandwidth_hz=50.0, gain="steady")
     observed = rig.estimate(
-        "disturbance",
-        COUNTS,
-        PERIOD,
-        **common,
-        frequency_hz=50.0,
-        inertia=INERTIA,
+        "disturbance", COUNTS, PERIOD, **common, frequency_hz=50.0, inertia=INERTIA,
         effort=np.zeros(len(COUNTS)),
-    )
+    )  # fmt: skip
     turn = 2.0 * math.pi * 50.0 * PERIOD
     assert np.abs(observed - filtered).max() < turn * np.abs(filtered).max()
 
@@ -94,14 +89,9 @@ def test_a_known_effort_and_a_constant_force_leave_only_the_noise_of_the_counts(
     counts = rig.quantise(position, RESOLUTION)
     settled = slice(RATE // 4, None)
     observed = rig.estimate(
-        "disturbance",
-        counts,
-        PERIOD,
-        resolution=RESOLUTION,
-        effort=effort,
-        inertia=INERTIA,
+        "disturbance", counts, PERIOD, resolution=RESOLUTION, effort=effort, inertia=INERTIA,
         frequency_hz=150.0,
-    )
+    )  # fmt: skip
     tracked = rig.estimate("tracking", counts, PERIOD, resolution=RESOLUTION, frequency_hz=150.0)
     # Rounding by ±½ count through the filter: at most the sum of its impulse response, some counts times ω0.
     noise = 4.0 * RESOLUTION * 2.0 * math.pi * 150.0
@@ -112,14 +102,9 @@ def test_a_known_effort_and_a_constant_force_leave_only_the_noise_of_the_counts(
 def test_a_handle_pressed_at_rest_reads_zero_because_the_force_is_a_state() -> None:
     """Without it a loop fed with the effort F would read −2·ζ·F/(ω0·J) at rest."""
     at_rest = rig.estimate(
-        "disturbance",
-        np.zeros(RATE, int),
-        PERIOD,
-        resolution=RESOLUTION,
-        effort=np.full(RATE, -2.0),
-        inertia=INERTIA,
-        frequency_hz=150.0,
-    )
+        "disturbance", np.zeros(RATE, int), PERIOD, resolution=RESOLUTION, effort=np.full(RATE, -2.0),
+        inertia=INERTIA, frequency_hz=150.0,
+    )  # fmt: skip
     assert abs(at_rest[-1]) < 1e-9 * 2.0 / (2.0 * math.pi * 150.0 * INERTIA)
 
 
@@ -137,3 +122,12 @@ def test_an_experiment_gives_the_inertia_of_its_rig() -> None:
     parameters = prepare_estimator(experiment, RESOLUTION, PERIOD).parameters
     inertia = experiment.rig.mechanics.motor_inertia + experiment.rig.mechanics.loaded_link_inertia
     assert parameters[kalman.INPUT] == pytest.approx(PERIOD**2 / (inertia * RESOLUTION), rel=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "inertia"), [("constant-effort", 1.02e-3), ("human", 3.2e-4)])
+def test_the_inertia_of_an_observer_includes_the_end_mass_only_where_it_hangs(
+    kind: str, inertia: float
+) -> None:
+    """A person's trial has no end mass; the observer had 3.2 times the device's inertia in it."""
+    x = rig.load("koul-rigid", changes={"trial.kind": kind, "rig.limits.human": False})
+    assert settings_of_rig(x)["inertia"] == pytest.approx(inertia)
