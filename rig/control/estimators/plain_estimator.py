@@ -11,6 +11,7 @@ and the first sample, for which the velocity is zero.
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 
@@ -94,6 +95,7 @@ def estimator(
             ints=PREVIOUS + 1,
             settings=tuple(_setting(one, parameter) for one, parameter in made.parameters.items()),
             design=lambda settings, resolution, period_s: [settings[one] for one in made.parameters],
+            uses_effort="effort" in inspect.signature(function).parameters,
         )
 
     return decorate

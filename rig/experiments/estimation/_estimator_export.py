@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -289,21 +289,7 @@ def _costs(
 
 def _cost_table(costs: Sequence[Cost]) -> Table:
     head = ("a call on", "instructions", "most", "cycles", "most", "code (bytes)", "memory (bytes)")
-    return Table(
-        head,
-        [
-            (
-                c.core,
-                c.instructions,
-                c.most_instructions,
-                c.cycles,
-                c.most_cycles,
-                c.code_bytes,
-                c.memory_bytes,
-            )
-            for c in costs
-        ],
-    )
+    return Table(head, [astuple(one) for one in costs])
 
 
 # ------------------------------------------------------------------ what stands in the files

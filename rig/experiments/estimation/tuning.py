@@ -330,7 +330,8 @@ class _TuningWalk:
     def range_of(self, i: int, best: Floats) -> SettingRange:
         """Return the range of the tuned setting number `i` in which the objective is at most a tenth worse."""
         axis, limit = self.axes[i], (1.0 + WITHIN) * self.value(self.settings_at(best))
-        ends, opened = [], []
+        ends: list[float] = []
+        opened: list[bool] = []
         for direction in (-1.0, 1.0):
             inside, outside = float(best[i]), None
             for k in range(1, LADDER + 1):
@@ -349,15 +350,8 @@ class _TuningWalk:
                     inside = middle
             ends.append(axis.value(inside))
             opened.append(outside is None)
-        return SettingRange(
-            axis.setting.name,
-            axis.setting.unit,
-            axis.value(float(best[i])),
-            ends[0],
-            ends[1],
-            opened[0],
-            opened[1],
-        )
+        (low, high), name, unit = ends, axis.setting.name, axis.setting.unit
+        return SettingRange(name, unit, axis.value(float(best[i])), low, high, *opened)
 
     def _along(self, i: int, best: Floats, place: float) -> float:
         point = np.array(best)

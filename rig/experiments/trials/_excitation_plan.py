@@ -104,11 +104,13 @@ def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
     if x.wall.stiffness == 0.0 and x.wall.damping == 0.0:
         return []
     radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
+    own, used = x.controller.estimator, loop.controller.estimator
+    other = "" if used == own else f" with {used} in place of {own}, which it does not cover"
     return [
         limited(
             "stability",
             radius < 1.0,
-            f"spectral radius {radius:.4f} by linear theory, both sides of the wall",
+            f"spectral radius {radius:.4f} by linear theory{other}, both sides of the wall",
             "the guard may end the run; friction may prevent this",
             Outcome.WARNING,
         )

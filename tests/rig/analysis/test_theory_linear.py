@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz_zpk, lfilter, sosfilt
 
+import rig
 from rig import config
 from rig.analysis import theory
 from rig.analysis.theory import _linear as linear
@@ -142,6 +143,19 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(linear, "run", run)
 
     return add
+
+
+def test_a_users_estimator_of_the_effort_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was probed without effort and found linear: theory judged a wall with another estimator."""
+
+    @rig.estimator(memory=("velocity",))
+    def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> float:
+        memory.velocity = 0.9 * (memory.velocity + effort * elapsed_s) + 0.1 * travel / elapsed_s
+        return memory.velocity
+
+    monkeypatch.setattr(estimators, "get", lambda name: fed)
+    with pytest.raises(theory.NotLinearError, match=r"estimator fed .*motor's effort"):
+        linear.realise("fed", {}, 5e-4, RESOLUTION)
 
 
 def moving_chord(
