@@ -47,18 +47,9 @@ REALTIME = ("hit", "--realtime", "--no-plot", "--duration", "1", *SHORT)
 FITTED = ("sampled_at", "applied_at")  # by all exchanges of the clocks, of which a kill leaves fewer
 NAMES = re.compile(r"\S+\.parquet")  # of recordings: they have a time of day
 VOLATILE = {
-    "recording",
-    "recordings",
-    "directory",
-    "picture",
-    "file",
-    "messages",
-    "seconds",
-    "created",
-    "host",
-    "plan",
-    "elapsed_s",
-}
+    "recording", "recordings", "directory", "picture", "file", "messages", "seconds", "created", "host",
+    "plan", "elapsed_s",
+}  # fmt: skip
 
 
 class Kills:
@@ -183,14 +174,9 @@ class Kills:
         protocol, calm = self._calm
         seed = str(chance.getrandbits(32))
         command = [
-            sys.executable,
-            "-m",
-            "tests.system.test_session",
-            str(protocol),
-            str(here),
-            str(SESSION_KILLS),
-            seed,
-        ]
+            sys.executable, "-m", "tests.system.test_session", str(protocol), str(here),
+            str(SESSION_KILLS), seed,
+        ]  # fmt: skip
         done = subprocess.run(
             command, cwd=ROOT, capture_output=True, text=True, timeout=SESSION_S, check=False
         )
