@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from rig.analysis.theory import passivity_bound
+from rig.analysis.theory import NotLinearError, passivity_bound
 from rig.config import Experiment
 from rig.core.answers import ok, question, refused, skipped, warning
 from rig.core.check import Check
@@ -41,9 +42,11 @@ def late_wall(experiment: Experiment, delay: int) -> LateWall:
         loops = LateLoops.of(experiment, delay)
         radius = loops.radius(wall.stiffness, wall.damping)
         (limits,) = loops.k_max([wall.damping])
-        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
     except ConfigError as error:
         return LateWall((_not_computed(error),), {}, {}, None)
+    passive = None
+    with suppress(NotLinearError):  # of an estimator that uses the effort, only the stability is known
+        passive = passivity_bound(loops.by_hand[NO_OPERATOR][0], damping=wall.damping).stiffness
     checks = (
         stability(experiment, delay, radius, limits),
         *_theory_checks(experiment, loops, passive),
@@ -85,7 +88,7 @@ def _rounded_down(value: float) -> str:
     return f"{math.floor(value / scale) * scale:.12g}"
 
 
-def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> Iterator[Check]:
+def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float | None) -> Iterator[Check]:
     """Yield checks that only warn or inform: estimator replaced for theory, oscillation while homing, passivity."""
     if loops.stand_in:
         yield replace(warning(loops.stand_in), name="estimator")
@@ -95,6 +98,9 @@ def _theory_checks(experiment: Experiment, loops: LateLoops, passive: float) -> 
         radius = f"spectral radius {homing[worst]:.4g}"
         text = f"homing would oscillate in {hand_text(worst)} ({radius}), with effort up to homing.effort"
         yield replace(warning(text), name="homing")
+    if passive is None:
+        yield replace(skipped("no theory of it for an estimator that uses the effort"), name="passivity")
+        return
     wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
     kind = "passive" if wall.stiffness <= passive else "not passive (not required)"
     limit = f"the largest passive K at this damping and delay is {max(0.0, passive):.4g} {unit}"

@@ -473,13 +473,9 @@ def header_bytes() -> st.SearchStrategy[bytes]:
     types = st.sampled_from(sorted(m.MESSAGES)) | st.integers(0, 255)
     sessions = st.sampled_from([0, SESSION]) | st.integers(0, 255)
     return st.builds(
-        HEADER.pack,
-        st.sampled_from([1, 1, 1, 2]),
-        types,
-        st.integers(0, 255),
-        sessions,
+        HEADER.pack, st.sampled_from([1, 1, 1, 2]), types, st.integers(0, 255), sessions,
         st.integers(0, 65535),
-    )
+    )  # fmt: skip
 
 
 good_crc = st.builds(

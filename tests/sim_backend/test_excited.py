@@ -21,13 +21,9 @@ from sim_backend.bare.excited import ExcitedPlant
 from sim_backend.mechanics.plant import DiscretePlant, advance
 
 COGS = {
-    "rig.cogging.period": 0.02,
-    "rig.cogging.orders": [3],
-    "rig.cogging.cosine": [0.01],
-    "rig.cogging.sine": [0.02],
-    "rig.cogging.ripple_cosine": [0.05],
-    "rig.cogging.ripple_sine": [0.02],
-}
+    "rig.cogging.period": 0.02, "rig.cogging.orders": [3], "rig.cogging.cosine": [0.01],
+    "rig.cogging.sine": [0.02], "rig.cogging.ripple_cosine": [0.05], "rig.cogging.ripple_sine": [0.02],
+}  # fmt: skip
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 

@@ -19,27 +19,8 @@ from rig.analysis.identification._signs import SignCheck, check_signs, stiction_
 from rig.analysis.identification._sliding import PIECES, UNSTEADY, Sliding, Stroke, fit_sliding
 
 __all__ = [
-    "DOUBTFUL_DRIFT",
-    "LEAST_MOTION_COUNTS",
-    "MOST_DRIFT",
-    "PIECES",
-    "SETTLE_S",
-    "UNSTEADY",
-    "CoggingMap",
-    "Dynamics",
-    "IdentificationError",
-    "Interval",
-    "Ripple",
-    "SignCheck",
-    "Sliding",
-    "Stroke",
-    "StructuralMode",
-    "check_signs",
-    "fit_cogging",
-    "fit_dynamics",
-    "fit_ripple",
-    "fit_sliding",
-    "pairs_of",
-    "period_change",
-    "stiction_warning",
-]
+    "DOUBTFUL_DRIFT", "LEAST_MOTION_COUNTS", "MOST_DRIFT", "PIECES", "SETTLE_S", "UNSTEADY", "CoggingMap",
+    "Dynamics", "IdentificationError", "Interval", "Ripple", "SignCheck", "Sliding", "Stroke",
+    "StructuralMode", "check_signs", "fit_cogging", "fit_dynamics", "fit_ripple", "fit_sliding",
+    "pairs_of", "period_change", "stiction_warning",
+]  # fmt: skip

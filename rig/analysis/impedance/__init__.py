@@ -21,26 +21,7 @@ from rig.analysis.impedance._verdict import (
 from rig.analysis.impedance._welch import estimate_welch
 
 __all__ = [
-    "EFFECTIVE_HZ",
-    "EFFECTIVE_LINES",
-    "RESIDUAL",
-    "Z_SCORE",
-    "Complexes",
-    "ExcitedRun",
-    "Fidelity",
-    "Fit",
-    "Floats",
-    "Impedance",
-    "PassivityJudgement",
-    "RigidRig",
-    "bare",
-    "estimate_welch",
-    "fidelity",
-    "fit",
-    "hold",
-    "ideal_wall",
-    "judge",
-    "periodic",
-    "rendered_impedance",
-    "walls",
-]
+    "EFFECTIVE_HZ", "EFFECTIVE_LINES", "RESIDUAL", "Z_SCORE", "Complexes", "ExcitedRun", "Fidelity", "Fit",
+    "Floats", "Impedance", "PassivityJudgement", "RigidRig", "bare", "estimate_welch", "fidelity", "fit",
+    "hold", "ideal_wall", "judge", "periodic", "rendered_impedance", "walls",
+]  # fmt: skip

@@ -2,7 +2,8 @@
 
 The law samples position at T1 and velocity at T2 = N·T1, so the loop is periodic and not time-invariant; lifted to T2
 it is time-invariant. With the state z = [plant; estimator; velocity in use; its slope; commands in the delay] one tick
-in the order of `rig.control.step` consists of
+in the order of `rig.control.step` consists of the following; an estimator that uses the motor's effort has its states
+of the effort and the mean of the commands since its last sample, too.
 
     V   in the first tick of a period: the estimator reads this position and outputs a new velocity
     E   in the other ticks: the velocity is held, or extrapolated by its slope
@@ -25,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.analysis.theory._linear import Realisation
 from rig.analysis.theory._loop import LinearLoop, RigLike, SchemeLike, linear_loop
 from rig.core.model import Matrix, Operator
 
@@ -73,9 +75,9 @@ class Lifted:
     @classmethod
     def of(cls, loop: LinearLoop) -> Lifted:
         """Return the transition matrices of a dual-rate loop, from one velocity sample to the next ("lifted")."""
-        plant, states = len(loop.gamma), loop.estimator.order
-        held, slope = plant + states, plant + states + 1
-        queue = slope + 1
+        plant = len(loop.gamma)
+        held = plant + _states(loop.estimator)
+        queue = held + 2
         size = queue + loop.delay_ticks
         tick, into = np.eye(size), np.zeros(size)
         tick[:plant, :plant] = loop.phi
@@ -85,18 +87,16 @@ class Lifted:
             tick[:plant, queue] = loop.gamma
             tick[queue:, queue:] = np.eye(loop.delay_ticks, k=1)
             into[-1] = 1.0
+        if loop.estimator.of_effort is not None:
+            # The command that acts in this tick adds to the mean, which is the last state of the estimator.
+            tick[held - 1, queue:] = np.eye(1, loop.delay_ticks) / loop.divider
+            into[held - 1] = 0.0 if loop.delay_ticks else 1.0 / loop.divider
         position, velocity = np.zeros(size), np.zeros(size)
         position[loop.sensed], velocity[held] = 1.0, 1.0
         return cls(
-            loop,
-            tick,
-            into,
-            _sampling(loop, position, plant),
-            _between(loop, size, plant),
-            position,
-            velocity,
-            None if loop.softest is None else cls.of(loop.softest),
-        )
+            loop, tick, into, _sampling(loop, position, plant), _between(loop, size, plant), position,
+            velocity, None if loop.softest is None else cls.of(loop.softest),
+        )  # fmt: skip
 
     @cached_property
     def size(self) -> int:
@@ -232,13 +232,19 @@ def spectral_radius(
 def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
     """Return the matrix V of a tick with a velocity sample: it updates the velocity, and its slope."""
     e = loop.estimator
-    held, slope = plant + e.order, plant + e.order + 1
-    matrix = np.eye(len(position))
-    rows = slice(plant, held)
-    matrix[rows] = e.b[:, None] * position
-    matrix[rows, rows] = e.a
-    estimate = e.d * position
-    estimate[rows] = e.c
+    held = plant + _states(e)
+    slope, mean = held + 1, np.zeros(len(position))
+    mean[held - 1] = 1.0
+    matrix, estimate = np.eye(len(position)), np.zeros(len(position))
+    for part, read, first in ((e, position, plant), (e.of_effort, mean, plant + e.order)):
+        if part is not None:
+            rows = slice(first, first + part.order)
+            matrix[rows] = part.b[:, None] * read
+            matrix[rows, rows] = part.a
+            estimate += part.d * read
+            estimate[rows] = part.c
+    if e.of_effort is not None:
+        matrix[held - 1] = 0.0  # the mean begins anew
     matrix[held], matrix[slope] = estimate, 0.0
     if loop.extrapolate:
         matrix[slope] = estimate / loop.divider
@@ -251,6 +257,11 @@ def _sampling(loop: LinearLoop, position: Vector, plant: int) -> Matrix:
 def _between(loop: LinearLoop, size: int, plant: int) -> Matrix:
     """Return the matrix E of a tick without a velocity sample: the velocity changes by its slope (0 if held)."""
     matrix = np.eye(size)
-    held = plant + loop.estimator.order
+    held = plant + _states(loop.estimator)
     matrix[held, held + 1] = 1.0
     return matrix
+
+
+def _states(estimator: Realisation) -> int:
+    """Return the number of states of an estimator in the loop, the mean effort included if it uses the effort."""
+    return estimator.order + (0 if estimator.of_effort is None else estimator.of_effort.order + 1)

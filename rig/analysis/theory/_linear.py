@@ -14,7 +14,7 @@ thousand samples but has three states. The order is the smallest that reproduces
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -61,7 +61,8 @@ class Realisation:
 
     It is updated once in each velocity period (time between two velocity samples). ``a`` is order × order, ``b`` and
     ``c`` have length order. `error` is the largest difference between the impulse response of these matrices and that
-    of the estimator, relative to its peak.
+    of the estimator, relative to its peak. `of_effort` is the same for the motor's mean effort since the sample before,
+    whose velocity is added; None if the estimator does not use the effort.
     """
 
     a: Matrix
@@ -70,6 +71,8 @@ class Realisation:
     d: float
     period_s: float
     error: float
+    name: str
+    of_effort: Realisation | None = None
 
     @property
     def order(self) -> int:
@@ -77,6 +80,12 @@ class Realisation:
 
     def response(self, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
         """Return the frequency response of an estimator, velocity over position (1/s), at each frequency (Hz)."""
+        if self.of_effort is not None:
+            raise NotLinearError(
+                f"estimator {self.name}: passivity and limit cycles have no theory with the effort, which it uses",
+                reason="its estimate depends on the motor's effort, which this theory does not contain",
+                remedy="use a simulation, or an estimator of the counts alone, such as fdm-butterworth or tracking",
+            )
         z = np.exp(2j * np.pi * self.period_s * np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64)))
         resolvent = z[:, None, None] * np.eye(self.order) - self.a
         states = np.linalg.solve(resolvent, np.broadcast_to(self.b[:, None], (len(z), self.order, 1)))
@@ -99,16 +108,9 @@ def realise(
     ConfigError
         Unknown estimator, or settings that cannot be realised.
     NotLinearError
-        The estimator is not linear, or it uses the motor's effort.
+        The estimator is not linear.
     """
-    estimator = estimators.get(name)
-    if estimator.uses_effort:
-        raise NotLinearError(
-            f"estimator {name} has no linear theory here: its estimate depends on the motor's effort too",
-            reason="its estimate depends on the motor's effort, which this theory does not contain",
-            remedy="use a simulation, or an estimator of the counts alone, such as fdm-butterworth or tracking",
-        )
-    found = _find_realisation(estimator, tuple(settings.items()), period_s, resolution)
+    found = _find_realisation(estimators.get(name), tuple(settings.items()), period_s, resolution)
     if isinstance(found, str):
         settings_text = ", ".join(f"{key} = {value}" for key, value in settings.items())
         raise NotLinearError(
@@ -126,9 +128,22 @@ def _find_realisation(
     estimator: Estimator, settings: tuple[tuple[str, float | str], ...], period_s: float, resolution: float
 ) -> Realisation | str:
     """Return the state space of an estimator, or the reason why the estimator is not linear."""
-    probe = _Probe(estimator, dict(settings), period_s, resolution)
-    rest, h = _settled_response(probe)
-    return _nonlinearity(probe, rest, h) or _realise(estimator.name, h, period_s)
+    found: list[Realisation] = []
+    for of_effort in (False, True)[: 1 + estimator.uses_effort]:
+        probe = _Probe(estimator, dict(settings), period_s, resolution, of_effort)
+        rest, h = _settled_response(probe)
+        reason = _nonlinearity(probe, rest, h)
+        if reason:
+            return reason
+        found.append(_realise(estimator.name, h, period_s))
+    if not estimator.uses_effort:
+        return found[0]
+    still, walk = np.zeros(rest, np.int64), _random_walk(WANDERING)
+    counts, efforts = np.concatenate([still, walk]), np.concatenate([still, walk[::-1]])
+    alone = replace(probe, of_effort=False).motion(counts) + probe.motion(efforts) / resolution
+    if not _are_close(alone, probe.velocities(counts, efforts) / resolution, SAME):
+        return "the response to counts and efforts together is not the sum of both"
+    return replace(found[0], of_effort=found[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +154,20 @@ class _Probe:
     settings: Mapping[str, float | str]
     period_s: float
     resolution: float
+    of_effort: bool  # probe by an effort while the handle rests, instead of by counts without effort
 
-    def motion(self, counts: NDArray[np.int64]) -> Vector:
-        """Return the velocities (counts/s) of an estimator in response to a sequence of encoder counts."""
+    def motion(self, values: NDArray[np.int64]) -> Vector:
+        """Return an estimator's velocities in response to counts (counts/s), or to efforts (rad/s or m/s)."""
+        none = np.zeros_like(values)
+        if self.of_effort:
+            return self.velocities(none, values)
+        return self.velocities(values, none) / self.resolution
+
+    def velocities(self, counts: NDArray[np.int64], efforts: NDArray[np.int64]) -> Vector:
+        """Return the velocities of an estimator (rad/s or m/s) in response to encoder counts and efforts."""
         prepared = self.estimator.prepare(self.settings, self.resolution, self.period_s)
-        return run(prepared, *inputs(counts, self.period_s))[0] / self.resolution
+        effort = (efforts.astype(np.float64),) if self.estimator.uses_effort else ()
+        return run(prepared, *inputs(counts, self.period_s), *effort)[0]
 
     def impulse(self, *, rest: int, length: int, size: int = IMPULSE, place: int = 0) -> Vector:
         """Return the velocities per count for an impulse of `size` counts at `place` (counts) after `rest` samples."""
@@ -175,11 +199,11 @@ def _nonlinearity(probe: _Probe, rest: int, h: Vector) -> str:
     """Return why an estimator with the impulse response `h` is not linear; empty if it is linear."""
     if not np.isfinite(h).all() or not h.any():
         return "its response to an impulse is zero or not a number"
-    length = len(h)
+    length, place = len(h), 0 if probe.of_effort else PLACE
     others = (
         (rest, 1, 0, "the response to a single count differs from that to a large impulse"),
         (rest, -IMPULSE // 3, 0, "the response is not proportional to the size of an impulse"),
-        (rest, IMPULSE, PLACE, "the response depends on the position of an impulse"),
+        (rest, IMPULSE, place, "the response depends on the position of an impulse"),
         (rest + LATER, IMPULSE, 0, "the response depends on the time of an impulse"),
     )
     for at, size, place, reason in others:
@@ -237,7 +261,7 @@ def _realise(name: str, h: Vector, period_s: float) -> Realisation:
         again = _impulse(a, b, c, float(h[0]), over + LARGEST_ORDER)
         error = float(np.abs(again[: len(h)] - h[: len(again)]).max() / peak)
         if np.isfinite(error) and (best is None or error < best.error):
-            best = Realisation(a, b, c, float(h[0]), period_s, error)
+            best = Realisation(a, b, c, float(h[0]), period_s, error, name)
         if best is not None and best.error <= REALISED:
             break
     if best is None or best.error > ACCEPTED:

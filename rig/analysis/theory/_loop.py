@@ -23,6 +23,7 @@ from rig import config
 from rig.analysis.theory._linear import NotLinearError, Realisation, realise
 from rig.config import Controller, Experiment, Wall, presets
 from rig.config.schemes import Scheme, usual_settings
+from rig.control import estimators
 from rig.core.errors import ConfigError
 from rig.core.exponential import expm
 from rig.core.model import Matrix, Operator, RigModel, StateSpace, state_space
@@ -157,15 +158,17 @@ def linear_loop(
         _check_wall(subject.experiment.wall)
     model = subject.model
     tick_s = 1.0 / controller.position_rate
-    resolution = model.encoder.sign * model.encoder.resolution
+    resolution, name = model.encoder.sign * model.encoder.resolution, controller.estimator
+    x = subject.experiment
+    of_rig = {"inertia": subject.inertia} if x is None else config.settings_of_rig(x)
+    settings = {**estimators.get(name).settings_of(of_rig), **controller.parameters}
     continuous = state_space(model.mechanics, model.amplifier, subject.operator)
     least, most = cogging_stiffness(subject)
     phi, gamma = _over_tick(_stiffer(continuous, most), tick_s)
     loop = LinearLoop(
         subject=subject,
         controller=controller,
-        estimator=estimator
-        or realise(controller.estimator, controller.parameters, 1.0 / controller.velocity_rate, resolution),
+        estimator=estimator or realise(name, settings, 1.0 / controller.velocity_rate, resolution),
         phi=phi,
         gamma=gamma,
         sensed=continuous.sensed_position,

@@ -217,7 +217,11 @@ def _linear(
     first: NotLinearError | None = None
     for scheme in schemes:
         try:
-            loops.append((scheme, linear_loop(subject, scheme)))
+            loop = linear_loop(subject, scheme)
+            loop.estimator.response(
+                1.0
+            )  # raises for an estimator that uses the effort, for which passivity is unknown
+            loops.append((scheme, loop))
         except NotLinearError as error:
             first = first or error
             refused.append(NotLinear(scheme.text, _label(scheme, subject.experiment), error.reason))

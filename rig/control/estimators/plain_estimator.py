@@ -70,10 +70,8 @@ def estimator(
         ``[controller.parameters]``.
     memory
         Names of the numbers that the estimator stores from call to call; each is zero when a run begins.
-    name
-        Name in experiments and recordings; default: name of the function, with hyphens.
-    source
-        Source of the method: paper and equation.
+    name, source
+        Name in experiments and recordings (default: that of the function, with hyphens); paper and equation.
 
     Raises
     ------

@@ -34,9 +34,8 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
     The prediction neglects friction and instability, and replaces a non-linear estimator by a finite difference.
     """
-    x, motion, limits = experiment, experiment.rig.motion, experiment.rig.limits
-    wall, centre = x.wall, x.wall.position
-    loop = _linear_loop(x)
+    x, motion, limits, wall = experiment, experiment.rig.motion, experiment.rig.limits, experiment.wall
+    centre, loop = wall.position, _linear_loop(x)
     multisines = [multisine_of(x, number) for number in range(x.excitation.realisations)]
     lines = multisines[0].lines_hz
     whole, alone = rendered_impedance(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
@@ -94,7 +93,9 @@ def _linear_loop(x: Experiment) -> LinearLoop:
     """Return the loop's model for linear theory; a non-linear estimator or wall is replaced by a linear one."""
     x, fixed = with_linear_wall(x), replace(x.controller, slow_velocity_rate=None)
     try:
-        return linear_loop(replace(x, controller=fixed))
+        loop = linear_loop(replace(x, controller=fixed))
+        loop.estimator.response(1.0)  # raises for an estimator that uses the effort
+        return loop
     except ConfigError:
         plain = replace(fixed, estimator="fdm", parameters={})
         return linear_loop(replace(x, controller=plain))
@@ -105,7 +106,7 @@ def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
         return []
     radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
     own, used = x.controller.estimator, loop.controller.estimator
-    other = "" if used == own else f" with {used} in place of {own}, which it does not cover"
+    other = "" if used == own else f" with {used} in place of {own}"
     return [
         limited(
             "stability",

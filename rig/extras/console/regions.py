@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rig.analysis.theory import passive_curve
+from rig.analysis.theory import NotLinearError, passive_curve
 from rig.config import Experiment
 from rig.core.errors import RigError
 from rig.core.operators import hand_text
@@ -63,7 +63,11 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
         late = LateLoops.of(experiment, delay_ticks)
         limits = late.k_max([damping])[0]
         least = min(limits, key=lambda hand: limits[hand])
-        passive = min(_passive(late, [damping]))
+        passive, note = 0.0, late.stand_in
+        try:
+            passive = min(_passive(late, [damping]))
+        except NotLinearError as error:
+            note = error.message
     except RigError as error:
         return Regions(damping, None, None, None, "", error.message)
     own = experiment.operator.grip if experiment.trial.kind == "human" else "none"
@@ -73,7 +77,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
         stable=limits[least],
         stable_own=limits.get("the experiment's own", limits.get(own)),
         hand=hand_text(least),
-        note=late.stand_in,
+        note=note,
     )
 
 

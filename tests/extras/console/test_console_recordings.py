@@ -34,17 +34,9 @@ from tests.extras.console.console_fakes import Page, ask, run, shared
 
 SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02}
 HOSTILE = [
-    "../x.parquet",
-    "/etc/passwd",
-    "",
-    ".",
-    "..",
-    "trash",
-    "link.parquet",
-    ".hidden.parquet",
-    "a\0b",
+    "../x.parquet", "/etc/passwd", "", ".", "..", "trash", "link.parquet", ".hidden.parquet", "a\0b",
     "x" * 999,
-]
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

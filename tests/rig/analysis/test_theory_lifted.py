@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import butter, cont2discrete, ss2tf
+from scipy.signal import butter, cont2discrete, place_poles, ss2tf
 
 from rig import config
 from rig.analysis import theory
@@ -70,6 +70,7 @@ def envelopes(
     seconds: Any,
     hand: Any = None,
     extrapolate: bool = False,
+    observer: Any = None,
 ) -> Any:
     """Weighted rms of position and effort in two windows at the end, for walls k, b, by stepping tick for tick."""
     fast, slow = rates
@@ -85,21 +86,40 @@ def envelopes(
     before = x[0].copy()
     ticks = round(seconds * fast)
     seen = np.empty((ticks, len(k)))
+    gain, per_effort = (np.zeros(3), 0.0) if observer is None else observer_of(slow, *observer)
+    state, given = np.zeros((3, len(k))), np.zeros(len(k))  # of the observer; efforts since its last sample
     for i in range(ticks):
         if i % every == 0:
             raw, before = (x[0] - before) * slow, x[0].copy()
             last, estimate = estimate, b0 * raw + s1
             s1, s2 = b1 * raw - a1 * estimate + s2, b2 * raw - a2 * estimate
+            if observer is not None:
+                state[2] += per_effort * given / every
+                state = CHAIN @ state
+                state[2] -= per_effort * given / every
+                state += gain[:, None] * (x[0] - state[0])
+                estimate, given = state[1] * slow, np.zeros(len(k))
             slope = (estimate - last) / every
         velocity = estimate + slope * (i % every) if extrapolate else estimate
         queue.append(-(k * x[0] + b * velocity))
         seen[i] = queue[-1]
-        x = phi @ x + gamma * queue.pop(0)
+        x = phi @ x + gamma * queue[0]
+        given = given + queue.pop(0)
         scale = np.maximum(np.abs(x).max(axis=0), 1.0)  # a loop that grows stays within numbers
         assert (scale < 1e250).all()
     window = np.hanning(ticks // 3)[:, None]
     parts = seen[-2 * len(window) : -len(window)], seen[-len(window) :]
     return [np.sqrt((window * part**2).mean(axis=0)) for part in parts]
+
+
+CHAIN = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+
+
+def observer_of(rate: int, frequency_hz: float, inertia: float) -> Any:
+    """Gains of the disturbance observer by scipy's placement, and acceleration by a unit of effort (per period²)."""
+    poles = np.exp(2.0 * np.pi * frequency_hz / rate * np.roots([1.0, 2.0, 2.0, 1.0]))
+    placed = place_poles(CHAIN.T, CHAIN[:1].T, poles)
+    return placed.gain_matrix[0], 1.0 / (inertia * rate**2)
 
 
 CASES = {  # the first three run by default
@@ -116,6 +136,14 @@ CASES = {  # the first three run by default
     ),
     "by hand, one tick late, undamped": (
         with_delay(KOUL, 1), "uniform:20k", {"rates": (20_000, 20_000), "cutoff_hz": 2_000.0}, 0.0, 2.0, "normal",
+    ),
+    "observer, dual": (
+        RIGID, "dual:20k/2k,estimator=disturbance,frequency_hz=120,inertia=8e-4",
+        {"rates": (20_000, 2_000), "cutoff_hz": 200.0, "observer": (120.0, 8e-4)}, 0.3, 1.0, None,
+    ),
+    "observer, two ticks late, by hand": (
+        with_delay(KOUL, 2), "uniform:20k,estimator=disturbance,frequency_hz=200,inertia=1.77e-3",
+        {"rates": (20_000, 20_000), "cutoff_hz": 200.0, "observer": (200.0, 1.77e-3)}, 0.1, 1.0, "normal",
     ),
 }  # fmt: skip
 

@@ -145,17 +145,35 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
     return add
 
 
-def test_a_users_estimator_of_the_effort_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It was probed without effort and found linear: theory judged a wall with another estimator."""
+@rig.estimator(memory=("velocity",))
+def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> float:
+    """A user's estimator of counts and effort, with a low pass for each."""
+    memory.velocity = 0.9 * (memory.velocity + 50.0 * effort * elapsed_s) + 0.1 * travel / elapsed_s
+    return memory.velocity
 
-    @rig.estimator(memory=("velocity",))
-    def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> float:
-        memory.velocity = 0.9 * (memory.velocity + effort * elapsed_s) + 0.1 * travel / elapsed_s
-        return memory.velocity
 
-    monkeypatch.setattr(estimators, "get", lambda name: fed)
-    with pytest.raises(theory.NotLinearError, match=r"estimator fed .*motor's effort"):
-        linear.realise("fed", {}, 5e-4, RESOLUTION)
+@pytest.mark.parametrize(
+    ("estimator", "settings"),
+    [(fed, {}), (estimators.get("disturbance"), {"frequency_hz": 90.0, "inertia": 1e-3})],
+)
+def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
+    estimator: Estimator, settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A user's one was probed without effort: theory judged a wall with another estimator."""
+    monkeypatch.setattr(estimators, "get", lambda name: estimator)
+    found = linear.realise(estimator.name, settings, 5e-4, RESOLUTION)
+    assert found.of_effort is not None
+    random = np.random.default_rng(4)
+    counts, effort = np.cumsum(random.integers(-9, 10, 700)), random.normal(size=700)
+    counts[:300], effort[:300] = 0, 0.0
+    own = linear.run(estimator.prepare(settings, RESOLUTION, 5e-4), *estimators.inputs(counts, 5e-4), effort)[
+        0
+    ]
+    parts = (RESOLUTION * counts, found), (effort, found.of_effort)
+    again = sum(np.convolve(values, one.impulse(700))[:700] for values, one in parts)
+    assert np.abs(again - own).max() < 1e-8 * np.abs(own).max()
+    with pytest.raises(theory.NotLinearError, match=f"{estimator.name}: .*with the effort"):
+        found.response(10.0)
 
 
 def moving_chord(
@@ -224,7 +242,6 @@ def test_the_sign_of_the_encoder_and_its_resolution_change_nothing() -> None:
             },
             "estimated position",
         ),
-        ({"controller.estimator": "disturbance"}, "depends on the motor's effort"),
     ],
 )
 def test_a_wall_or_an_estimator_that_theory_lacks_is_refused_and_not_predicted(

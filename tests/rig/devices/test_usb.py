@@ -221,15 +221,9 @@ def test_a_driver_of_the_kernel_gives_way_and_comes_back_and_a_halt_is_cleared(b
     bus.devices = [device]
     open_link("usb://1209:0001").close()
     assert device.calls == [
-        "get_active_configuration",
-        "is_kernel_driver_active",
-        "detach_kernel_driver",
-        "claim",
-        "clear_halt 0x81",
-        "clear_halt 0x1",
-        "release",
-        "attach_kernel_driver",
-    ]
+        "get_active_configuration", "is_kernel_driver_active", "detach_kernel_driver", "claim",
+        "clear_halt 0x81", "clear_halt 0x1", "release", "attach_kernel_driver",
+    ]  # fmt: skip
     assert bus.closed == 1
 
 

@@ -319,14 +319,9 @@ def at_rest(law: Any = None, **control: Any) -> Any:
 
 def settings(**changes: Any) -> Any:
     values = {
-        "period_ns": PERIOD_NS,
-        "session": SESSION,
-        "lifetime_us": 5_000,
-        "lost_after_ns": 50 * PERIOD_NS,
-        "device_tick_ps": 62_500,
-        "current_quantum_a": 0.001,
-        "wait_for_room": False,
-    }
+        "period_ns": PERIOD_NS, "session": SESSION, "lifetime_us": 5_000, "lost_after_ns": 50 * PERIOD_NS,
+        "device_tick_ps": 62_500, "current_quantum_a": 0.001, "wait_for_room": False,
+    }  # fmt: skip
     return LoopSettings(**{**values, **changes})
 
 

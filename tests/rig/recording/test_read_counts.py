@@ -176,16 +176,8 @@ def test_commands_take_imported_counts(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     log(tmp_path / "log.csv", TIME_S[KEPT], (TRUE % 4096)[KEPT])
     importing = [
-        "recording",
-        "import",
-        "log.csv",
-        "--time-column",
-        "t",
-        "--count",
-        "1",
-        "--resolution",
-        "1e-4",
-    ]
+        "recording", "import", "log.csv", "--time-column", "t", "--count", "1", "--resolution", "1e-4",
+    ]  # fmt: skip
     code, _, err = run(*importing)
     assert code != 0
     assert "width=16" in err
@@ -199,15 +191,8 @@ def test_commands_take_imported_counts(tmp_path: Path, monkeypatch: pytest.Monke
     assert (tmp_path / "log.png").stat().st_size > 10_000
     assert json.loads(run("show", "log.parquet", "--json")[1])["header"]["extra"]["counts"]["width"] == 12
     comparing = [
-        "estimators",
-        "compare",
-        "log.parquet",
-        "--estimator",
-        "fdm",
-        "--no-time",
-        "--no-plot",
-        "--json",
-    ]
+        "estimators", "compare", "log.parquet", "--estimator", "fdm", "--no-time", "--no-plot", "--json",
+    ]  # fmt: skip
     assert all(np.isfinite(one["rms"]) for one in json.loads(run(*comparing)[1])["scores"])
     for command in (
         ("recording", "replay", "log.parquet"),

@@ -33,13 +33,9 @@ def _figure_5(koul: Koul, path: Path) -> None:
             colour, found = style.SERIES[number], koul.kmax[preset, lag]
             draw_boundaries(axes, rates, found.curve("any"), colour, f"simulated, {lag}")
             axes.plot(
-                rates,
-                koul.kmax_theory[preset, lag],
-                color=colour,
-                linewidth=0.9,
-                linestyle="--",
+                rates, koul.kmax_theory[preset, lag], color=colour, linewidth=0.9, linestyle="--",
                 label=f"linear theory, {lag}",
-            )
+            )  # fmt: skip
         axes.plot([20_000], [LEVEL], "k*", markersize=11, label="Koul et al.")
         axes.set_xscale("log")
         top = max(b.highest for p in rigs.PRESETS for b in koul.kmax[p, rigs.WITH_LAG].curve("any"))
