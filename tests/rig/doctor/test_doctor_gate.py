@@ -140,6 +140,14 @@ def test_the_usual_filter_stands_in_for_an_estimator_that_is_not_linear() -> Non
     assert found.spectral_radius == pytest.approx(gate(same, link()).spectral_radius)
 
 
+def test_a_wall_with_an_observer_of_the_effort_is_judged_by_its_stability_alone() -> None:
+    found = gate(config.override(CALM, {"controller.estimator": "disturbance"}), link())
+    assert "is stable" in texts(found)["stability"]
+    assert "estimator that uses the effort" in texts(found)["passivity"]
+    assert "estimator" not in texts(found)  # no filter stands in
+    assert found.passive_stiffness is None
+
+
 def test_two_velocity_rates_are_both_checked() -> None:
     rates = {"controller.position_rate": 20_000, "controller.velocity_rate": 2_000, "wall.stiffness": 100.0}
     fixed = config.override(KOUL, rates)
