@@ -58,7 +58,7 @@ LIKE_NONE = 0.95
 SLIGHTLY = 0.8  # of the undamped penetration, at least
 NOISIER = 3.0
 BETTER = 0.95  # of the other rms error, at most
-SLOW_RATE_HZ, FAST_RATE_HZ = 5000, 10_000  # below and above which an estimator is said to be the better one
+SLOW_RATE_HZ, FAST_RATE_HZ = 5000, 10_000  # below and above which one estimator should be the better one
 NULL, SEEN = 0.2, 0.5  # of the true velocity
 
 
