@@ -166,21 +166,6 @@ def crc32(buffer: Bytes, start: int, stop: int, seed: int) -> int:
     return crc ^ 0xFFFFFFFF
 
 
-@kernel(_i64(_bytes, _i64, _bytes))
-def cobs_encode(raw: Bytes, length: int, out: Bytes) -> int:
-    """Write the COBS code of ``raw[:length]`` (at most 252 bytes) and a delimiter to `out`; return ``length + 2``."""
-    code_at = 0
-    for i in range(length):
-        if raw[i] == 0:
-            out[code_at] = i + 1 - code_at
-            code_at = i + 1
-        else:
-            out[i + 1] = raw[i]
-    out[code_at] = length + 1 - code_at
-    out[length + 1] = 0
-    return length + 2
-
-
 @kernel(_i64(_bytes, _i64, _i64))
 def find_delimiter(buffer: Bytes, start: int, end: int) -> int:
     """Return the index of the first zero byte (frame delimiter) in ``buffer[start:end]``; -1 without a zero byte."""
@@ -344,18 +329,12 @@ def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
-def decode_command(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a COMMAND message from `raw` and `length`, the results of `decode_frame`.
-
-    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a COMMAND message) or BAD_PAYLOAD (wrong length).
-    `header` (in the order of `HEAD`) is always written, `values` (in the order of `COMMAND`) only if the result is 0.
-    """
-    return _decode(raw, length, _COMMAND_LAYOUT, _PAYLOAD_LIMIT, _COMMAND_TYPE, header, values)
-
-
-@kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a STATE message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
+    """Decode a STATE message from `raw` and `length`, the results of `decode_frame`.
+
+    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (not a STATE message) or BAD_PAYLOAD (wrong length).
+    `header` (in the order of `HEAD`) is always written, `values` (in the order of `STATE`) only if the result is 0.
+    """
     return _decode(raw, length, _STATE_LAYOUT, _PAYLOAD_LIMIT, _STATE_TYPE, header, values)
 
 

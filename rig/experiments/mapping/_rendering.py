@@ -13,7 +13,6 @@ from rig.config.velocity_reading import pulse_of_count
 
 # A wall counts as rendered if at least this fraction of B remains below the effort limit.
 RENDERED = 0.8
-_BISECTIONS = 40
 
 
 def rendered_share(experiment: Experiment, damping: float) -> float:
@@ -34,18 +33,3 @@ def rendered_share(experiment: Experiment, damping: float) -> float:
         return 1.0
     limit = experiment.rig.limits.effort
     return float(np.clip(asked, -limit, limit).sum() / asked.sum())
-
-
-def rendered_damping(experiment: Experiment) -> float:
-    """Return the largest B (N·m·s/rad or N·s/m) whose effort the limit cuts by at most 20 %; inf if no B is cut."""
-    high = 1.0
-    while rendered_share(experiment, high) >= RENDERED:
-        high *= 2.0
-        # The effort limit cuts no damping: end the doubling.
-        if high > 1e12:
-            return float("inf")
-    low = 0.0
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if rendered_share(experiment, middle) >= RENDERED else (low, middle)
-    return low

@@ -13,7 +13,7 @@ from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme
 from rig.control.estimators import names
-from rig.experiments.mapping._rendering import RENDERED, rendered_damping, rendered_share
+from rig.experiments.mapping._rendering import rendered_share
 from rig.experiments.mapping.zwidth import Boundary, Width, ZWidth
 from tests.conformance.maps import short_map
 
@@ -31,7 +31,6 @@ def test_of_an_unfiltered_difference_limit_times_period_over_count_is_rendered(r
     experiment, most = under(f"uniform:{rate},estimator=fdm"), LIMIT / rate / DELTA
     for damping in (0.5 * most, most, 3.0 * most, 100.0 * most):
         assert rendered_share(experiment, damping) * damping == pytest.approx(min(damping, most), rel=1e-12)
-    assert rendered_damping(experiment) == pytest.approx(most / RENDERED, rel=1e-9)
 
 
 def test_of_a_filtered_difference_the_pulse_of_the_filter_is_cut_off() -> None:
