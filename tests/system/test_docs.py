@@ -24,6 +24,7 @@ from rig.cli._listing import commands
 from rig.config._table import parameters
 from rig.core.errors import ConfigError, RigError
 from rig.core.sample import COLUMNS
+from rig.testing import check_law
 from rig.views import site
 from tests.conformance.commands import parse_line
 from tests.conformance.firmware import need_compiler
@@ -220,6 +221,23 @@ def test_the_gallery_has_twenty_scripts_of_forty_lines_on_the_public_face() -> N
             r"^(?:from|import) (rig\S*|sim_backend\S*|firmware_protocol\S*)", text, re.MULTILINE
         )
         assert set(ours) <= {"rig", "rig.testing"}, script.name
+
+
+LAWS = sorted((site.SOURCES / "gallery").glob("law_*.py"))
+AT_REST = {"bump", "grating", "mass"}  # may pull a handle at rest: a shape or a swinging mass does
+
+
+@pytest.mark.parametrize("script", LAWS, ids=lambda script: script.stem)
+def test_a_law_of_the_gallery_does_what_its_page_claims_and_replays(
+    script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each script asserts its claim; here also: finite, bounded in memory, passive in slow and fast cycles."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = runpy.run_path(str(script))
+    law = names.get("law") or names[script.stem.removeprefix("law_")]
+    check_law(law, pulls=law.name in AT_REST)
+    assert rig.replay(names["result"].recording, law=law).exact
 
 
 def test_every_figure_of_a_page_is_made_by_a_script() -> None:
