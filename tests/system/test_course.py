@@ -1,7 +1,7 @@
-"""The course: the commands of its pages run as they stand, and print the numbers of its answers.
+"""The course: the commands of its pages run as they stand, and print the numbers of the instructor's answers.
 
 The first line of a TOML block names its file. In an answer a number between backticks is printed by a command of the
-page; ``a / b = c`` is calculated.
+exercise; ``a / b = c`` is calculated.
 """
 
 from __future__ import annotations
@@ -16,22 +16,40 @@ import pytest
 from tests.conformance.guides import ROOT
 from tests.conformance.tiers import first_by_default
 from tests.system.test_docs import run_line
+from tests.system.test_examples import run
 
 COURSE = ROOT / "rig" / "docs" / "course"
 PAGES = sorted(COURSE.glob("[0-9]*.md"))
 BLOCK = re.compile(r"^```(sh|toml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-ANSWERS = re.compile(r"<details>(.*?)</details>", re.DOTALL)
+INSTRUCTOR = (COURSE / "instructor.md").read_text(encoding="utf-8")
+ANSWERS = dict(re.findall(r"^### (\d)\. .*?\n(.*?)(?=^##|\Z)", INSTRUCTOR, re.MULTILINE | re.DOTALL))
 SPAN = re.compile(r"`([^`\n]+)`")
-SUM = re.compile(r"[\d.\s()+*/e-]+")
+SUM = r"[\d.\s()+*/e-]+"
 
 
 def test_there_are_six_exercises_and_each_has_questions_and_answers() -> None:
     assert len(PAGES) == 6
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        assert "## Questions" in text
-        assert SPAN.search("".join(ANSWERS.findall(text))), page.name
+        assert text.partition("## Questions")[2].count("\n1. ") == 1
+        assert len(re.findall(r"^\d\. ", ANSWERS[page.name[0]], re.MULTILINE)) == 4
         assert f"]({page.name})" in (COURSE / "index.md").read_text(encoding="utf-8")
+
+
+def test_the_sums_of_the_answers_are_right() -> None:
+    sums = [span.split(" = ") for span in SPAN.findall(INSTRUCTOR) if re.fullmatch(rf"{SUM} = {SUM}", span)]
+    assert len(sums) > 10
+    for left, right in sums:
+        assert float(right) == pytest.approx(eval(left), rel=0.02), left
+
+
+@pytest.mark.exhaustive("tests/rig/testing/test_asserts.py::test_a_damped_wall_passes_them_all")
+def test_the_assignment_is_marked_as_the_page_shows(tmp_path: Path) -> None:
+    (tmp_path / "handed-in").mkdir()
+    for name, text in re.findall(r"^```python\n# (\S+)\n(.*?)^```$", INSTRUCTOR, re.MULTILINE | re.DOTALL):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    ((command, points),) = re.findall(r"```sh\n(pytest .*?)```\n```text\n(.*?)```", INSTRUCTOR, re.DOTALL)
+    assert run(tmp_path, "bash", "-euc", command) == points
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -40,15 +58,10 @@ def test_every_command_runs_and_the_answers_have_its_numbers(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = page.read_text(encoding="utf-8")
-    printed = _run_page(text)
-    for answer in ANSWERS.findall(text):
-        for span in SPAN.findall(answer):
-            if " = " in span and SUM.fullmatch(left := span.partition(" = ")[0]):
-                right = float(span.partition(" = ")[2])
-                assert right == pytest.approx(eval(left), rel=0.02), span
-            elif span[0].isdigit():
-                assert span in printed, f"{page.name}: {span} is not what the commands print"
+    printed = _run_page(page.read_text(encoding="utf-8"))
+    for span in SPAN.findall(ANSWERS[page.name[0]]):
+        if span[0].isdigit() and " = " not in span:
+            assert span in printed, f"{page.name}: {span} is not what the commands print"
 
 
 def _run_page(text: str) -> str:
