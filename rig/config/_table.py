@@ -6,7 +6,7 @@ whose fields have a `rig.core.quantity.Quantity`; most functions here are about 
 
 from __future__ import annotations
 
-import inspect
+import inspect  # for a description that pydantic before 2.13 leaves out
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -209,8 +209,7 @@ def json_schema() -> dict[str, Any]:
 
 def schema_of(root: type) -> dict[str, Any]:
     """Return the JSON schema of a dataclass, in which each key has its meaning and unit as description."""
-    schema: dict[str, Any] = pydantic.TypeAdapter(root).json_schema()
-    schema["description"] = inspect.getdoc(root)  # which pydantic before 2.13 leaves out
+    schema: dict[str, Any] = pydantic.TypeAdapter(root).json_schema() | {"description": inspect.getdoc(root)}
     definitions: dict[str, Any] = schema["$defs"]
     for parameter in parameters_of(root).values():
         owner = schema if parameter.section is root else definitions[parameter.section.__name__]

@@ -62,9 +62,8 @@ class Column(Shown, Drawn):
         return len(self.values)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if copy is None:  # which numpy before 2.0 does not take
-            return np.asarray(self.values, dtype=dtype)
-        return np.array(self.values, dtype=dtype, copy=copy)
+        # numpy before 2.0 does not take None.
+        return np.asarray(self.values, dtype) if copy is None else np.array(self.values, dtype, copy=copy)
 
     def brief(self) -> list[Item]:
         """Return meaning, number of rows, minimum and maximum of the column, as lines to print."""
