@@ -1,7 +1,7 @@
 """What a console costs a loop, and how long STOP takes through it: nothing that a loop would notice, and a blink.
 
-    python tests/benchmarks/console.py                       10 pairs of hits each: a device at 10 kHz, a host at 4
-    python tests/benchmarks/console.py --minutes 30          as many pairs as half an hour has room for
+    python -m tests.benchmarks.console                       10 pairs of hits each: a device at 10 kHz, a host at 4
+    python -m tests.benchmarks.console --minutes 30          as many pairs as half an hour has room for
 
 Each pair is one hit with a console that four pages look through, one of which reads nothing, and one hit without, in
 turn; every second pair the other way round, so that a machine that becomes busier counts for neither. Printed: rows
@@ -31,9 +31,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # for tests.*
+import numpy as np
 
 LOOPS: dict[str, dict[str, Any]] = {
     "device, 10 kHz": {
@@ -56,9 +54,7 @@ def arguments() -> argparse.Namespace:
     """What the command line says."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=10)
-    parser.add_argument(
-        "--minutes", type=float, help="in place of a number of pairs, for both loops together"
-    )
+    parser.add_argument("--minutes", type=float, help="in place of --pairs, for both loops together")
     parser.add_argument("--seconds", type=float, default=4.0, help="of each hit")
     return parser.parse_args()
 
@@ -98,8 +94,6 @@ def pages_beside(line: Any, found: dict[str, Any]) -> Iterator[None]:
 
 def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float]:
     """One hit in real time: what it lost, and how late its ticks were (µs, 99.9th percentile)."""
-    import numpy as np  # noqa: PLC0415
-
     from rig.config import presets  # noqa: PLC0415
     from rig.experiments.hits.admission import admit  # noqa: PLC0415
     from rig.experiments.hits.hit import HitRequest  # noqa: PLC0415
@@ -143,8 +137,6 @@ def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) 
 
 def of_median(values: list[float]) -> tuple[float, float]:
     """Interval of a median: values drawn anew, 95 %."""
-    import numpy as np  # noqa: PLC0415
-
     drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values)))
     low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
     return float(low), float(high)

@@ -1,6 +1,6 @@
 """How long STOP takes through a console while another process without a token floods it.
 
-    python tests/benchmarks/console_flood.py [--seconds 5] [--rate 3000]
+    python -m tests.benchmarks.console_flood [--seconds 5] [--rate 3000]
 
 Three processes: the console, a page that sends STOP twenty times a second, and a program that opens connections at the
 given rate, each with one of the loads below. Each load ends by itself, and is also given only as long as the time says.
@@ -26,10 +26,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-
-ROOT = Path(__file__).resolve().parents[2]
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # for tests.*
 
 EVERY_S = 0.05
 KEPT = 60  # sockets that the flood keeps open

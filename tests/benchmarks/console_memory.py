@@ -1,7 +1,7 @@
 """Ten hours of a console that stays open, in minutes: the memory of its server and of a page in a browser.
 
-    python tests/benchmarks/console_memory.py                        ten hours at 1 kHz in twelve minutes
-    python tests/benchmarks/console_memory.py --hours 2 --minutes 2
+    python -m tests.benchmarks.console_memory                        ten hours at 1 kHz in twelve minutes
+    python -m tests.benchmarks.console_memory --hours 2 --minutes 2
 
 A loop that is turned by hand leaves all rows of that time, in runs of 100 s, and a simulated hand its motions. Server
 and page take them in as in real time, only faster: the server looks at the loop 240 times a second, the browser draws
@@ -43,10 +43,8 @@ from rig.experiments.mapping import _maps as maps
 from rig.realtime import control_words
 from rig.realtime.hand import HandMotion, SharedHand
 from rig.realtime.ring import Ring
-
-ROOT = Path(__file__).resolve().parents[2]
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # for tests.*
+from tests.conformance.maps import short_map
+from tests.conformance.tree import ROOT
 
 RATE_HZ = 1000
 RUN_S = 100.0
@@ -81,22 +79,7 @@ class Look:
 
 
 class Day:
-    """Runs of a loop, one after the other, at any speed.
-
-    Parameters
-    ----------
-    speed
-        As many times as fast as they would be.
-    run_s
-        Length of a run (s).
-
-    Attributes
-    ----------
-    done, runs
-        Rows and runs so far.
-    ring
-        Of the run in progress.
-    """
+    """Runs of a loop, one after the other, so many times as fast as they would be."""
 
     def __init__(self, speed: float, hand: SharedHand, rate_hz: int = RATE_HZ, run_s: float = RUN_S) -> None:
         self._rate_hz, self._speed, self._hand, self._run_s = rate_hz, speed, hand, run_s
@@ -105,15 +88,10 @@ class Day:
         self._rows["device_time"] = (time_s * 1e9).astype("<i8")
         self._rows["tick"] = self._rows["sample_index"] = np.arange(TABLE)
         self._rows["phase"] = int(Phase.TRIAL)
-        for name, size in (
-            ("position", 0.01),
-            ("velocity", 0.3),
-            ("penetration", 0.01),
-            ("effort_applied", 0.1),
-        ):
-            self._rows[name] = (
-                size * np.sin(40.0 * time_s) + size * np.random.default_rng(0).normal(size=TABLE) / 50
-            )
+        sizes = {"position": 0.01, "velocity": 0.3, "penetration": 0.01, "effort_applied": 0.1}
+        for name, size in sizes.items():
+            noise = np.random.default_rng(0).normal(size=TABLE) / 50
+            self._rows[name] = size * (np.sin(40.0 * time_s) + noise)
         self.ring: Ring | None = None
         self.done = self.runs = self._left = 0
         self._began = time.monotonic()
@@ -166,16 +144,10 @@ class Visits:
     """A user who visits the page's views, where something has come each time."""
 
     def __init__(self, page: Any, place: Path) -> None:
-        from tests.conformance.maps import short_map  # noqa: PLC0415
-
         self._page, self._recordings, self._maps = page, place / "recordings", place / "maps"
         self.made = self.hits = 0
-        list(
-            hit(
-                HitRequest(experiment=presets.load("koul-compliant"), output=self._recordings, name="hit-0"),
-                admit,
-            )
-        )
+        request = HitRequest(experiment=presets.load("koul-compliant"), output=self._recordings, name="hit-0")
+        list(hit(request, admit))
         maps.map_into(short_map(0.1, 0.6), self._maps / "map-0")
         while self.made < KEPT:
             self._make()

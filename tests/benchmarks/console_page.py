@@ -1,7 +1,7 @@
 """From a row in the ring to pixels, and from STOP's key to the stop word, through a page in a real browser.
 
-    python tests/benchmarks/console_page.py                    half a minute at 20 kHz, 40 stops
-    python tests/benchmarks/console_page.py --seconds 120
+    python -m tests.benchmarks.console_page                    half a minute at 20 kHz, 40 stops
+    python -m tests.benchmarks.console_page --seconds 120
 
 A loop that is turned by hand leaves 20,000 rows a second in real time; the page draws the default scope of two seconds.
 The age of a row is taken when the page has drawn the frame that it came in: a frame's newest row is the youngest, its
@@ -27,9 +27,9 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[2]
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # for tests.*
+from rig.realtime import control_words
+from rig.realtime.hand import SharedHand
+from tests.benchmarks.console_memory import Day, opened, served
 
 RATE_HZ = 20_000
 STOPS = 40
@@ -64,8 +64,6 @@ async def turn(day: Any, seconds: float) -> None:
 
 async def stop(page: Any, day: Any) -> float:
     """Press Escape while a loop runs: how long it took to reach the loop (ms)."""
-    from rig.realtime import control_words  # noqa: PLC0415
-
     await turn(day, SETTLE_S)
     ring = day.begin()
     await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
@@ -81,9 +79,6 @@ async def stop(page: Any, day: Any) -> float:
 
 async def measured(seconds: float, place: Path) -> tuple[list[float], list[float], int]:
     """Ages of rows (ms), times of STOP (ms), and how many frames there were."""
-    from rig.realtime.hand import SharedHand  # noqa: PLC0415
-    from tests.benchmarks.console_memory import Day, opened, served  # noqa: PLC0415
-
     with served(place, faster=1) as (_, url, hand):
         async with opened(url) as page:
             day = Day(1.0, SharedHand.open(hand), RATE_HZ, run_s=math.inf)

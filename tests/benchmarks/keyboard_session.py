@@ -1,9 +1,9 @@
 """A whole session in real time at the console, by a script that presses the keys: how many of its trials are invalid?
 
-    python tests/benchmarks/keyboard_session.py                          template first-steps, 20 trials
-    python tests/benchmarks/keyboard_session.py --scheme uniform:500     on a machine that does not keep 1 kHz
-    python tests/benchmarks/keyboard_session.py --reaction 0.8           of a person in no hurry
-    python tests/benchmarks/keyboard_session.py --template compare-estimators --trials 40
+    python -m tests.benchmarks.keyboard_session                          template first-steps, 20 trials
+    python -m tests.benchmarks.keyboard_session --scheme uniform:500     on a machine that does not keep 1 kHz
+    python -m tests.benchmarks.keyboard_session --reaction 0.8           of a person in no hurry
+    python -m tests.benchmarks.keyboard_session --template compare-estimators --trials 40
 
 The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the lines:
 at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which takes the hand into
@@ -25,9 +25,10 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))  # for tests.*
+from rig.session.engine._log import read
+from rig.session.planning._template_files import template_text
+from tests.conformance.terminal import Terminal
+from tests.conformance.tree import ROOT
 
 ALLOWED = 1 / 20
 INTO_THE_WALL = "\x1b[F"
@@ -51,8 +52,6 @@ def arguments() -> argparse.Namespace:
 
 def protocol(options: argparse.Namespace, directory: Path) -> Path:
     """The template, with as many trials as wanted and no practice."""
-    from rig.session.planning._template_files import template_text  # noqa: PLC0415
-
     text = template_text(options.template).replace("[stop]\n", f"[stop]\ntrials = {options.trials}\n")
     text = re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text)
     if options.scheme is not None:
@@ -94,15 +93,11 @@ class Participant:
     @property
     def trials(self) -> list[Any]:
         """Those in the log so far."""
-        from rig.session.engine._log import read  # noqa: PLC0415
-
         return [event.content for event in read(self.log) if event.kind == "trial"]
 
 
 def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, list[Any]]:
     """Run it; exit code, what it wrote to standard error, and its trials."""
-    from tests.conformance.terminal import Terminal  # noqa: PLC0415
-
     command = ["-m", "rig", "session", "run", str(protocol(options, directory)), "P01", "--hand", "keyboard"]
     with Terminal() as terminal:
         participant = Participant(terminal, directory / "study" / "P01" / "session.log", options.reaction)

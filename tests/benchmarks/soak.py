@@ -1,11 +1,11 @@
 """The loop for as long as one likes, with its recorder, and every minute what it lost and how late it was.
 
-    python tests/benchmarks/soak.py --minutes 10                          2 kHz over a pseudo-terminal
-    python tests/benchmarks/soak.py --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
-    python tests/benchmarks/soak.py --url sim:// --busy                   a simulated rig in real time, beside its goal
-    python tests/benchmarks/soak.py --url sim:// --busy --without-rights  the same as an ordinary user
-    python tests/benchmarks/soak.py --url sim:// --rate 4000              on an idle machine
-    python tests/benchmarks/soak.py --url serial:///dev/ttyACM0 --verified
+    python -m tests.benchmarks.soak --minutes 10                          2 kHz over a pseudo-terminal
+    python -m tests.benchmarks.soak --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
+    python -m tests.benchmarks.soak --url sim:// --busy                   a simulated rig in real time, beside its goal
+    python -m tests.benchmarks.soak --url sim:// --busy --without-rights  the same as an ordinary user
+    python -m tests.benchmarks.soak --url sim:// --rate 4000              on an idle machine
+    python -m tests.benchmarks.soak --url serial:///dev/ttyACM0 --verified
 
 Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate, or,
 with ``--far-end near``, a function in the loop's own thread. With one, one long hit runs on that device,
@@ -36,10 +36,20 @@ from typing import Any
 
 import numpy as np
 
+from rig import config
+from rig.config import presets
+from rig.core.errors import RigError
+from rig.devices import open_link
+from rig.experiments.hits.admission import admit
+from rig.experiments.hits.hit import HitRequest, hit
+from rig.loop._run import COUNTERS
+from rig.realtime import control_words
+from rig.realtime._anonymous_memory import LINK
+from rig.realtime.ring import Ring
 from rig.realtime.scheduling._rights import CAP_SYS_NICE, Rights
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for tests.*
+from rig.recording.recorder import Recorder
+from tests.benchmarks.realtime import workbench
+from tests.conformance.recording import example_header
 
 LOOK_S = 0.5
 BEFORE_THE_END_S = 0.3
@@ -131,8 +141,6 @@ class Watch:
 
     def look(self, ring: Any, *, last: bool = False) -> None:
         """Take the lateness of the rows since the last look; print a line when a minute is over, or at the end."""
-        from rig.realtime import control_words  # noqa: PLC0415
-
         head = ring.get(control_words.HEAD)
         backlog = head - ring.get(control_words.TAIL)
         self.fullest = max(self.fullest, backlog)
@@ -148,8 +156,6 @@ class Watch:
             self.totals = self._summary(ring)
 
     def _minute(self, ring: Any) -> None:
-        from rig.loop._run import COUNTERS  # noqa: PLC0415
-
         now, cpu = time.monotonic(), time.process_time()
         counters = {name: ring.get(word) for name, word in COUNTERS.items()}
         since = {name: value - self.before.get(name, 0) for name, value in counters.items()}
@@ -172,8 +178,6 @@ class Watch:
 
     def _summary(self, ring: Any) -> dict[str, Any]:
         """The whole run in numbers."""
-        from rig.loop._run import COUNTERS  # noqa: PLC0415
-
         total = np.cumsum(self.all_late)
         places = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
         return {
@@ -200,9 +204,6 @@ def resident_mb() -> float:
 @contextlib.contextmanager
 def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
     """The C far end on a pseudo-terminal, opened as rig opens ports."""
-    from rig.devices import open_link  # noqa: PLC0415
-    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
-
     program = workbench.compile_c(directory, "far_end")
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -227,12 +228,6 @@ def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
 
 def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
     """The loop over a far end of the benchmarks."""
-    from rig.realtime import control_words  # noqa: PLC0415
-    from rig.realtime.ring import Ring  # noqa: PLC0415
-    from rig.recording.recorder import Recorder  # noqa: PLC0415
-    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
-    from tests.conformance.recording import example_header  # noqa: PLC0415
-
     rate = options.rate or (10_000 if options.far_end == "near" else 2000)
     host_paced = options.pacing == "host" or options.far_end == "near"
     settings = {"host_paced": host_paced, "spin_ns": round(options.spin_us * 1e3)}
@@ -273,13 +268,6 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
 
 def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
     """One long hit on a device, simulated in real time or real."""
-    from rig import config  # noqa: PLC0415
-    from rig.config import presets  # noqa: PLC0415
-    from rig.core.errors import RigError  # noqa: PLC0415
-    from rig.experiments.hits.admission import admit  # noqa: PLC0415
-    from rig.experiments.hits.hit import HitRequest, hit  # noqa: PLC0415
-    from tests.benchmarks.realtime import workbench  # noqa: PLC0415
-
     changes: dict[str, Any] = {
         "trial.duration_s": options.minutes * MINUTE_S,
         "host.pacing": options.pacing,
@@ -340,9 +328,6 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
 def own_ring() -> Any:
     """The block that the trial of this process shares with others."""
-    from rig.realtime._anonymous_memory import LINK  # noqa: PLC0415
-    from rig.realtime.ring import Ring  # noqa: PLC0415
-
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
             if os.readlink(entry) == LINK:
@@ -356,7 +341,7 @@ def give_up_rights() -> None:
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 16, 1 << 16))
     if Rights.here().has(CAP_SYS_NICE):
         setpriv = ("setpriv", "--bounding-set", "-sys_nice,-ipc_lock")
-        os.execvp("setpriv", (*setpriv, sys.executable, *sys.argv))
+        os.execvp("setpriv", (*setpriv, sys.executable, *sys.orig_argv[1:]))
 
 
 def beside_the_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
