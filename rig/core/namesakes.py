@@ -8,6 +8,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import Any
 
@@ -30,11 +31,8 @@ def explain_failure() -> ConfigError | None:
 def wrong_package(package: str) -> ConfigError | None:
     """Return an error if the package with this import name is missing or replaced by another one, else None."""
     distribution, find_own_name = NEEDED[package]
-    try:
+    with suppress(Exception):  # whatever a package of others does while it is imported
         find_own_name()
-    except Exception:  # whatever a package of others does while it is imported
-        pass
-    else:
         return None
     pip = f"{shlex.quote(sys.executable)} -m pip"
     spec = find_spec(package)
@@ -42,8 +40,10 @@ def wrong_package(package: str) -> ConfigError | None:
         return ConfigError(f"{distribution} is not installed", remedy=f"{pip} install {distribution}")
     others = sorted(set(metadata.packages_distributions().get(package, ())) - {distribution})
     place = spec.origin or ", ".join(spec.submodule_search_locations or ())
+    # No index is sure to have this package.
+    again = "then install it from where it came" if package == "rig" else f"{pip} install {distribution}"
     return ConfigError(
         f"the package {package} in {place} does not belong to {distribution}"
         + (f", but to {' and '.join(others)}, which was installed over it" if others else ""),
-        remedy=f"{pip} uninstall -y {' '.join([*others, distribution])}; {pip} install {distribution}",
+        remedy=f"{pip} uninstall -y {' '.join([*others, distribution])}; {again}",
     )

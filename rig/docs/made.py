@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -163,11 +164,6 @@ def _prose(text: str) -> str:
     return re.sub(r"(?<!`)([*_])(?!`)", r"\\\1", lines)
 
 
-def further() -> str:
-    """Pages at the top that a version may be without, as lines of its table of contents."""
-    return "\n".join(name for name in ("course/index", "comparison") if (SOURCES / f"{name}.md").is_file())
-
-
 def command_list() -> str:
     """Return a list of all commands with their one-line help."""
     known = {name: row for name, row in command_rows() if "options" in row}
@@ -258,6 +254,12 @@ def _setting(setting: Any) -> tuple[str, str, str, str]:
     )
 
 
+def requirements() -> str:
+    """Return a table of the required packages with their bounds, from the metadata of the installed package."""
+    needed = [text for text in metadata.requires("haptic-rig") or () if "extra ==" not in text]
+    return table(("package", "versions"), (re.split("(?=[<>])", text, maxsplit=1) for text in needed))
+
+
 # ------------------------------------------------------------------ recordings
 
 
@@ -309,9 +311,9 @@ def _fault(fault: Fault, rows: Sequence[SingleFault]) -> str:
         f"# {fault.name}",
         f"**Fault {int(fault)}: {_prose(fault.text)}.**",
         f"## What to do\n\n{_sentence(fault.remedy)}",
+        "## Causes",
     ]
     causes = [row for row in rows if fault.name in row.codes]
-    parts.append("## Causes")
     parts += [
         f"{_sentence(row.part + ': ' + row.fault)}\n"
         f": Found by {_prose(row.found)}. Reaction: {_prose(row.reaction)}. What remains: {_prose(row.remains)}."
@@ -359,10 +361,8 @@ def testing_names() -> str:
 
 
 def _names(package: str, module: Any) -> str:
-    named = [
-        name for name in public_names(module.__file__) if name not in ("__version__", "errors", "theory")
-    ]
-    return _members(package, named, module)
+    hidden = ("__version__", "errors", "theory")
+    return _members(package, [name for name in public_names(module.__file__) if name not in hidden], module)
 
 
 def _members(package: str, names: Iterable[str], module: Any) -> str:
@@ -387,7 +387,7 @@ def error_kinds() -> str:
 
 
 PARTS: Mapping[str, Callable[[], str]] = {
-    "further": further,
+    "requirements": requirements,
     "commands": command_list,
     "configuration": configuration,
     "protocol_keys": protocol_keys,

@@ -106,9 +106,6 @@ def test_it_and_every_example_pass_mypy_strict_and_errors_are_found(lab: Path) -
 
 
 def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> None:
-    assert (lab / "site" / "rig" / "docs" / "index.md").is_file(), (
-        "rig serve docs builds from what is installed"
-    )
     workflow = (lab / ".github" / "workflows" / "haptics.yml").read_text()
     assert re.findall(r"^      - run: (.+)$", workflow, re.MULTILINE) == [
         "pip install -r requirements.txt",

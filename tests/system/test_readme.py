@@ -1,8 +1,10 @@
-"""What the README and the guides beside the code show must run as it stands; pages of the site: `test_docs`."""
+"""What the README, the changelog and the guides beside the code promise must hold; pages of the site: `test_docs`."""
 
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -82,3 +84,21 @@ def test_tests_and_tables_that_a_recipe_names_exist() -> None:
     tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
     for name in re.findall(r"`(test_\w+)`", text):
         assert f"def {name}(" in tests, name
+
+
+def test_a_release_needs_its_version_with_a_date_in_the_changelog(tmp_path: Path) -> None:
+    for folder in (tmp_path / ".ci", tmp_path / "rig" / "docs"):
+        folder.mkdir(parents=True)
+    script = shutil.copy(ROOT / ".ci" / "release-notes", tmp_path / ".ci")
+    (tmp_path / "pyproject.toml").write_text('version = "1.2.0"\n')
+    changes = tmp_path / "rig" / "docs" / "changelog.md"
+
+    def notes(tag: str) -> str:
+        done = subprocess.run(["bash", script, tag], capture_output=True, text=True, check=False)
+        return done.stdout.strip() or f"refused: {done.stderr}"
+
+    changes.write_text("## 1.2.0, not released\n\n* This.\n")
+    assert "refused: rig/docs/changelog.md has no section '## 1.2.0, YYYY-MM-DD'" in notes("v1.2.0")
+    changes.write_text("## 1.2.0, 2027-01-31\n\n* This.\n\n## 1.1.0, 2026-01-31\n\n* That.\n")
+    assert notes("v1.2.0") == "* This."
+    assert "refused: the tag is v1.1.0 and the version 1.2.0" in notes("v1.1.0")

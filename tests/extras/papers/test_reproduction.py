@@ -171,12 +171,7 @@ def test_every_picture_is_shown_and_every_one_shown_is_drawn(paper: Paper) -> No
     }
 
 
-def test_every_template_is_part_of_the_package() -> None:
-    """What is read at run time lies beside the code, in a folder that the wheel takes as a whole."""
-    project = (ROOM.parents[2] / "pyproject.toml").read_text(encoding="utf-8")
-    wheel = project.partition("[tool.hatch.build.targets.wheel]")[2].partition("\n[")[0]
-    assert '"rig"' in wheel
-    assert "exclude" not in wheel
+def test_every_template_can_be_read() -> None:
     assert len(names()) == 7
     assert all(template._text(name) for name in names())
 
