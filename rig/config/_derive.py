@@ -50,7 +50,10 @@ def rig_model(described: Experiment | Rig) -> RigModel:
 
 
 def free_s(experiment: Experiment) -> float:
-    """Return the time (s) in free space before the cue: the baseline plus a foreperiod, random by `trial.seed`."""
+    """Return how long (s) the person waits in free space before the cue: baseline time plus random foreperiod.
+
+    The foreperiod is drawn uniformly between 0 and `trial.foreperiod_s`, by the seed `trial.seed`.
+    """
     trial = experiment.trial
     return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
 
@@ -91,7 +94,10 @@ def push_at_rest(experiment: Experiment) -> float:
 
 
 def press_for(experiment: Experiment, push: float) -> float:
-    """Return the press of the hand (N, at the handle) for which `push_at_rest` would return `push` (N·m or N)."""
+    """Return the force (N, at the handle) with which a hand must press so that a handle rests on the wall with `push`.
+
+    `push` is an effort of the link (N·m or N); the spring of the simulated hand adds to the press.
+    """
     operator, given = experiment.operator, push_at_rest(experiment)
     if given == 0.0:
         return operator.press
@@ -140,10 +146,7 @@ def excited(experiment: Experiment) -> Experiment:
 
 
 def verdict_thresholds(experiment: Experiment) -> Thresholds:
-    """Return the thresholds of the verdict, converted from the handle to the link (rotary rig: to rad and N·m).
-
-    A travel x of the handle is x / radius at the link; a force F at the handle is a torque F · radius at the link.
-    """
+    """Return the thresholds for judging a trial, converted from the handle to the link (rotary rig: rad and N·m)."""
     given, radius = experiment.verdict, experiment.rig.mechanics.handle_radius
     return Thresholds(
         tail_s=given.tail_s,
@@ -189,10 +192,10 @@ def check_plugins(experiment: Experiment, source: str) -> None:
 
 
 def prepare_estimator(experiment: Experiment, resolution: float, period_s: float) -> Prepared:
-    """Prepare the velocity estimator of an experiment; raise the errors of `Estimator.prepare`.
+    """Return the experiment's velocity estimator, ready to run; raise `ConfigError` if a setting does not fit the rate.
 
-    `resolution` is the travel per count (rad or m), `period_s` the velocity period (s). Settings about the rig that the
-    experiment leaves out, such as its inertia, are taken from the rig's mechanics.
+    `resolution` is the travel per encoder count (rad or m), `period_s` the time between two velocity samples (s). A
+    setting about the rig that the experiment leaves out, such as the inertia, is taken from the rig's mechanics.
     """
     estimator = estimators.get(experiment.controller.estimator)
     own = estimator.settings_of(settings_of_rig(experiment))
@@ -200,7 +203,7 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return the device's inertia in the trial, without a hand (kg·m² or kg), by the setting's name ``inertia``."""
+    """Return the estimator setting ``inertia``, by name: the rig's inertia in a trial without a hand (SI)."""
     return {"inertia": moved_mechanics(rig_model(experiment)).inertia}
 
 

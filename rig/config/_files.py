@@ -113,8 +113,8 @@ def tidy(value: Any, depth: int = 0) -> Any:
 def overlay(base: Table, top: Table) -> Table:
     """Return a copy of `base` in which the keys of `top` are replaced or added, also inside nested tables.
 
-    If `top` names another estimator or grip than `base`, the settings in `base` of the old estimator or grip are
-    dropped.
+    If `top` names another velocity estimator, or another grip of the simulated hand, than `base`, the settings in
+    `base` that belong to the old one are dropped.
     """
     merged = dict(base)
     for key, value in top.items():

@@ -105,13 +105,12 @@ def override(
 ) -> Experiment:
     """Return the experiment with some keys changed; check each new value, and then the rules between keys.
 
-    If the estimator or grip changes, the settings of the old estimator or grip are dropped. A changed key also applies
-    in real time: it is removed from ``[realtime]``. If ``trial.kind`` becomes "human", the limits for people are set.
+    A change of the velocity estimator, or of the grip of the simulated hand, drops the settings of the old one. The
+    section ``[realtime]`` has values that replace others in a run in real time; a changed key is removed from it, so
+    that the change applies there too. If ``trial.kind`` becomes "human", the effort limits for people are set.
 
     Parameters
     ----------
-    experiment
-        Experiment to start from.
     changes
         New values by dotted key, like ``{"wall.stiffness": 400.0}``.
     source
@@ -138,12 +137,10 @@ def override(
 
 
 def _keys_of(table: Table) -> set[str]:
-    """Return the dotted keys that `table` sets, except the keys in ``[realtime]``."""
     return {key for key, _ in flatten({name: part for name, part in table.items() if name != "realtime"})}
 
 
 def _without_replaced_settings(experiment: Experiment, wanted: Table) -> Experiment:
-    """Return the experiment without the settings of its estimator or grip, if `wanted` names a different one."""
     estimator, grip = value_at(wanted, ("controller", "estimator")), value_at(wanted, ("operator", "grip"))
     if estimator is not None and estimator != experiment.controller.estimator:
         experiment = replace(experiment, controller=replace(experiment.controller, parameters={}))
@@ -153,9 +150,9 @@ def _without_replaced_settings(experiment: Experiment, wanted: Table) -> Experim
 
 
 def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changes for a run in real time, by dotted key: those of ``[realtime]`` and the user's `changes`.
+    """Return all changes for a run in real time, by dotted key: the section ``[realtime]``, then the user's `changes`.
 
-    The user's changes take precedence. If the device runs the law, only the keys ``host.…`` of ``[realtime]`` apply.
+    If the device runs the force law, only the keys ``host.…`` of ``[realtime]`` apply.
     """
     gentler: dict[str, Any] = dict(experiment.realtime)
     if changes.get(LOOP, experiment.controller.loop) == "device":
@@ -164,7 +161,7 @@ def realtime_changes(experiment: Experiment, changes: Mapping[str, Any]) -> dict
 
 
 def with_realtime(experiment: Experiment, changes: Mapping[str, Any] | None = None) -> Experiment:
-    """Return the checked experiment with the changes for real time: those of ``[realtime]``, then `changes`."""
+    """Return the checked experiment for a run in real time: with the values in its ``[realtime]``, then `changes`."""
     wanted = realtime_changes(experiment, changes or {})
     return override(experiment, wanted, f"[realtime] of {experiment.rig.name}")
 
@@ -192,10 +189,6 @@ def _preset(name: Any, source: str) -> Table:
 
 
 def _overlay_preset(base: Table, top: Table) -> Table:
-    """Return the table `base` with the keys of `top` replaced or added, also inside ``[realtime]``.
-
-    A key that `top` sets applies in real time too: its value in ``[realtime]`` of `base` is dropped.
-    """
     merged = overlay(base, top)
     layers = [layer["realtime"] for layer in (base, top) if "realtime" in layer]
     if layers and all(isinstance(layer, dict) for layer in layers):
@@ -215,7 +208,6 @@ def _servo_keys_to_compute(preset: Table, table: Table) -> frozenset[str]:
 
 
 def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
-    """Return the experiment with the keys `names` of ``[homing]`` computed from its rig, also for ``[realtime]``."""
     if not names:
         return x
     servo = asdict(homing.stable_servo(x))
@@ -241,8 +233,8 @@ def _refuse_arithmetic_errors(source: str) -> Iterator[None]:
 def _with_defaults(table: Table) -> Table:
     """Return `table` with the defaults that depend on other keys.
 
-    Without an effort limit, the limit is the motor's nominal effort, which is safe for people; without settings of the
-    operator's hand, the settings of the grip are used.
+    Without an effort limit, the limit is the motor's nominal effort, which is safe for people; a setting of the
+    simulated hand that is missing is taken from its grip (relaxed, normal or firm).
     """
     limits = value_at(table, ("rig", "limits"))
     if isinstance(limits, dict) and "nominal_effort" in limits and "effort" not in limits:

@@ -18,10 +18,11 @@ HARD = 1e12
 
 
 def with_human_limits(experiment: Experiment, meant: Collection[str]) -> Experiment:
-    """Return the experiment with the limits for people, if the user's keys `meant` set ``trial.kind`` to "human".
+    """Return the experiment with the limits for people, if the user has set ``trial.kind`` to "human".
 
-    If the lower effort limit requires it, a simulated hand presses less. Keys in `meant` are not changed:
-    `rig.config._rules` and `human_limits_exceeded` check them.
+    `meant` contains the keys that the user has set. Their values are not changed here, but checked later, by
+    `rig.config._rules` and `human_limits_exceeded`. If the lower effort limit requires it, a simulated hand presses
+    less.
     """
     limits = experiment.rig.limits
     if experiment.trial.kind != "human" or "rig.limits.human" in meant:

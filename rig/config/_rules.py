@@ -305,7 +305,7 @@ def profile(x: Experiment) -> Iterator[Problem]:
 
 
 def efforts(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each effort above its limit: the limit of the motor, of the guard, or for people."""
+    """Yield a problem for each effort above its limit: of the motor, of the trial, or for a person at the handle."""
     limits, motor = x.rig.limits, x.rig.amplifier.effort_limit
     for key, value, bound_key, bound in (
         ("rig.limits.nominal_effort", limits.nominal_effort, "rig.amplifier.effort_limit", motor),
@@ -396,7 +396,7 @@ def choreography(x: Experiment) -> Iterator[Problem]:
 
 
 def rest(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem if the push comes to rest so few counts deep that the encoder decides the result."""
+    """Yield a problem if the push rests fewer encoder counts deep in the wall than ``trial.minimum_rest_counts``."""
     if x.wall.stiffness == 0 or any(encoder(x)):  # without a valid encoder there is no resolution
         return
     resolution, least = x.rig.encoder.resolution, x.trial.minimum_rest_counts
@@ -431,9 +431,10 @@ def press(x: Experiment) -> Iterator[Problem]:
 
 
 def reach(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem if the person's movement to the wall ends too late for the judged last part of the trial.
+    """Yield a problem if the simulated hand's movement to the wall ends too late to judge the trial.
 
-    With a hold time, the movement must end within `trial.duration_s`, the longest wait for a contact.
+    It must end before the last part of the trial, which is judged; with a hold time, within the longest wait for a
+    contact (`trial.duration_s`).
     """
     end = x.operator.begin_s + x.operator.reach_s
     if x.trial.hold_s > 0.0:
@@ -459,7 +460,7 @@ def reach(x: Experiment) -> Iterator[Problem]:
 
 
 def speeds(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem if the homing speed is not below the guard's speed limit."""
+    """Yield a problem if the homing speed is not below the speed at which a run ends (``rig.limits.speed``)."""
     if x.homing.speed >= x.rig.limits.speed:
         yield _problem(
             x,
@@ -470,7 +471,10 @@ def speeds(x: Experiment) -> Iterator[Problem]:
 
 
 def times(x: Experiment) -> Iterator[Problem]:
-    """Yield problems if the judged last part is not shorter than the push, or if the verdict's band is empty."""
+    """Yield a problem if the judged last part is not shorter than the push, or the velocity band has no width.
+
+    The last part is `verdict.tail_s` long; in it the rms velocity is measured from `highpass_hz` to `lowpass_hz`.
+    """
     if x.trial.kind != "excitation" and x.verdict.tail_s >= push_s(x):
         of = "hold_s" if x.trial.hold_s else "duration_s"
         yield _problem(
@@ -489,7 +493,7 @@ def times(x: Experiment) -> Iterator[Problem]:
 
 
 def excitation(x: Experiment) -> Iterator[Problem]:
-    """Yield problems of the multisine excitation: no frequency in its band, too high a frequency, two sizes."""
+    """Yield problems of the multisine: its band (empty, or above Nyquist), its period, or both an rms and a peak."""
     e, rate = x.excitation, x.controller.position_rate
     if e.low_hz > e.high_hz:
         yield _problem(
@@ -546,7 +550,7 @@ def heartbeat(x: Experiment) -> Iterator[Problem]:
 
 
 def device_loop(x: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each setting that a law on the device excludes: pacing by the host, end at an overrun."""
+    """Yield a problem if ``host.pacing`` or ``host.overrun`` has a value that needs a force law on the host."""
     if x.controller.loop != "device":
         return
     why = 'where the device runs the law (controller.loop = "device")'

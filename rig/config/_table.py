@@ -57,7 +57,6 @@ class ConfigKey:
         return words.get(self.kind) or self._numbers(self.unit_for(motion))
 
     def _numbers(self, unit: str) -> str:
-        """Return the range of a number or of a list of numbers as text, such as "a number > 0 s"."""
         bounds = [bound for bound in self.bounds if bound != "not empty"]
         limits = " and ".join(bounds) or ("in" if unit else "")
         listed = self.kind.startswith("list of ")

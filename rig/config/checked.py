@@ -102,14 +102,9 @@ class FileKind(Generic[T]):
 def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple[T | None, list[Problem]]:
     """Return the content of a table as the kind's dataclass (None if invalid), and the problems of single keys.
 
-    Parameters
-    ----------
-    kind
-        Kind of the file.
-    table
-        Content of the file as nested dicts with text keys (`rig.config._files.tidy`).
-    motion
-        Motion of the rig, for units in messages; None when it is unknown.
+    `table` is the file as nested dicts with text keys (`rig.config._files.tidy`). `motion` is the rig's motion, for
+    units in
+    messages; None when it is unknown.
     """
     problems = list(_mistaken_choices(kind, table))
     # Validated as JSON, because strict validation of Python objects accepts instances of the dataclasses only.
@@ -127,17 +122,9 @@ def apply_changes(
 ) -> tuple[T, list[Problem]]:
     """Return a copy of a checked dataclass with some keys changed, and the problems of the new values.
 
-    Parameters
-    ----------
-    kind
-        Kind of file to which `described` belongs.
-    described
-        Checked dataclass to start from; it is not changed.
-    changes
-        New values in nested tables (`rig.config._files.nest`). For a field that is a mapping with arbitrary keys, the
-        new entries are added to the present entries.
-    motion
-        Motion of the rig, for units in messages; None when it is unknown.
+    `changes` are nested tables (`rig.config._files.nest`). In a field that is a mapping with arbitrary keys, new
+    entries are
+    added to the present ones. `motion` is the rig's motion, for units in messages; None when it is unknown.
     """
     making = _Changing(changes)
     result = making.section(described, changes, ())
@@ -345,7 +332,6 @@ def _mistaken_choices(kind: FileKind[Any], table: Table) -> Iterator[Problem]:
 
 @cache
 def _numbered_keys(root: Any) -> tuple[tuple[str, ConfigKey], ...]:
-    """Return the name and description of each key of a dataclass whose allowed values include numbers."""
     found = parameters_of(root).items()
     return tuple(
         (key, one) for key, one in found if not all(isinstance(choice, str) for choice in one.choices)

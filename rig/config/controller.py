@@ -1,10 +1,11 @@
 """Compute the controller of the loop and the parameters of the device from an experiment.
 
-Only this file converts configured quantities to ticks, counts and quanta: the host's law (`for_experiment`) and the
-device's parameters (`device_parameters`) use the same values. `prepare_controller` computes both once for a run.
+Only this file converts configured quantities to ticks, encoder counts and current quanta (smallest steps of the motor
+current): the host's law (`for_experiment`) and the device's parameters (`device_parameters`) use the same values.
+`prepare_controller` computes both once for a run.
 
-Plans, trials, hits, maps, the design, `rig.doctor.gate` and self tests of boards call it. It must not open a device,
-nor write to one.
+Plans, trials, maps of stable walls, `rig.doctor.gate` and self tests of boards call it. It must not open a device, nor
+write to one.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def effort_quantum(experiment: Experiment, current_quantum_a: float) -> float:
 
 
 def current_limit(experiment: Experiment, current_quantum_a: float) -> int:
-    """Return the current limit of guard and device in whole current quanta: the rig's effort limit, rounded down."""
+    """Return the current limit in whole current quanta (smallest steps): the rig's effort limit, rounded down."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     return math.floor(
         experiment.rig.limits.effort / effort_quantum(experiment, current_quantum_a) * (1.0 + 1e-12)
@@ -163,7 +164,7 @@ def for_experiment(
 
 
 def _position_state(estimator: Estimator) -> int:
-    """Return 1 + the index of the estimated position in the estimator's state (`position_state` in `CONTROL`).
+    """Return 1 + the index of the estimated position in the estimator's memory (0 would select the encoder's position).
 
     Raise `ConfigError` for an estimator that does not estimate a position.
     """
@@ -176,9 +177,10 @@ def _position_state(estimator: Estimator) -> int:
 
 
 def _free_space(experiment: Experiment) -> dict[str, float]:
-    """Return the range of the handle before the cue (rad or m), by the name of its limit in `CONTROL`.
+    """Return the range in which the handle must stay before the cue: ``free_minimum``, ``free_maximum`` (rad or m).
 
-    With free time before the cue, the range ends halfway to the wall; otherwise it is the whole position window.
+    With a wait before the cue, the range ends halfway to the wall; otherwise it is the whole allowed range of
+    positions.
     """
     limits, halfway = experiment.rig.limits, 0.5 * (experiment.trial.start + experiment.wall.position)
     free = {"free_minimum": limits.position_minimum, "free_maximum": limits.position_maximum}
@@ -225,7 +227,7 @@ def command_lifetime_s(experiment: Experiment) -> float:
 
 
 def rate_of_lifetime(lifetime_s: float) -> int:
-    """Return the highest position rate (Hz) whose default command lifetime is at least `lifetime_s` (s)."""
+    """Return the highest position rate (Hz) at which a device by default keeps a command for `lifetime_s` (s)."""
     periods = FEWEST_PERIODS if lifetime_s > LONGEST_LIFETIME_S else LIFETIME_PERIODS
     return math.floor(periods / max(lifetime_s, SHORTEST_LIFETIME_S))
 

@@ -75,17 +75,17 @@ def home_tolerance(x: Experiment) -> float:
 
 
 def largest_offset(x: Experiment) -> float:
-    """Return the largest accepted distance (rad or m) from trial.start, `LARGEST_SHARE` of the way to the wall."""
+    """Return the largest accepted distance (rad or m) from the trial's start: a fixed share of the way to the wall."""
     return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
 
 
 def usual_offset(x: Experiment) -> float:
-    """Return the distance (rad or m) that a designed servo may leave, `USUAL_SHARE` of the way to the wall."""
+    """Return the distance from the start (rad or m) that a designed homing servo may leave: ¼ of that to the wall."""
     return USUAL_SHARE * abs(x.wall.position - x.trial.start)
 
 
 def nearest_tolerance(x: Experiment) -> float:
-    """Return a homing tolerance (counts): at most a quarter of the way to the wall, within 1 to `USUAL_TOLERANCE`."""
+    """Return a homing tolerance (encoder counts): ¼ of the way to the wall, but at least 1 and at most 4 counts."""
     return max(1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(x) / x.rig.encoder.resolution)))
 
 
@@ -98,7 +98,6 @@ def inertia(x: Experiment) -> float:
 
 
 def _cutoff_hz(x: Experiment) -> float:
-    """Return the cut-off of the velocity filter (Hz); if none is given, `USUAL_CUTOFF` times the velocity rate."""
     cutoff = x.controller.parameters.get("cutoff_hz", 0.0)
     usual = USUAL_CUTOFF * x.controller.velocity_rate
     return float(cutoff) if isinstance(cutoff, float | int) and cutoff > 0.0 else usual
@@ -115,9 +114,10 @@ def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
 
 
 def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
-    """Return the stiffness (N·m/rad or N/m) for which one encoder count changes the effort by the largest allowed step.
+    """Return the servo stiffness (N·m/rad or N/m) for which one count changes the effort by the largest allowed step.
 
-    This step is share · effort + 2 · holding effort (N·m or N).
+    This step is `share` times `effort`, the servo's largest effort, plus twice the effort of friction and weight (N·m
+    or N).
     """
     return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
 

@@ -26,8 +26,8 @@ class LawOnDevice:
         True if the measured current is compared with the commanded current of the same tick. False if a drive renders
         the wall: its current changes within a tick, and it reports one value.
     live
-        Function that converts a parameter set from the loop's mailbox to the device's parameters for another wall;
-        raises `PlanError` for a wall that is out of range.
+        Function that converts a changed wall (position, then parameters of the law) to the device's parameters; raises
+        `PlanError` for a wall that is out of range.
     rendered
         Function that returns stiffness, damping and position of the rendered wall in SI, from the device's active
         parameters.

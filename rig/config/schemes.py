@@ -157,9 +157,9 @@ class Scheme:
         return applied
 
     def on(self, experiment: Experiment, *, check_rules: bool = False) -> Experiment:
-        """Return the experiment with the rates and the estimator of this scheme, with each value checked alone.
+        """Return the experiment with the rates and the estimator of this sampling scheme; check each new value alone.
 
-        `check_rules` also checks the rules between keys. The keys of ``[realtime]`` about the controller are dropped.
+        `check_rules` also checks the rules between keys. Values for real time of the controller's keys are dropped.
         """
         changes: dict[str, Any] = {
             "controller.position_rate": self.position_rate,
@@ -175,7 +175,7 @@ class Scheme:
         return override(bare, changes, f"scheme {self.text}", check_rules=check_rules)
 
     def _parameters_on(self, experiment: Experiment) -> dict[str, float | str]:
-        """Return the estimator's settings in this scheme: its own settings, completed by those of the experiment.
+        """Return the estimator's settings: those of this sampling scheme, completed by those of the experiment.
 
         The experiment's cut-off is scaled with the velocity rate, unless `controller.scheme_cutoff` is "same".
         """
@@ -194,7 +194,10 @@ class Scheme:
 
 
 def describe_cutoffs(schemes: Iterable[Scheme], experiment: Experiment) -> str | None:
-    """Return a sentence with the cut-offs by velocity rate if sampling schemes inherit different ones; else None."""
+    """Return a sentence with the cut-off (Hz) at each velocity rate; None if it is the same for all sampling schemes.
+
+    Schemes that state their own cut-off are ignored.
+    """
     own = experiment.controller
     unstated = [
         own,

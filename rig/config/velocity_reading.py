@@ -34,7 +34,7 @@ Settings = tuple[tuple[str, float | str], ...]
 
 
 def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
-    """Return the estimated velocity (rad/s or m/s) at each sample before and after a single encoder count."""
+    """Return the estimated velocity (rad/s or m/s) in the velocity samples around a single encoder count."""
     own = x.controller
     return _pulse(own.estimator, _settings(x), own.velocity_rate, abs(x.rig.encoder.resolution))
 
@@ -51,7 +51,7 @@ def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
 
 
 def quiet_cutoff(x: Experiment, most: float) -> float | None:
-    """Return the highest cut-off (Hz) at which one encoder count is estimated as a speed of at most `most`.
+    """Return the highest cut-off (Hz) at which one encoder count causes a velocity estimate of at most `most`.
 
     `most` is in rad/s or m/s. The result is not above the present cut-off, and None for an estimator without a cut-off.
     """
@@ -76,7 +76,10 @@ def _settings(x: Experiment) -> Settings:
 
 @lru_cache(maxsize=4096)
 def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: float, ahead: int) -> float:
-    """Return the highest estimated speed (rad/s or m/s) for a single count and for a steady velocity."""
+    """Return the highest estimated speed (rad/s or m/s), of a single encoder count or of a motion at `velocity`.
+
+    `delta` is the travel per count (rad or m), `ahead` the number of ticks over which the velocity is extrapolated.
+    """
     read = [_pulse(name, settings, rate, delta)]
     if velocity > 0.0:
         samples = int(np.clip(RAMP_COUNTS * delta * rate / velocity, *RAMP_SAMPLES))

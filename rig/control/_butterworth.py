@@ -13,7 +13,7 @@ _TWICE_RATE = 4.0  # of the analogue prototype, whose sampling rate is 2
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass, fastest poles first, gain in the first."""
+    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth low pass, fastest first; the first has all gain."""
     corner = _prewarp(cutoff_hz, rate_hz)
     return _sections(corner * _prototype(order), -np.ones(order), corner**order)
 
@@ -27,7 +27,7 @@ def high_pass(order: int, cutoff_hz: float, rate_hz: float) -> list[list[float]]
 
 
 def band_pass(low_hz: float, high_hz: float, rate_hz: float) -> list[list[float]]:
-    """Return the sections (b0, b1, b2, 1, a1, a2) of a Butterworth band pass, two poles per edge, fastest first."""
+    """Return sections (b0, b1, b2, 1, a1, a2) of a Butterworth band pass, two poles at each edge, fastest first."""
     low, high = _prewarp(low_hz, rate_hz), _prewarp(high_hz, rate_hz)
     width, middle = high - low, math.sqrt(low * high)
     half = (_prototype(2) * width / 2).astype(complex)

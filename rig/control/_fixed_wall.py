@@ -86,21 +86,10 @@ def limit_current(total: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, types.int64, WALL))
 def current_quanta(count: int, velocity: int, wall: FixedWall) -> int:
-    """Return the current to command for a count and a velocity: wall, constant effort and limit.
+    """Return the current to command (quanta of the wire protocol) at an encoder count: wall, constant effort, limit.
 
-    Parameters
-    ----------
-    count
-        Count of the encoder, from a 32-bit counter that may have wrapped.
-    velocity
-        Counts per velocity period in LSB of the estimator's format, positive with rising counts.
-    wall
-        Result of `design_wall`.
-
-    Returns
-    -------
-    int
-        Current in quanta of the wire protocol.
+    The 32-bit counter may have wrapped. `velocity` is in counts per velocity period, in LSB of the estimator's format,
+    positive with rising counts.
     """
     return limit_current(wall.constant - wall.side * reaction(depth(count, wall), velocity, wall), wall)
 

@@ -15,7 +15,7 @@ from rig.realtime.kernel import kernel
 
 @kernel("f8(f8, f8)", inline=True)
 def clip_effort(effort: float, limit: float) -> float:
-    """Return the effort clipped to ±limit (N·m or N); 0 if it is not finite (the caller sets the flag)."""
+    """Return the effort clipped to ±limit (N·m or N); 0 if it is not finite."""
     # min and max would turn a NaN into a limit, which is full effort.
     if not math.isfinite(effort):
         return 0.0

@@ -1,4 +1,4 @@
-"""Compute all numbers of a verdict from the arrays of one trial, in one compiled call that allocates nothing.
+"""Compute all numbers by which one trial is judged from its arrays, in one compiled call that allocates nothing.
 
 `measure` is used for recordings and for simulated trials; `rig.control.verdict` derives the outcome from the numbers.
 
@@ -144,9 +144,11 @@ NUMBERS_TYPE = types.Array(numba.from_dtype(NUMBERS), 1, "C")
 
 @dataclass(frozen=True, slots=True)
 class Filters:
-    """Coefficients of a high pass and a band pass, and the ticks after which both have forgotten an old sample.
+    """Coefficients of the high pass and the band pass with which a trial is judged.
 
-    `sections` has one row (b0, b1, b2, a1, a2) for each second-order section.
+    `sections` has one row (b0, b1, b2, a1, a2) for each second-order section. After `lead_ticks` ticks the output of
+    both
+    filters does not depend on earlier samples.
     """
 
     sections: Floats
@@ -155,9 +157,9 @@ class Filters:
 
 @lru_cache(maxsize=64)
 def filters(tick_s: float, highpass_hz: float, lowpass_hz: float) -> Filters:
-    """Return the high pass and the band pass of a verdict: Butterworth filters with two poles for each edge.
+    """Return the high pass and the band pass with which a trial is judged: Butterworth, two poles at each edge.
 
-    The upper corner of the band is omitted if it is at or above 0.45 of the rate.
+    The band pass has no upper edge if that edge would be at or above 0.45 of the sampling rate.
     """
     rate_hz = 1.0 / tick_s
     highpass = high_pass(2, highpass_hz, rate_hz)
@@ -207,7 +209,7 @@ def _contact(effort: Floats, penetration: Floats, settings: Records, numbers: Re
 
 @kernel(types.void(_FLAGS, SETTINGS_TYPE, NUMBERS_TYPE), no_refcount=True)
 def _marks(flags: Ints, settings: Records, numbers: Records) -> None:
-    """Write the counts of flags and lost samples, of the whole trial and since the contact, to `numbers`."""
+    """Count flagged ticks and lost samples, in all and since the contact, and write the counts to `numbers`."""
     s, n = settings[0], numbers[0]
     ticks = flags.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -278,7 +280,7 @@ def _toggling_hz(position: Floats, settings: Records) -> float:
 
 @kernel(types.int64(_SIGNAL, types.float64), inline=True, no_refcount=True)
 def _toggles(position: Floats, resolution: float) -> int:
-    """Return the largest number of successive changes between two neighbouring counts: large for a dead channel."""
+    """Return how often in a row the count changes between two neighbours; often means a dead encoder channel."""
     most = changes = 0
     low = position[0]
     for k in range(1, position.shape[0]):
@@ -293,10 +295,11 @@ def _toggles(position: Floats, resolution: float) -> int:
 
 @kernel(types.float64(types.float64, types.float64, types.float64, types.float64))
 def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, lowpass_hz: float) -> float:
-    """Return the rms velocity (rad/s or m/s), within the band, of an encoder count that toggles at `frequency_hz`.
+    """Return the rms velocity (rad/s or m/s) of a count that toggles at `frequency_hz`, within a band of frequencies.
 
-    A square wave of height Δ at f Hz has odd harmonics. The velocity of each has the rms 2√2·f·Δ; the powers of those
-    within the band are added.
+    A square wave with the height Δ of one count (`resolution`, rad or m) has odd harmonics. At f Hz the velocity of
+    each
+    has the rms 2√2·f·Δ; the powers of those in the band are added.
     """
     # With no harmonic in the band at least one: the band's edges let a part of the fundamental through.
     harmonics = 0
@@ -320,10 +323,12 @@ def _section(
 def _ripple_and_travel(
     position: Floats, effort: Floats, settings: Records, sections: Floats, numbers: Records
 ) -> None:
-    """Write heard, moved and growth in the tail, and heard and moved of the stay in the wall, to `numbers`.
+    """Write the ripples of effort and position and the growth of the effort's ripple to the record `numbers`.
 
-    *heard* is the rms ripple of the effort, *moved* the peak-to-peak position, both above the high pass; *growth* is
-    the ratio of the ripple in the second half of the tail (last part of the trial) to the first half.
+    *heard* is the rms effort above the high pass, *moved* the peak-to-peak position above it, both in the tail (last
+    part
+    of the trial) and in the stay in the wall; *growth* is the rms effort of the tail's second half over that of the
+    first.
     """
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
@@ -382,7 +387,7 @@ def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> flo
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, SETTINGS_TYPE, SECTIONS_TYPE, _SCRATCH_TYPE), no_refcount=True)
 def _felt(position: Floats, velocity: Floats, settings: Records, sections: Floats, scratch: Floats) -> float:
-    """Return the rms velocity (rad/s or m/s) within the band over the tail (last part) of a trial.
+    """Return the rms velocity (rad/s or m/s) in the pass band of `sections`, over the tail (last part) of a trial.
 
     The signal is filtered forwards, to `scratch`, and then backwards, which cancels the phase.
     """
@@ -443,7 +448,6 @@ def _rest_and_impact(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Write resting penetration, settling time and velocity at impact to `numbers`."""
     s, n = settings[0], numbers[0]
     ticks = penetration.shape[0]
     begin = max(0, ticks - s["tail_ticks"])
@@ -474,7 +478,6 @@ def _rest_and_impact(
 
 @kernel(types.void(NUMBERS_TYPE, types.int64), no_refcount=True)
 def _write_nothing(numbers: Records, ticks: int) -> None:
-    """Write the numbers of a trial that is too short to measure: zeros, and NaN where a verdict has None."""
     n = numbers[0]
     n["felt"] = n["contact_s"] = n["impact_velocity"] = n["settling_s"] = math.nan
     n["felt_floor"] = n["heard"] = n["moved"] = n["growth"] = 0.0
@@ -504,19 +507,22 @@ def measure(
     scratch: Floats,
     numbers: Records,
 ) -> None:
-    """Compute all numbers of one trial, from which `rig.control.verdict` derives the outcome.
+    """Compute all numbers of one trial, from which `rig.control.verdict` derives the outcome (stable, limit cycle, …).
 
     Parameters
     ----------
     position, velocity, effort, penetration
         One value for each tick (SI units); if `velocity` is empty, it is derived from `position`.
     flags
-        Bits of `rig.core.sample.RowFlag` and `OVERRULED`, plus the number of samples lost just before << `LOST_BITS`.
+        For each tick the bits of `rig.core.sample.RowFlag`, the bit `OVERRULED` (the device did not apply the commanded
+        effort), and, from bit `LOST_BITS` on, the number of samples lost just before.
     settings, sections, scratch
-        One record of `SETTINGS`, `Filters.sections`, and at least `tail_ticks` + `pad_ticks` values to overwrite.
+        One record of dtype `SETTINGS`, the filters (`Filters.sections`), and `tail_ticks` + `pad_ticks` values to
+        overwrite.
     numbers
-        One record of `NUMBERS`; all of it is overwritten. For a trial of fewer than `FEWEST_TICKS` ticks it gets zeros,
-        and NaN where a verdict has None.
+        One record of dtype `NUMBERS` for the results; all of it is overwritten. For a trial of fewer than
+        `FEWEST_TICKS`
+        ticks it gets zeros, and NaN for numbers that cannot be known.
     """
     n = numbers[0]
     ticks = position.shape[0]
@@ -545,7 +551,7 @@ def measure(
 
 @group
 class MeterArguments(NamedTuple):
-    """Arguments of `measure` for compiled code; `recorded` and `true` are settings for recorded and true signals."""
+    """Filters, memory and settings by which compiled code judges trials, `recorded` by an encoder or `true`."""
 
     recorded: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
     true: Annotated[Records, types.Array(numba.from_dtype(SETTINGS), 1, "C")]
@@ -565,8 +571,12 @@ class Meter:
         Tick of the trials (s).
     resolution
         Travel of one count in recorded trials (rad or m); its sign does not matter.
-    tail_s, highpass_hz, lowpass_hz, felt_velocity
-        As in `rig.control.verdict.Thresholds`.
+    tail_s
+        Length of the last part of a trial, in which ripples are measured (s).
+    highpass_hz, lowpass_hz
+        Band in which velocity is measured; position and effort are measured above `highpass_hz`.
+    felt_velocity
+        Threshold of the rms velocity (rad/s or m/s), which is not measured if one toggling count exceeds it.
 
     Notes
     -----
@@ -615,14 +625,17 @@ class Meter:
         flags: Ints,
         velocity: Floats | None = None,
     ) -> np.void:
-        """Return the numbers (a record of `NUMBERS`) of a trial's recorded signals; `velocity` may be left out."""
+        """Return the numbers by which a trial is judged (a record of dtype `NUMBERS`), from its recorded signals.
+
+        Without `velocity` (rad/s or m/s) it is derived from `position`.
+        """
         derived = self._no_velocity if velocity is None else velocity
         return self._measured(self._recorded, (position, derived, effort, penetration), flags)
 
     def true(
         self, position: Floats, velocity: Floats, effort: Floats, penetration: Floats, flags: Ints
     ) -> np.void:
-        """Return the numbers (a record of `NUMBERS`) of a simulated trial's true signals, without encoder counts."""
+        """Return the numbers by which a trial is judged (dtype `NUMBERS`), from a simulation's true signals."""
         return self._measured(self._true, (position, velocity, effort, penetration), flags)
 
     def _measured(

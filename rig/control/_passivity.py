@@ -15,18 +15,10 @@ from rig.realtime.kernel import kernel
 
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def add_damping(reaction: float, energy: float, inwards: float, limit: float, tick_s: float) -> float:
-    """Return the wall's reaction (N·m or N), with damping added if the wall has given energy.
+    """Return a wall's reaction (N·m or N, positive out of the wall), with damping added if it has given energy.
 
-    Parameters
-    ----------
-    reaction
-        Reaction of the wall alone (N·m or N), positive out of the wall.
-    energy
-        Energy that the wall has given minus energy that it has absorbed (J).
-    inwards
-        Velocity into the wall (rad/s or m/s).
-    limit
-        Largest damping that is added (N·m·s/rad or N·s/m).
+    `reaction` is that of the wall alone, `energy` what the wall has given minus what it has absorbed (J), `inwards` the
+    velocity into the wall (rad/s or m/s), and `limit` the largest damping that is added (N·m·s/rad or N·s/m).
     """
     # At an estimated speed of zero no energy can be removed, so a limit cycle of one count is not damped.
     if energy <= 0.0 or inwards == 0.0:

@@ -39,7 +39,8 @@ TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict ca
 def add_energy(before: float, effort: float, travel: float, free: bool) -> float:
     """Return the energy (J) that the motor has given so far: `before` plus effort (N·m or N) times travel (rad or m).
 
-    In free space (`free`) the result is never below 0.
+    In free space (`free`) the result is at least 0: energy that damping has absorbed there is no credit for the next
+    contact.
     """
     # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
     # ticks. A sampled wall leaks: a count that is left and entered again gives stiffness times the count squared.

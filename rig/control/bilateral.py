@@ -1,12 +1,12 @@
 """Linear laws (spring and damper on both sides of a point), as a base for measurements of impedance.
 
-A wall with a free side is not linear, so impedance is measured about a point inside a wall that also pulls. One law
-adds an excitation by the rig's own motor: one period of efforts in the law's parameters, played by elapsed ticks and
-not by a clock, so that the same law runs in a simulation, over the byte link, in real time and in a replay. Another law
-begins at the first contact.
+A wall that acts on one side only is not linear, so impedance is measured about a point inside a wall that also pulls.
+One law adds an excitation by the rig's own motor: one period of efforts in the law's parameters, played by elapsed
+ticks and not by a clock, so that the same law runs in a simulation, over the byte link, in real time and in a replay.
+Another law begins at the first contact.
 
-Excited runs and identification of `rig.experiments`, the reproductions of papers and the simulation use it. Kernels
-here must not allocate, and must not depend on the link to the device.
+Measurements of impedance and identification of `rig.experiments`, the reproductions of papers and the simulation use
+it. Kernels here must not allocate, and must not depend on the link to the device.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def bilateral(
 def clinging(
     penetration: float, penetration_velocity: float, elapsed_ticks: int, state: Floats, parameters: Floats
 ) -> float:
-    """Return the reaction (N·m or N) of a spring and damper on both sides, which act from the first contact on."""
+    """Return the reaction (N·m or N) of a spring and damper that act on both sides from the first contact on."""
     state[LAW_CLAMPED] = 0.0
     if penetration > 0.0:
         state[TOUCHED] = 1.0
@@ -98,14 +98,9 @@ def excited_law(
 ) -> Law:
     """Return the law of a spring and a damper on both sides with an excitation by the rig's own motor.
 
-    Parameters
-    ----------
-    efforts
-        One period of efforts at the loop's rate (N·m or N), positive with position; at least one sample.
-    ramp_ticks
-        Number of ticks in which the excitation rises from zero.
-    device
-        Device parameters from which a device computes the same period (`rig.control.excitation_table`).
+    `efforts` is one period at the loop's rate (N·m or N, positive with position), faded in over `ramp_ticks` ticks.
+    `device`
+    has the device parameters with which a device computes the same period (`rig.control.excitation_table`).
     """
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 
@@ -117,18 +112,21 @@ def excited_law(
 
 
 def design(wall: Mapping[str, Any]) -> list[float]:
-    """Return the parameters of the bilateral law, stiffness and damping, from the settings of ``[wall]``."""
+    """Return stiffness and damping, the parameters of a spring and damper on both sides, from ``[wall]``."""
     return [wall["stiffness"], wall["damping"]]
 
 
 def design_excited(wall: Mapping[str, Any], efforts: Floats, ramp_ticks: int) -> list[float]:
-    """Return parameters of the excited law: stiffness, damping, ramp (ticks), one period of reactions (N·m or N)."""
+    """Return the law's parameters: stiffness, damping, fade-in (ticks), then the excitation as reactions (N·m or N).
+
+    A reaction counts out of the wall: on side +1 it is minus the effort, which is positive with position.
+    """
     reactions = (-wall["side"] * efforts).tolist()  # a reaction counts out of the wall
     return [*design(wall), float(ramp_ticks), *reactions]
 
 
 def played(parameters: Floats, side: int, tick_s: float, ticks: int) -> Floats:
-    """Return the excitation of the excited law in its first `ticks` ticks (N·m or N, positive with position)."""
+    """Return the excitation (N·m or N, positive with position) that a law's parameters give for the first ticks."""
     tick, table = np.arange(ticks), parameters[TABLE:]
     rising = fade(tick * tick_s, parameters[RAMP_TICKS] * tick_s)
     return np.asarray(-side * table[tick % len(table)] * rising)

@@ -43,7 +43,11 @@ WALL, SIDE, MINIMUM, MAXIMUM, LIMIT, OWN, HARMONICS = range(7)
 
 @kernel("f8(f8, f8[::1])", inline=True, no_refcount=True)
 def effort_at(position: float, harmonics: Any) -> float:
-    """Return the cogging effort (N·m or N) at a position (rad or m); `harmonics` as in `rig.core.model.Cogging`."""
+    """Return the cogging effort (N·m or N) at a position (rad or m), as a sum of harmonics.
+
+    `harmonics` is flat, with three numbers for each: wavenumber (rad per rad or m), cosine and sine coefficient (N·m or
+    N).
+    """
     effort = 0.0
     for i in range(0, harmonics.shape[0], HARMONIC):
         angle = harmonics[i + WAVENUMBER] * position
@@ -84,7 +88,7 @@ def compensate_cogging(law: Law, cogging: Cogging, limit: float) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return a law with cogging compensation whose parameters a replay takes from the recording."""
+    """Return `law` with a cogging compensation of zero, whose parameters a replay replaces by the recorded ones."""
     return compensate_cogging(law, Cogging(), 0.0)
 
 

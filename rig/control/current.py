@@ -8,10 +8,11 @@ compared with a threshold, the larger of `SIGMAS` of the sensor's noise and a te
 * below it they *agree* if a motor without current would have exceeded it; otherwise the current was *not observed*.
 
 Lag and delay are known to a factor of two: the expected current is computed for half and twice of both, and only a
-residual that none of them explains counts. Under voltage drive the expected current includes that of the back-EMF.
+residual that none of these currents explains counts. Under voltage drive it includes that of the back-EMF.
 
-The simulated device and both loops of the host use it; firmware has the same in `core/current.c`. It must not use
-floating point or allocate in a tick. Change it only together with the firmware, so that both give the same results.
+The simulated device and the host's loops (simulated and real time) use it; firmware has the same in `core/current.c`.
+It must not use floating point or allocate in a tick. Change it only together with the firmware, so that both give the
+same results.
 
 Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag; the thresholds are set by this project;
 `rig/docs/explanation/verdicts.md` has the resulting rates of false alarms and of detection.
@@ -67,18 +68,9 @@ _UNOBSERVED = 2**32 - 1
 
 
 def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) -> None:
-    """Initialise the comparison of measured and set current.
+    """Initialise the memory of the comparison of currents: `words`, `WORDS` integers, each at its index in `CURRENT`.
 
-    Parameters
-    ----------
-    words
-        Memory of the comparison, `WORDS` integers at the indices `CURRENT`.
-    sensor
-        Properties of the rig's current sensor.
-    rate
-        Ticks a second (Hz).
-    encoder_sign
-        1 if counts rise with the position, −1 if they fall.
+    `rate` is the number of ticks a second, `encoder_sign` 1 if counts rise with the position and −1 if they fall.
     """
     words[CURRENT.decay] = _share_of(sensor.lag_s, rate)
     words[CURRENT.speed_decay] = _share_of(SPEED_LAG_S, rate)
@@ -96,7 +88,6 @@ def configure(words: Ints, sensor: CurrentSensor, rate: int, encoder_sign: int) 
 
 
 def _configure_delay(words: Ints, ticks: float) -> None:
-    """Initialise the delay line of set currents for a delay in ticks (a real number), and fill it with zero current."""
     delayed = words[CURRENT.delayed] = math.ceil(2.0 * ticks - 1e-9)
     stride = words[CURRENT.stride] = max(1, -(-delayed // (SLOTS - 1)))
     words[CURRENT.first] = math.floor(0.5 * ticks + 1e-9) // stride
@@ -114,7 +105,7 @@ def _share_of(lag_s: float, rate: int) -> int:
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """Return the part (in 1/65536) of a step to subtract so that a lag ends the tick as after a ramp of that height."""
+    """Return the part (in 1/65536) of a step to subtract, so that a lag ends a tick as after a ramp to that height."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate
@@ -132,7 +123,6 @@ def _begin_window(words: Ints) -> None:
 
 @rule
 def _begin_at(words: Ints, current: int) -> None:
-    """Set the output of each first-order lag to a current (quanta)."""
     words[CURRENT.expected] = current * _UNIT
     words[CURRENT.quick_low] = words[CURRENT.quick_high] = current * _UNIT
     words[CURRENT.slow_low] = words[CURRENT.slow_high] = current * _UNIT
@@ -140,7 +130,7 @@ def _begin_at(words: Ints, current: int) -> None:
 
 @rule
 def forget(words: Ints) -> None:
-    """Start a new window of the comparison without earlier currents: at a new session, or after lost samples."""
+    """Start the comparison of measured and set current anew, without the past: at a new session or after a gap."""
     _begin_window(words)
     words[CURRENT.last_largest] = words[CURRENT.last_most] = 0
     words[CURRENT.known] = words[CURRENT.speed] = words[CURRENT.moved] = 0
@@ -153,30 +143,17 @@ def forget(words: Ints) -> None:
 
 @rule
 def resume(words: Ints, measured: int) -> None:
-    """Start a new window of the comparison; each first-order lag starts at the measured current (quanta)."""
+    """Start the comparison of measured and set current anew; the expected current starts at `measured` (quanta)."""
     _begin_at(words, measured)
     forget(words)
 
 
 @rule
 def compare(words: Ints, count: int, active: int, measured: int) -> int:
-    """Add one tick to the window; at the end of a window return whether measured and expected current agree.
+    """Add a tick to the comparison of currents; at the end of a window, return if measured and expected current agree.
 
-    Parameters
-    ----------
-    words
-        Memory of the comparison, at the indices `CURRENT`.
-    count
-        Encoder count at the end of the tick.
-    active
-        Set current that was active during the tick (quanta).
-    measured
-        Measured current at the end of the tick (quanta).
-
-    Returns
-    -------
-    int
-        `AGREES` or `DISAGREES`; 0 if the window is not complete or the current was too small to be observed.
+    `active` (quanta) was the set current during the tick; `count` and `measured` (quanta) are encoder count and motor
+    current at its end. Return `AGREES` or `DISAGREES`; 0 if the window is not complete or the current was too small.
     """
     if words[CURRENT.noise] == _UNOBSERVED:
         return 0
@@ -233,7 +210,6 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
 
 @rule
 def _set(words: Ints, active: int) -> None:
-    """Write the active current of a tick (quanta) into the delay line."""
     if words[CURRENT.filled] >= words[CURRENT.stride]:
         words[CURRENT.filled] = 0
         words[CURRENT.newest] = words[CURRENT.newest] + 1 if words[CURRENT.newest] + 1 < SLOTS else 0
@@ -247,7 +223,6 @@ def _set(words: Ints, active: int) -> None:
 
 @rule
 def _slot(words: Ints, back: int) -> int:
-    """Return the index of the slot of the delay line that is `back` slots older than the newest slot."""
     place = words[CURRENT.newest] - back
     return int(place if place >= 0 else place + SLOTS)
 
@@ -283,7 +258,6 @@ def _back_emf(words: Ints, count: int) -> int:
 
 @rule
 def _smooth(words: Ints, measured: int) -> None:
-    """Low-pass filter the residual current (without back-EMF) and the expected current, over `SPEED_LAG_S`."""
     left = measured * _UNIT - words[CURRENT.expected]
     # Of a tick's speed it is the middle that follows; in the first tick all of it comes behind the lag.
     share = words[CURRENT.late] if words[CURRENT.known] == 1 else _HALF
@@ -297,7 +271,7 @@ def _smooth(words: Ints, measured: int) -> None:
 
 @rule
 def _outside(left: int, low: int, high: int) -> int:
-    """Return the distance (quanta) of a residual current from the range [low, high] that delays and lags explain."""
+    """Return how far (quanta) the residual current `left` is outside of the range that delay and lag explain."""
     return _size(left - min(max(left, low), high))
 
 

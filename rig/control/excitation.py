@@ -1,7 +1,8 @@
 """Multisines: efforts that excite a rig to measure its impedance, as sums of cosines at multiples of 1/period.
 
-    multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0) multisine.crest_factor, multisine.peak effort =
-    multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
+    multisine = Multisine.schroeder((1.0, 250.0), period_s=1.0, rms=2.0)
+    multisine.crest_factor, multisine.peak
+    effort = multisine.period(16_000, offset=0.5)  # one period, at the middle of each step
 
 A multisine repeats exactly, so a spectrum of whole periods needs no window (`rig.analysis.impedance`). Schroeder's
 phases give a small crest factor; random phases, drawn for each realisation, turn the distortion by friction from a bias
@@ -160,8 +161,10 @@ class Multisine:
     ) -> Multisine:
         """Return the multisine with random phases, uniform on the circle; the same seed gives the same phases.
 
-        Other parameters: see `schroeder`. A seed may be several numbers, such as (seed, realisation). With `rms` given,
-        each realisation (draw of the phases) has a different peak; with `peak` given, a different rms.
+        A seed may be several numbers, such as (seed, realisation). With `rms` given, each draw of the phases has a
+        different
+        peak; with `peak` given, a different rms. The other parameters (band, period, lines, spectrum) are those of
+        `schroeder`.
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))
@@ -240,7 +243,7 @@ class Multisine:
         return self._samples(samples, offset)
 
     def ramped(self, time_s: ArrayLike, ramp_periods: int) -> Floats:
-        """Return the multisine (N·m or N) at given times (s), zero before time 0 and faded in over `ramp_periods`."""
+        """Return the multisine (N·m or N) at given times (s): 0 before time 0, then faded in over `ramp_periods`."""
         time = np.asarray(time_s, dtype=np.float64)
         return self.at(time) * ramp(time, ramp_periods * self.period_s)
 
@@ -249,18 +252,21 @@ class Multisine:
         return replace(self, amplitudes=factor * self.amplitudes)
 
     def through(self, response: ArrayLike) -> Multisine:
-        """Return the steady output of a linear system with complex gain `response` (n,) at the lines (a multisine)."""
+        """Return a linear system's steady output for this multisine; `response` is its complex gain at each line."""
         gain = np.broadcast_to(np.asarray(response, dtype=np.complex128), self.lines_hz.shape)
         return replace(
             self, amplitudes=self.amplitudes * np.abs(gain), phases=_wrap_phase(self.phases + np.angle(gain))
         )
 
     def position(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the handle's steady position F/(jω·Z) under this effort (rad or m); Z: function of Hz, or array."""
+        """Return the handle's steady position (rad or m) if this multisine is the effort: each line divided by jω·Z.
+
+        `impedance` Z(jω) (N·m·s/rad or N·s/m) is a function of frequency (Hz), or its values at the spectral lines.
+        """
         return self._divide_by(self._s * self._impedance(impedance))
 
     def velocity(self, impedance: ImpedanceModel) -> Multisine:
-        """Return the handle's steady velocity F/Z under this effort (rad/s or m/s); Z: function of Hz, or array."""
+        """Return the handle's steady velocity (rad/s or m/s) if this is the effort: each line divided by Z(jω)."""
         return self._divide_by(self._impedance(impedance))
 
     def check(
@@ -328,7 +334,6 @@ class Multisine:
         return self.through(1.0 / by)
 
     def _samples(self, samples: int, offset: float) -> Floats:
-        """Return one period (N·m or N) as `samples` samples at the times (k + offset) · period/samples."""
         spectrum = np.zeros(samples // 2 + 1, np.complex128)
         shift = 2.0 * np.pi * self.harmonics * offset / samples
         spectrum[self.harmonics] = 0.5 * samples * self.amplitudes * np.exp(1j * (self.phases + shift))

@@ -1,14 +1,13 @@
-"""The multisine that a device plays from a table of samples: the firmware's table, bit for bit, and its multisine.
+"""The multisine that a device plays from a table of samples: computes that table bit for bit as the firmware does.
 
 The host streams no samples: it sends a few parameters, and the device computes one period as 16-bit numbers in units of
-2^−bits quanta before the rig moves, and adds one of them to the current in each tick. The device uses integers
-(firmware/law/excitation.c), so the host can compute the same table exactly. `ExcitationTable.multisine` returns the
-`rig.control.excitation.Multisine` that the table approximates: lines first, first + step, …, of equal amplitude.
-
+2^−bits quanta (smallest steps of current) before the rig moves, and adds one of them to the current in each tick. The
+device uses integers (firmware/law/excitation.c), so the host can compute the same table exactly.
+`ExcitationTable.multisine` returns the `rig.control.excitation.Multisine` that the table approximates, and
 `ExcitationTable.error` bounds the error of the approximation. The excitation is faded in by a raised cosine over `ramp`
 ticks.
 
-Excited runs of `rig.experiments` use it. It must match the firmware bit for bit, and sends nothing.
+Measurements of impedance in `rig.experiments` use it. It must match the firmware bit for bit, and sends nothing.
 """
 
 from __future__ import annotations
@@ -172,7 +171,7 @@ class ExcitationTable:
         ramp
             Number of ticks in which the excitation rises from zero.
         phases, seed
-            Rule for the phases, one of `PHASES`, and seed of the hashed phases.
+            Rule for the phases ("schroeder", or pseudo-random ones: `PHASES`), and their seed.
 
         Raises
         ------
@@ -287,7 +286,7 @@ class ExcitationTable:
         return self.values * effort_quantum
 
     def played(self, ticks: ArrayLike) -> Integers:
-        """Return the currents that the device adds at given ticks of the excitation, ramp included (quanta · 2^16)."""
+        """Return the current (quanta · 2^16) that the device adds at given ticks of the excitation, faded in."""
         tick = np.asarray(ticks, dtype=np.int64)
         gain = np.full(tick.shape, 1 << _GAIN_BITS, np.int64)
         if self.ramp > 0:
@@ -304,7 +303,6 @@ class ExcitationTable:
 
     @cached_property
     def _sums(self) -> Integers:
-        """Return the sum of the cosines of all spectral lines at each tick (in 2^−24), shape (period,)."""
         sums = np.empty(self.period, np.int64)
         line, own = np.arange(self.lines, dtype=np.uint32), self.line_phases
         for ticks in _chunks(self.period, self.lines):
@@ -316,7 +314,6 @@ class ExcitationTable:
         return sums
 
     def _at(self, bits: int) -> Integers:
-        """Return the numbers of the table with `bits` fractional bits, before they are clipped to 16 bits."""
         shift = _COSINE_BITS + LINE_BITS - bits
         return (self._sums * self.amplitude >> shift - 1) + 1 >> 1
 

@@ -129,7 +129,7 @@ def compensate_friction(law: Law, wanted: Compensation) -> Law:
 
 
 def around(law: Law) -> Law:
-    """Return a law with friction compensation whose parameters a replay takes from the recording."""
+    """Return `law` with a friction compensation of zero, whose parameters a replay replaces by the recorded ones."""
     return compensate_friction(law, Compensation(up=0.0, down=0.0, dead_band=1.0))
 
 

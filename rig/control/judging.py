@@ -78,7 +78,7 @@ def recorded_signals(
 ) -> TrialSignals:
     """Return the signals of the trial phase from recorded rows (`rig.core.sample.ROW`).
 
-    `effort` names the column with the effort. The default is the effort of the law; if a drive rendered the wall
+    `effort` names the column of the effort. The default is the effort that the host sent; if a drive rendered the wall
     itself, use ``effort_applied``, which the drive reports. `resolution` is the travel for one count (rad or m).
     """
     trial = rows["phase"] == Phase.TRIAL
@@ -113,9 +113,11 @@ def true_signals(
 ) -> TrialSignals:
     """Return the true signals of a simulated trial from rows that also have `rig.core.sample.TRUTH_COLUMNS`.
 
-    Position and velocity are those of the handle, which the hand feels. Penetration is that of the side with the
-    encoder; in a rig of two masses the capstan lies between handle and encoder. Flags and lost samples are copied from
-    `recorded`, the recorded signals of the same rows.
+    Position and velocity are those of the handle, which the hand feels. Penetration is that of the mass with the
+    encoder; in
+    a rig of two masses the capstan lies between handle and encoder. Events and lost samples are copied from `recorded`,
+    the
+    recorded signals of the same rows.
     """
     trial = rows["phase"] == Phase.TRIAL
     return replace(
@@ -129,15 +131,20 @@ def true_signals(
 
 
 def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
-    """Return the verdict of one trial, by the rules of `rig.control.verdict`.
+    """Return the verdict on one trial (stable, limit cycle, unstable or invalid), with its reasons and numbers.
 
-    A trial shorter than its tail (the last `tail_s`) is judged on all its samples; a trial without samples is invalid.
+    The last part of the trial (`thresholds.tail_s`) decides. A shorter trial is judged on all its samples; a trial
+    without
+    samples is invalid.
     """
     return measure_signals(signals, thresholds).verdict
 
 
 def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out: bool = False) -> Measured:
-    """Return the numbers of one trial, from which `Measured` derives the outcome; `thrown_out`: ended by a guard."""
+    """Return the numbers by which one trial is judged, in an object that derives the outcome from them.
+
+    `thrown_out` is True if a safety limit ended the run, which the signals do not show.
+    """
     numbers = meter(thresholds, signals.tick_s, signals.resolution).recorded(
         signals.position, signals.effort, signals.penetration, _flags(signals), signals.velocity
     )
@@ -145,7 +152,7 @@ def measure_signals(signals: TrialSignals, thresholds: Thresholds, *, thrown_out
 
 
 def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
-    """Return a `Meter` for trials with these thresholds, which computes the numbers behind a verdict; one per thread.
+    """Return an object that computes the numbers by which trials are judged with these thresholds; one for each thread.
 
     `resolution` is the travel for one count in recorded signals (rad or m).
     """
@@ -160,7 +167,6 @@ def meter(thresholds: Thresholds, tick_s: float, resolution: float) -> Meter:
 
 
 def _flags(signals: TrialSignals) -> NDArray[np.int64]:
-    """Return the flags of a trial as bits of one integer for each tick, as `rig.control._measure.measure` expects."""
     flags = signals.lost.astype(np.int64) << LOST_BITS | signals.currents
     for bit, marked in (
         (int(RowFlag.SATURATED), signals.saturated),

@@ -1,4 +1,4 @@
-"""Definition of a force law: a compiled function of type `rig.realtime.plugs.LAW_SIGNATURE`, and its design."""
+"""Definition of a force law: a compiled function that is called in each tick, and the computation of its parameters."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rig.core.shown import Shown
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Law(Shown):
-    """A force law: its compiled function, the size of its memory, and its design.
+    """A force law: its compiled function, the size of the memory that it keeps between calls, and its parameters.
 
     `design(wall)` receives the wall's settings by name (stiffness, damping, pull, …) and ``tick_s``, the time of one
-    tick (s), and returns the parameters. `floats` is the number of float64 in its memory; the first is
+    tick (s), and returns the parameters. `floats` is the number of float64 in the memory; the first is
     `rig.realtime.plugs.LAW_CLAMPED`, non-zero if the reaction was clamped. `device` has the device parameters for what
     the law does besides the wall; it is empty if the law does nothing else or if a device cannot run it.
     """
@@ -35,7 +35,7 @@ class Law(Shown):
         return [f"law {self.name}: {self.summary}"]
 
     def prepare(self, wall: Mapping[str, Any]) -> PreparedLaw:
-        """Return the law with parameters designed for `wall` (settings by name), and a memory of zeros."""
+        """Return the law ready to run: parameters computed for `wall` (settings by name), memory set to zero."""
         parameters = np.array(self.design(wall), dtype=np.float64)
         return PreparedLaw(self, parameters, np.zeros(max(1, self.floats)))
 

@@ -41,8 +41,8 @@ def servo_to_points(
 ) -> float:
     """Return the reaction (N·m or N) of a servo that moves the handle along lines between points (tick, position).
 
-    It stays at the last point. Spring and damper are clipped to ±LIMIT. It is the homing servo of
-    `rig.control._sources`, with the velocity of the path as setpoint of the damper.
+    It stays at the last point. The sum of spring and damper is clipped to the largest effort among the parameters. The
+    damper acts on the difference between the velocities of path and handle.
     """
     state[LAW_CLAMPED] = 0.0
     tick = state[TICK] - 1.0 + elapsed_ticks if state[TICK] > 0.0 else 0.0
@@ -103,16 +103,11 @@ def nudges(
 def make_tracing_law(
     path: Sequence[tuple[float, float]], *, stiffness: float, damping: float, limit: float, rate_hz: float
 ) -> Law:
-    """Return a law that moves the handle along a path.
+    """Return a law that moves the handle along a path, by a servo.
 
-    Parameters
-    ----------
-    path
-        Points (time, position): ascending times from the beginning of the trial (s), and positions (rad or m).
-    stiffness, damping, limit
-        Gains of the servo (N·m/rad or N/m, N·m·s/rad or N·s/m), and its largest effort (N·m or N).
-    rate_hz
-        Rate of the loop (Hz).
+    `path` has points (time, position): ascending times from the beginning of the trial (s), and positions (rad or m).
+    The
+    servo has a stiffness, a damping (SI units) and a largest effort `limit` (N·m or N); the loop runs at `rate_hz`.
     """
 
     def design(wall: Mapping[str, Any]) -> list[float]:
@@ -172,12 +167,12 @@ def make_nudging_law(
 
 
 def traced_law() -> Law:
-    """Return the law that moves the handle along a path, without parameters: a replay takes them from the recording."""
+    """Return the law that moves the handle along a path, with an empty path: a replay sets the recorded one."""
     return make_tracing_law((), stiffness=0.0, damping=0.0, limit=0.0, rate_hz=1.0)
 
 
 def nudged_law() -> Law:
-    """Return the law of small pushes without parameters: a replay takes them from the recording."""
+    """Return the law of small pushes of the motor, with zero parameters: a replay sets the recorded ones."""
     return make_nudging_law(
         effort_per_s=0.0, most_effort=0.0, moved=0.0, rest_s=0.0, brake=0.0, pulses=0, rate_hz=1.0
     )

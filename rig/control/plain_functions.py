@@ -82,11 +82,12 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """What a user's law or estimator may look like: its arguments, common parameters, and the kernel that calls it.
+    """Interface of a user's law or estimator: allowed arguments, common parameters, and the kernel that calls it.
 
-    `quantities` maps the name of an argument to its meaning and to its expression in the kernel. `given` are the
-    parameters that every `p` has; they come first. `memory` is the expression of the part of the memory with
-    ``{count}`` numbers. `around` is the source text of the kernel, in which ``{call}`` is replaced by the call of the
+    `quantities` maps the name of an argument to its meaning and to its expression in the kernel. `given` are the names
+    of
+    the parameters that every `p` has; they come first. `memory` is the expression for the user's numbers in the memory,
+    ``{count}`` of them. `around` is the source text of the kernel, in which ``{call}`` is replaced by the call of the
     function; `names` maps the names used in that source to objects.
     """
 
@@ -187,7 +188,6 @@ def _check_names(function_name: str, noun: str, names: Iterable[str], taken: Seq
 def _check_arguments(
     form: Form, function_name: str, function: Callable[..., float], memory: Sequence[str]
 ) -> list[str]:
-    """Return the argument names of a user's function; raise `ConfigError` if the form has no such argument."""
     if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
         raise ConfigError(
             f"{function_name} is not a plain Python function",
@@ -281,7 +281,6 @@ _REASONS: tuple[tuple[str, str, str], ...] = (
 def _find_reason(
     text: str, form: Form, seen: type[tuple[float, ...]], kept: np.dtype[Any]
 ) -> tuple[str, str]:
-    """Return reason and remedy for the compiler's report `text`, in words of a user of laws and estimators."""
     names, remembered = list(seen._fields), list(kept.names or ())  # type: ignore[attr-defined]
     for pattern, owner, known in (
         (r"Unknown attribute '(\w+)' of type Parameters", PARAMETERS, names),
@@ -302,7 +301,6 @@ def _find_reason(
 
 
 def _find_line(text: str, function: Callable[..., float]) -> int | None:
-    """Return the first line of the function's source that the compiler's report names; None if it names no line."""
     code = function.__code__
     lines = {line for _, _, line in code.co_lines() if line}
     file = re.escape(Path(code.co_filename).name)

@@ -1,7 +1,7 @@
 """Make a force law from a plain function.
 
-    @rig.law(parameters={"quadratic": 1e5}) def stiffening(penetration: float, velocity: float, p: rig.Parameters) ->
-    float:
+    @rig.law(parameters={"quadratic": 1e5})
+    def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
         return p.stiffness * penetration + p.quadratic * penetration**2 + p.damping * velocity
 
 Users call it as ``rig.law``, and `rig.testing.laws` checks such laws. It must not run a law: a trial or a replay does.

@@ -184,8 +184,9 @@ class ControllerArguments(NamedTuple):
     estimator, law
         Compiled functions of the velocity estimator and the force law (`rig.realtime.plugs`).
     control, memory
-        Length-1 arrays of `CONTROL` and `MEMORY`; `step` changes `memory`, which also holds the values of the recorded
-        row.
+        Settings (dtype `CONTROL`) and memory (dtype `MEMORY`), arrays of length 1. `step` changes `memory`, from which
+        the
+        recorded values of the tick are taken too.
     estimator_f, estimator_i, estimator_parameters
         Memory (floats, integers) and parameters of the estimator.
     law_state, law_parameters
@@ -220,7 +221,7 @@ Record = NDArray[np.void]
 
 
 def new_memory() -> Record:
-    """Return the memory of a controller before its first sample, which gets the sample index 0."""
+    """Return a controller's memory before its first sample; the first sample will have the index 0."""
     memory = np.zeros(1, dtype=MEMORY)
     memory["index"] = -1
     memory["velocity_period"] = -1
@@ -262,12 +263,12 @@ class ControllerState:
         )
 
     def fresh(self, wall: Mapping[str, Any]) -> ControllerState:
-        """Return a copy of the controller with the same memory and a law designed for `wall` (settings by name)."""
+        """Return a copy of the controller for another wall (settings by name); only the force law starts anew."""
         settings = {**wall, "tick_s": float(self.control[0]["tick_s"])}
         return replace(self.copy(), law=self.law.law.prepare(settings))
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the controller as numbers and names, from which `from_mapping` restores it bit for bit."""
+        """Return the controller as numbers and names for JSON; `from_mapping` restores every bit of it."""
         return {
             "control": dict(zip(CONTROL.names or (), self.control[0].tolist(), strict=True)),
             "memory": dict(zip(MEMORY.names or (), self.memory[0].tolist(), strict=True)),
@@ -286,10 +287,11 @@ class ControllerState:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], *, law: Law | None = None) -> ControllerState:
-        """Return the controller that `as_mapping` described; `law` replaces the named law if it is not registered.
+        """Return the controller from a dictionary that `as_mapping` made; `law` replaces the force law that it names.
 
-        Raises `rig.core.errors.ConfigError` if the estimator or the law is unknown, and `RecordingError` if fields of
-        `CONTROL` or `MEMORY` are missing or unknown, or an array has a wrong size.
+        Raises `rig.core.errors.ConfigError` if the estimator or the law is unknown, and `RecordingError` if a setting
+        or a
+        number of the memory is missing or unknown, or an array has a wrong size.
         """
         try:
             estimator, wall = mapping["estimator"], mapping["law"]
@@ -344,7 +346,6 @@ def _enter(memory: Any, phase: int) -> None:
 
 @kernel(types.int64(CONTROL_TYPE, MEMORY_TYPE), inline=True)
 def _trial_end(control: Any, memory: Any) -> int:
-    """Return the tick, counted from the start of the trial, at which the trial ends."""
     c, m = control[0], memory[0]
     # The hold begins at the contact, not at the cue: a person comes into contact when it pleases.
     if c["hold_ticks"] > 0 and m["contact_ticks"] == 0 and m["penetration"] > 0.0:
@@ -354,14 +355,17 @@ def _trial_end(control: Any, memory: Any) -> int:
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def shown_phase(memory: Any) -> int:
-    """Return the phase of the run for display: HOLD after the first contact of a trial, else the controller's phase."""
+    """Return the phase of the run for display: HOLD after the first contact of a trial, else the actual phase."""
     m = memory[0]
     return int(HOLD if m["phase"] == TRIAL and m["contact_ticks"] > 0 else m["phase"])
 
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
-    """Advance the controller's phase (homing, settling, free, trial, release, done) by the elapsed ticks."""
+    """Count the elapsed ticks, and start the next phase of the run when the present one is over.
+
+    The phases are homing, settling at the start, waiting in free space, trial, release, done.
+    """
     c, m = control[0], memory[0]
     phase = m["phase"]
     m["phase_ticks"] += elapsed_ticks
@@ -425,9 +429,9 @@ def _watch_effort(
     elapsed_ticks: int,
     current_active: int,
 ) -> None:
-    """Set ENERGY and VIOLENT if the effort of the previous tick gave too much energy or a violent oscillation.
+    """Set the flag ENERGY if the motor has given too much energy, and VIOLENT if its effort oscillates violently.
 
-    `memory` must still contain the position of the previous tick.
+    `memory` must still contain effort and position of the previous tick.
     """
     c, m = control[0], memory[0]
     if m["phase"] not in (TRIAL, RELEASE):
@@ -471,7 +475,7 @@ def _watch_effort(
 
 @kernel(types.void(CONTROL_TYPE, MEMORY_TYPE, types.int64, types.int64), inline=True)
 def _watch_standstill(control: Any, memory: Any, count: int, slewed: int) -> None:
-    """Set UNMOVED if the efforts so far must have moved the handle, but the encoder count stays on two neighbours."""
+    """Set the flag UNMOVED if the effort must have moved the handle, but its count toggles by one at most."""
     c, m = control[0], memory[0]
     # One tick of impulse for each sample, however many were lost before: there the command may not have arrived.
     if c["impulse_limit"] == 0.0:

@@ -55,7 +55,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thresholds:
-    """Thresholds of a verdict in SI units; `rig.config.verdict_thresholds` computes them from an experiment."""
+    """Thresholds for judging a trial (SI units, at the link); `rig.config.verdict_thresholds` computes them."""
 
     tail_s: float
     highpass_hz: float
@@ -117,7 +117,7 @@ class Verdict:
 
 
 class Opening(StrEnum):
-    """First words of the text of each reason for an invalid trial, by which a reader recognises the reason.
+    """Beginnings of the texts that explain why a trial is invalid; by its beginning a reader recognises the reason.
 
     Recordings and session logs store only texts. Their readers (`rig.session.planning._reasons`) compare with these
     members, so that a change of wording needs no change anywhere else.
@@ -179,10 +179,10 @@ _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), s
 
 
 def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
-    """Return the reasons against calling trials stable, as bits of `Objection` for each trial.
+    """Return for each trial the reasons against calling it stable, as bits of `Objection`.
 
     `numbers` is a record of `rig.control._measure.NUMBERS` (one trial) or an array of records. The thresholds must be
-    those used for the measurement, because the velocity ripple *felt* is NaN if its floor exceeded the threshold.
+    those used for the measurement, which leaves out the rms velocity if its threshold is too low to measure.
     """
     n: Any = numbers
     # Plain numbers are compared ten times as fast as numpy's scalars.
@@ -233,13 +233,13 @@ def objections(numbers: Numbers, thresholds: Thresholds) -> Any:
 
 
 def kinds(numbers: Numbers, thresholds: Thresholds) -> NDArray[np.int64]:
-    """Return the outcome of each trial as an index into `KINDS`: the same outcome as `decide`, without texts."""
+    """Return each trial's outcome without texts: an index into `KINDS` (stable, limit cycle, unstable, invalid)."""
     codes: NDArray[np.int64] = _codes(objections(numbers, thresholds))
     return codes
 
 
 def decide(numbers: np.void, thresholds: Thresholds) -> tuple[Kind, tuple[str, ...]]:
-    """Return the outcome of one trial (a record of `rig.control._measure.NUMBERS`), and the texts of its reasons."""
+    """Return the outcome of one trial (stable, limit cycle, unstable or invalid), and the texts of its reasons."""
     found = Objection(int(objections(numbers, thresholds)))
     kind = KINDS[int(_codes(int(found)))]
     shown = {Kind.INVALID: INVALID, Kind.UNSTABLE: UNSTABLE | EXCEEDED}.get(kind, EXCEEDED)
@@ -257,8 +257,9 @@ class Measured:
     thresholds
         Thresholds used for the measurement.
     thrown_out
-        True if a guard ended the run: the handle left its window or was too fast, or the motor gave too much energy or
-        oscillated violently (`rig.control._watch`). The signals up to that tick do not show it. The trial is then
+        True if a safety limit ended the run: the handle left its range or was too fast, or the motor gave too much
+        energy
+        or oscillated violently (`rig.control._watch`). The signals up to that tick do not show it. The trial is then
         unstable after a contact, and invalid without a contact.
     """
 
@@ -280,7 +281,7 @@ class Measured:
 
     @property
     def by_machine(self) -> bool:
-        """Return True if only gaps or late ticks make the trial invalid, so that a repeated hit may be valid."""
+        """Return True if only lost samples or late ticks make the trial invalid, so that a repeat may be valid."""
         # A device whose command is late overrules the law: beside a gap or late ticks that is the same fault.
         against = self.found & INVALID
         return (
@@ -298,19 +299,23 @@ class Measured:
         return Verdict(kind=kind, reasons=reasons, **shown)
 
     def passes(self, criterion: str) -> bool | None:
-        """Return True if the wall lies within the Z-width under a criterion; None if the trial cannot decide it.
+        """Return True if the trial shows a stable wall under a criterion; None if the trial cannot decide it.
 
         Parameters
         ----------
         criterion
-            One of `CRITERIA`: ``felt``, ``heard``, or ``any`` (of felt, heard and moved).
+            Ripples that count: ``felt`` (rms velocity), ``heard`` (rms effort), or ``any`` (both, and peak-to-peak
+            position).
 
         Notes
         -----
         A wall fails if the trial is unstable, exceeds the criterion's own threshold, or if the handle touched the wall
-        and was outside of it for the whole tail or left it in the tail. Other invalid trials give None, except a trial
-        that is still settling. If *felt* is not measurable it exceeds no threshold: use ``felt`` only with true signals
-        or a fine encoder.
+        and was
+        outside of it for the whole tail (last part of the trial) or left it in the tail. Other invalid trials give
+        None, except
+        a trial that is still settling. If the rms velocity is not measurable it exceeds no threshold: use ``felt`` only
+        with
+        true signals or a fine encoder.
         """
         if self.thrown_out and not self.found & Objection.CURRENT:
             return False if self.numbers["contact_s"] >= 0.0 else None
@@ -323,12 +328,12 @@ class Measured:
 
 
 def overrule(verdict: Verdict, kind: Kind, reason: str) -> Verdict:
-    """Return the verdict with another outcome and an additional reason, which the signals do not show."""
+    """Return the verdict with another outcome and an additional reason that the signals do not show."""
     return replace(verdict, kind=kind, reasons=(reason, *verdict.reasons))
 
 
 def _codes(found: Any) -> Any:
-    """Return the index into `KINDS` for each set of objections: invalid before unstable before limit cycle."""
+    """Return each trial's outcome as an index into `KINDS`; invalid wins over unstable, unstable over limit cycle."""
     invalid, unstable, exceeded = ((found & int(bits)) != 0 for bits in (INVALID, UNSTABLE, EXCEEDED))
     shown = 2 * unstable + (unstable ^ True) * exceeded
     return 3 * invalid + (invalid ^ True) * shown

@@ -36,7 +36,7 @@ def skipped(text: str) -> Check:
 
 
 def question(name: str, why: str = "") -> Callable[[Callable[Asked, Check]], Callable[Asked, Check]]:
-    """Return a decorator for functions that return a `Check`: it sets the check's name, and why its result matters."""
+    """Return a decorator for functions that return a `Check`: it sets the check's name, and why it matters."""
 
     def named(answer: Callable[Asked, Check]) -> Callable[Asked, Check]:
         @wraps(answer)

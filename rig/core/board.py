@@ -73,8 +73,9 @@ class MovedMechanics:
 def current_sensor(model: RigModel) -> CurrentSensor:
     """Return the parameters that predict the measured motor current from the commanded current.
 
-    `noise` is -1 (no comparison of currents) if the device does not measure the current, or if the simulation has a
-    computation delay, which the prediction does not include.
+    Their `noise` is -1, which switches the comparison of the two currents off, if the device does not measure the
+    current,
+    or if the simulation has a computation delay, which the prediction does not include.
     """
     amplifier = model.amplifier
     back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum
@@ -138,7 +139,7 @@ def describe(
     narrower: Mapping[str, tuple[Value, Value]] | None = None,
     settings: Mapping[str, SettingValue] | None = None,
 ) -> dictionaries.Dictionary:
-    """Return the data dictionary of a rig's device: its constants, settings and parameters with their ranges.
+    """Return the description that a rig's device sends of itself: constants, settings, and parameters with ranges.
 
     The ranges are limited by motion, encoder and peak current of the rig.
 
@@ -182,7 +183,7 @@ def describe(
 
 
 def narrower(dictionary: dictionaries.Dictionary) -> list[tuple[Parameter, int, int]]:
-    """Return each parameter whose range in the device's dictionary differs from `PARAMETERS`, with minimum and maximum.
+    """Return parameter, minimum and maximum for each parameter whose range on a device differs from the standard range.
 
     Both bounds are the four bytes of the value on the wire, as an unsigned 32-bit number.
     """

@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def with_this_package() -> dict[str, str]:
-    """Return environment variables for a child process that must import this package from the same directory."""
+    """Return environment variables with which a child process imports this package from the same directory."""
     paths = (str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", ""))
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}
 
@@ -23,7 +23,7 @@ def installed_path() -> str:
 
 
 def find_program(name: str) -> str | None:
-    """Return the path of a program in `installed_path`, None if it is missing; start it with this ``PATH`` too."""
+    """Return the path of a program, not searched in the current directory (`installed_path`); None if missing."""
     if os.path.dirname(name):
         return shutil.which(name)
     found = shutil.which(name, path=installed_path())

@@ -24,12 +24,12 @@ An exchange is rejected when it is
    detects stamps of two different exchanges, and a clock that was set.
 
 The two directions may differ: `asymmetry_bound_ns`, half of the least round trip, is a bound beside the standard
-uncertainties, not a part of them. One line serves one trial.
+uncertainties, not a part of them. Each trial has a fit of its own.
 
 References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope); R. T.
 Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
 
-Devices, trials, the timing of recordings and the extra for Lab Streaming Layer call it. It must not read a clock or
+Devices, trials, the timing of recordings and the export to Lab Streaming Layer call it. It must not read a clock or
 exchange anything itself.
 """
 
@@ -124,7 +124,7 @@ class ClockFit:
         return since + self.reference_ns - _round(since, drift / (1.0 + drift))
 
     def sd_of(self, device_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the standard uncertainty (ns) of the host time for each device time (ns), smallest at the reference.
+        """Return the standard uncertainty (ns) of the host time for each device time (ns), least at `reference_ns`.
 
         An error by different transit times in the two directions is not included (`asymmetry_bound_ns`).
         """
@@ -147,9 +147,10 @@ class ClockFit:
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any]) -> ClockFit:
-        """Return the clock fit that a recording contains as JSON types (`rig.core.present.plain`); ignore other keys.
+        """Return the clock fit from the dictionary that a recording contains (`rig.core.present.plain`).
 
-        Raise `RecordingError` if a value is missing, not a number, or out of the range of a clock.
+        Raise `RecordingError` if a value is missing, not a number, or out of the range of a clock. Further keys are
+        ignored.
         """
         try:
             kinds = {"int": int, "float": float}
@@ -165,7 +166,7 @@ class ClockFit:
 
 
 def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
-    """Return an array of dtype `EXCHANGE` from lists of four time stamps (ns), the form in a recording's trailer."""
+    """Return clock exchanges as an array of dtype `EXCHANGE`, from lists of four time stamps each (ns)."""
     return np.array([tuple(int(stamp) for stamp in four) for four in stamps], EXCHANGE)
 
 
@@ -184,7 +185,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
     Raises
     ------
     RigError
-        No exchange can be used, or the rates of the clocks differ by more than `IMPOSSIBLE_PPM`.
+        No exchange can be used, or the clocks' rates differ by far more than crystals can (`IMPOSSIBLE_PPM`).
     """
     usable = exchanges[_find_possible(exchanges)]
     if not len(usable):
@@ -214,7 +215,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
 
 
 def fit_if_possible(exchanges: NDArray[np.void]) -> ClockFit | None:
-    """Return the fit of host clock against device clock (`fit_clock`); None if the exchanges do not allow a fit."""
+    """Return the fit of host clock against device clock; None if no exchange of time stamps is usable."""
     try:
         return fit_clock(exchanges)
     except RigError:
@@ -246,13 +247,12 @@ class _Points:
         return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
 
     def excess(self, keep: _Mask) -> _Floats:
-        """Return the round trip of each clock exchange minus the least one of those in `keep` (ns, at least 0)."""
         return np.asarray(np.maximum(self.trip - self.trip[keep].min(), 0), np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClockLine:
-    """Fitted offset (ns), drift (ns/s) and share of the excess delay, with their covariance.
+    """Fitted line of clock offset (ns), drift (ns/s) and share of the excess delay (`values`), with their covariance.
 
     `scale` is the factor by which large residuals widened the uncertainties, `least_drift_ppm` a lower bound of the
     drift's magnitude that does not depend on its prior.
@@ -295,8 +295,7 @@ def _sigma(points: _Points, keep: _Mask) -> _Floats:
 def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     """Return height (ns) and slope (ns/s) of a robust line of offset over host time, by medians.
 
-    Only the fastest exchange of each interval of time is used. The slope over host time differs from the slope over
-    device time only by its own square.
+    Only the fastest exchange in each interval of time is used.
     """
     # Of the host's time: the device's stamps are not checked yet, and may belong to two exchanges.
     chosen = np.flatnonzero(keep)
@@ -317,9 +316,9 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
 
 
 def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Mask:
-    """Return a mask of the clock exchanges within `OFF_LINE` scaled uncertainties of a line over host time.
+    """Return a mask of the clock exchanges near a line over host time, with `height` in ns and `slope` in ns/s.
 
-    The scale follows from the median of the residuals. `height` is in ns, `slope` in ns/s.
+    Near is `OFF_LINE` times the uncertainty, which is widened if the median residual is larger than it.
     """
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
     # 1.4826 times the median of magnitudes is the standard deviation of a normal distribution.
@@ -329,7 +328,6 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
 
 
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
-    """Return the line of clock offset over device time by weighted regression with priors, and its uncertainties."""
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
     # Time from its weighted centre: offset and drift are then nearly independent, and the matrix well conditioned.
@@ -355,10 +353,6 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
 
 
 def _solve(normal: _Floats, prior: _Floats, scale: float, right: _Floats) -> tuple[_Floats, _Floats]:
-    """Return solution and covariance of the normal equations of a regression with prior weights.
-
-    `normal` and `right` are divided by `scale`²; the matrix is scaled to be well conditioned.
-    """
     matrix = normal / scale**2 + np.diag(prior)
     unit = 1.0 / np.sqrt(np.diag(matrix))
     covariance = np.linalg.inv(matrix * np.outer(unit, unit)) * np.outer(unit, unit)
@@ -389,5 +383,4 @@ def _to_clock_fit(points: _Points, keep: _Mask, line: _ClockLine, total: int) ->
 
 
 def _round(times: _Ints, factor: float) -> _Ints:
-    """Return times · factor, rounded to whole nanoseconds."""
     return np.asarray(np.rint(times * factor), np.int64)

@@ -80,7 +80,8 @@ class DeviceRefusedError(RigError):
 class LinkLostError(RigError):
     """The device does not reply any more or is unplugged; its own watchdog has set the effort to zero.
 
-    `statistics` holds the counters of the link, `rows` the last rows of the loop (`rig.core.sample.ROW`) or None.
+    `statistics` holds the counters of the link, `rows` the recorded samples before the loss (`rig.core.sample.ROW`) or
+    None.
     """
 
     exit_code = 6
@@ -118,7 +119,7 @@ class BrokenLineError(LinkLostError):
 class DeviceFaultError(LinkLostError):
     """The device detected a fault and set the effort to zero until it is armed again.
 
-    `statistics` holds the counters of the link, `rows` the last rows of the loop or None.
+    `statistics` holds the counters of the link, `rows` the recorded samples before the fault or None.
     """
 
     exit_code = 7
@@ -161,19 +162,19 @@ class ToolchainError(RigError):
 
 
 class RunEndedError(RigError):
-    """New parameters for a run have no effect, because the run has ended."""
+    """A change of the wall came too late and has no effect, because the run has ended."""
 
     exit_code = 16
 
 
 class UnexpectedVerdictError(RigError):
-    """A verdict is not among those that the user expects, so that a script can stop; the recording is valid."""
+    """The judgement of a trial (stable, unstable, …) is not one that the user expects; the recording is valid."""
 
     exit_code = 17
 
 
 class NoStableWallError(RigError):
-    """A design found no sampling scheme that renders the wall's damping in a stable way, so none is recommended."""
+    """The design found no sampling rates and estimator that render the wall's damping in a stable way."""
 
     exit_code = 18
 

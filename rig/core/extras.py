@@ -1,4 +1,4 @@
-"""Find the commands, schemes and other parts that extras add to the core, by listing the folder ``rig/extras``.
+"""Find the commands, URL schemes and other parts that extras (optional packages) add, by listing ``rig/extras``.
 
 An extra is a package in that folder with a ``table.json``: its commands, URL schemes and so on by their names, each
 with a target ``module:attribute`` that is imported on use. A package of `rig` can have such a table for lower packages.
@@ -43,7 +43,7 @@ class ExtraRow(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """Parts that an extra or package adds, by kind and name; `broken` is the reason if they cannot be read."""
+    """Parts (commands, URL schemes, …) that an optional package adds; `broken` says why they cannot be read."""
 
     owner: str
     folder: str
@@ -69,7 +69,7 @@ def tables() -> tuple[ExtraTable, ...]:
 
 
 def added(kind: str) -> dict[str, ExtraRow]:
-    """Return all parts of one kind that extras add (key of `KINDS`, such as "commands"), by name."""
+    """Return all parts of one `kind` (such as "commands", a key of `KINDS`) that optional packages add, by name."""
     return {name: row for table in tables() for name, row in table.rows.get(kind, {}).items()}
 
 
@@ -79,9 +79,9 @@ def broken() -> dict[str, str]:
 
 
 def find(kind: str, name: str, extra: str = "") -> ExtraRow:
-    """Return the part (command, URL scheme, …) with this name; raise `ConfigError` if no extra adds it.
+    """Return the part (command, URL scheme, …) with this name; raise `ConfigError` if no optional package adds it.
 
-    `kind` is a key of `KINDS`; `extra` is the extra that should add the part, for the message.
+    `kind` is a key of `KINDS`, such as "commands"; `extra` is the package to name in the message, if it is known.
     """
     rows = added(kind)
     if name in rows:

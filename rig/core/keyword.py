@@ -17,14 +17,14 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 @dataclass(frozen=True, slots=True)
 class Keyword:
-    """Declaration of a value that users give by name.
+    """Declaration of a value that users give by name: as an argument, an option of a command, or a field of a web form.
 
     `help` is its meaning with the unit; a command has an option for the value only if `help` is not empty.
 
     Attributes
     ----------
     key
-        Dotted key of the experiment that the value changes; empty for a field of the request itself.
+        Dotted key of the experiment that the value changes; empty if it is not part of the experiment.
     names
         Names of the command-line option; if empty, the name of the field.
     group
@@ -32,7 +32,7 @@ class Keyword:
     values, metavar
         Kind of values for shell completion (`rig.cli._values.KINDS`), and placeholder of the value on a help page.
     name, type, marks, default
-        Properties of the field, filled in by `keywords`; `type` is without None.
+        Name, type (without None), annotations and default of the declared field, filled in by `keywords`.
     """
 
     help: str = ""
@@ -49,7 +49,7 @@ class Keyword:
 
 @cache
 def keywords(request: type) -> Mapping[str, Keyword]:
-    """Return the `Keyword` of each field of a dataclass or TypedDict, by field name; fields without it are left out."""
+    """Return the declaration (`Keyword`) of each field of a dataclass or TypedDict that has one, by field name."""
     defaults = {one.name: one.default for one in fields(request)} if is_dataclass(request) else {}
     found = {}
     for name, hint in get_type_hints(request, include_extras=True).items():

@@ -31,7 +31,7 @@ def public_names(init: str) -> dict[str, tuple[str, str]]:
 
 
 def _is_installed(module: str) -> bool:
-    """Return False if a module belongs to an extra whose folder does not exist, else True without a check."""
+    # Only for extras the folder is looked up; a module of the core is taken as installed without a look at the disk.
     _, *parts = module.split(".")
     return parts[:1] != ["extras"] or os.path.isdir(os.path.join(_ROOMS, *parts[:2]))
 

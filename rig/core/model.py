@@ -397,7 +397,7 @@ class Operator:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OperatorReach:
-    """Intended motion of a simulated person in one trial, at the link: to the start, and then into the wall."""
+    """Movement that a simulated person intends in one trial: to the start, a wait, and then into the wall."""
 
     start: float  # where the trial begins (rad or m)
     target: float  # where the intended position ends, inside the wall (rad or m)
@@ -411,8 +411,8 @@ class OperatorReach:
 class RigModel:
     """Complete description of a rig, from which it can be simulated.
 
-    With an `operator` a simulated person holds the handle, still or moving along `reach`. `board` lists settings (name,
-    value) with which the firmware of the board must have been built.
+    With an `operator` a simulated person holds the handle: still, or with the intended movement `reach`. `board` lists
+    settings (name, value) with which the firmware of the board must have been built.
     """
 
     name: str
@@ -558,7 +558,6 @@ def _build_two_mass(mechanics: Mechanics, amplifier: Amplifier, link: float) -> 
 
 
 def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_inertia: float) -> StateSpace:
-    """Return the model `free` with a hand coupled to the handle; `handle_inertia` (kg·m² or kg) includes the pads."""
     rows, columns = free.b.shape
     y, h = free.handle_position, rows
     a, b = np.zeros((rows + 2, rows + 2)), np.zeros((rows + 2, columns + 3))
@@ -576,7 +575,6 @@ def _couple_hand(free: StateSpace, operator: Operator, radius: float, handle_ine
 
 
 def _connect_effort(a: Matrix, b: Matrix, amplifier: Amplifier, *, effort: int, inertia: float) -> None:
-    """Add the amplifier to A and B in place: with a lag through the effort state, else directly to the velocity."""
     motor_velocity, lag = 1, amplifier.lag_s
     if lag > 0.0:
         a[effort, effort] = -1.0 / lag

@@ -24,7 +24,7 @@ NEEDED: Mapping[str, tuple[str, Callable[[], Any]]] = {
 
 
 def explain_failure() -> ConfigError | None:
-    """Return the error for the first package of `NEEDED` that is missing or replaced by another one, else None."""
+    """Return an error if a needed package is missing or replaced by one with the same import name, else None."""
     return next((wrong for package in NEEDED if (wrong := wrong_package(package))), None)
 
 

@@ -68,5 +68,5 @@ GRIPS: dict[str, Operator] = {
 
 
 def hand_text(name: str) -> str:
-    """Return a grip as text, for example "relaxed hand"; "no hand" for `NO_OPERATOR`."""
+    """Return the name of a grip as text, for example "relaxed hand" for "relaxed"; "no hand" for `NO_OPERATOR`."""
     return "no hand" if name == NO_OPERATOR else f"{name} hand"

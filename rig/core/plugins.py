@@ -24,7 +24,7 @@ _registered: list[
 
 @contextmanager
 def register_temporarily(group: str, built_in: Container[str], name: str, part: Any) -> Iterator[None]:
-    """Register an object as a plug-in of an entry-point group under a name, within this context and for all threads.
+    """Register `part` as a plug-in of an entry-point group, for all threads, until the ``with`` block ends.
 
     Other processes, such as workers of a cluster or a later run that resumes a map, find only installed plug-ins. Raise
     `ConfigError` if the name is in `built_in`, the names that this package itself provides.

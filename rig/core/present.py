@@ -100,7 +100,6 @@ def _key(key: Any) -> str:
 
 @cache
 def _names(result: type) -> list[str]:
-    """Return the names of the fields in a result's ``repr``, then of its reported properties, base classes first."""
     also = [
         name
         for base in reversed(result.__mro__)

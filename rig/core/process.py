@@ -30,7 +30,7 @@ STOP_TIMEOUT_S = 5.0
 def start_announced(
     serve: Callable[..., None], *arguments: Any, name: str, by_hand: str, descriptors: Sequence[int] = ()
 ) -> Iterator[Any]:
-    """Start a child process, yield the object (such as an address) that it announces, and end it with this context.
+    """Start a child process, yield the object that it announces (such as its address), and end it after the block.
 
     The child also ends when this process ends, even by kill -9, but not when the thread that started it ends.
 
@@ -82,7 +82,7 @@ _lifelines: set[Connection] = set()
 
 
 def _close_lifelines() -> None:
-    """Close the parent's connections to its child processes in a forked copy, where they would keep them alive."""
+    # A forked copy of this process would keep the child processes alive by its copies of the connections.
     while _lifelines:
         _lifelines.pop().close()
 
@@ -123,7 +123,7 @@ def _receive_first(ours: Connection, served: bytes, name: str, by_hand: str) -> 
 
 
 def serve_parent(descriptor: int) -> None:
-    """Call the function that the parent process sends through a connection: the main function of a child process."""
+    """Call a function that the parent process sends, with its arguments: the main function of a child process."""
     if sys.platform != "win32":
         signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this may take no signals
     parent = Connection(descriptor)
@@ -141,7 +141,6 @@ def serve_parent(descriptor: int) -> None:
 
 
 def _end_with_parent(descriptor: int) -> None:
-    """Send this process SIGTERM when its parent closes the connection or dies, and SIGKILL `STOP_TIMEOUT_S` later."""
     # Not PR_SET_PDEATHSIG: it acts when the thread ends that started this process.
     if sys.platform != "win32":  # where `start_announced` refuses
         ended = select.poll()

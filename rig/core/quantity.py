@@ -22,7 +22,7 @@ STRICT: dict[str, Any] = {"extra": "forbid", "allow_inf_nan": False, "strict": T
 class Quantity:
     """Unit and meaning of a dataclass field.
 
-    Instead of a unit it may have a quantity such as "effort", whose unit (N·m or N) depends on the rig
+    Instead of a unit, `unit` may be a physical quantity such as "effort", whose unit (N·m or N) depends on the rig
     (`rig.core.sample.unit_of`).
     """
 

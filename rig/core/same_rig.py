@@ -22,19 +22,11 @@ ROUNDING = 1e-6
 
 
 def check_rig(model: RigModel, device: Dictionary) -> Check:
-    """Check that a device was built for the experiment's rig.
+    """Check that a device was built for the experiment's rig `model`, by the description that it sent of itself.
 
-    Parameters
-    ----------
-    model
-        Rig of the experiment.
-    device
-        Dictionary of the device. Constants that it does not contain are not compared; a passed check lists them.
-
-    Returns
-    -------
-    Check
-        Failed check with both values of each difference; or passed check with the device's name.
+    A failed check has both values of each difference. Constants that the description lacks are not compared; a passed
+    check
+    lists them.
     """
     ours = describe(
         model,
@@ -68,7 +60,6 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
 
 
 def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
-    """Return a text for each board setting whose value in the experiment differs from the device's value."""
     of_device = {info.name: info.value for info in device.settings}
     wanted = {
         **{name: value for name, value in _inputs(model).items() if name in of_device},
@@ -82,7 +73,6 @@ def _other_settings(model: RigModel, device: Dictionary) -> list[str]:
 
 
 def _inputs(model: RigModel) -> dict[str, SettingValue]:
-    """Return the settings ("wired") that the board must have for the rig's encoder index and limit switch."""
     given = model.reference
     needed = {"encoder_index": given.index, "limit_switch": given.limit_switch != "none"}
     return {name: "wired" for name, wanted in needed.items() if wanted}
@@ -94,7 +84,6 @@ def _agree(name: str, theirs: float, ours: float, effort_limit: float) -> bool:
 
 
 def _known(dictionary: Dictionary) -> dict[str, float]:
-    """Return the rig's constants in a device's dictionary, keyed by name with unit."""
     found = {"current quantum (A)": dictionary.current_quantum_a}
     for name, unit in (("motion", ""), ("encoder_sign", ""), ("current_limit", " (quantum)")):
         if (info := dictionary.parameter(name)) is not None:

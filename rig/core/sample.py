@@ -1,17 +1,17 @@
 """Columns of a recorded row (sample), which is one tick of the loop.
 
-The table `COLUMNS` defines the dtype of the ring, the schema of the files, and the documentation. Measured, estimated,
-wanted, sent and applied quantities are different columns.
+The table `COLUMNS` defines the dtype of the loop's ring buffer, the schema of the files, and the documentation.
+Measured, estimated, wanted, sent and applied quantities are different columns.
 
-If the law runs on the device, a row comes from one sample of a BATCH and from the newest STATE message at or before it,
-at most about 5 ms old. Columns that only a STATE carries (commands, limits, fault, state, inputs, sync time, missed
-ticks, execution time) are as old as this STATE.
+If the law runs on the device, a row comes from one sample of a BATCH message (samples of several ticks) and from the
+newest STATE message (state of the device) at or before it, at most about 5 ms old. Columns that only a STATE carries
+(commands, limits, fault, state, inputs, sync time, missed ticks, execution time) are as old as this STATE.
 
 Units that depend on the motion of the rig are written by quantity (``position``, ``effort``, …) and resolved by
 `unit_of`; counts and times are 64-bit integers.
 
 The loop, recordings, verdicts, experiments, sessions, the console and pictures read it. A change of names, order or
-types of columns is a new format version: the layout of the ring and of every recording depends on them.
+types of columns is a new format version: the layout of the ring buffer and of every recording depends on them.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ YOUNG_S = 60.0  # between a directory and its lock: far longer than that takes
 
 @contextmanager
 def scratch(kind: str) -> Iterator[Path]:
-    """Yield a new temporary directory ``rig-KIND-…``, removed at the end; also remove those of killed processes."""
+    """Yield a new temporary directory ``rig-KIND-…``, removed at the end; also remove those of dead processes."""
     _remove_abandoned()
     with (
         tempfile.TemporaryDirectory(prefix=f"rig-{kind}-") as place,

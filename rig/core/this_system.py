@@ -26,12 +26,7 @@ ON_THE_BOARD = 'let the board run the law: set controller.loop = "device"'
 def refuse_real_time(what: str, remedy: str = ON_THE_BOARD) -> None:
     """Raise `PlanError` if this computer does not run Linux, which a loop in real time needs.
 
-    Parameters
-    ----------
-    what
-        What would run in real time, as the subject of the message.
-    remedy
-        What to do instead.
+    `what` would run in real time (subject of the message); `remedy` says what to do instead.
     """
     if sys.platform != "linux":
         raise PlanError(f"{what} needs Linux to run in real time", remedy=remedy)

@@ -106,7 +106,7 @@ def pack_end(number: int, rows: int, trailer: dict[str, Any]) -> bytes:
 
 
 def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLOCK_ROWS) -> None:
-    """Write a recording as a ``.rigcap`` file; raise `RecordingError` if parts of the recording are lost."""
+    """Write a recording as a ``.rigcap`` file; raise `RecordingError` if it was read from a damaged file."""
     if recording.lost:
         raise RecordingError(
             "a recording with lost parts (damaged or missing rows) cannot be written as a capture",
@@ -131,8 +131,6 @@ def _pad(text: bytes, before: int) -> bytes:
 
 @dataclass
 class _Findings:
-    """Valid blocks, lost parts and trailer that were found so far in a ``.rigcap`` file."""
-
     # Byte offset and number of rows of each block.
     blocks: list[tuple[int, int]] = field(default_factory=list)
     lost: list[Loss] = field(default_factory=list)
@@ -190,7 +188,7 @@ def _copy_columns(rows: NDArray[np.void], block: NDArray[np.void]) -> None:
 
 
 def _forget(data: mmap.mmap) -> None:
-    """Release the pages of the mapped file that were read, because they count as memory of this process."""
+    # Pages of the mapped file that were read count as memory of this process.
     if sys.platform == "linux":
         # madvise fails on locked memory, as while a thread of this process runs in real time.
         with suppress(OSError):
@@ -246,7 +244,6 @@ def _walk(data: mmap.mmap, place: int, row_bytes: int) -> _Findings:
 
 
 def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int, found: _Findings) -> bool:
-    """Add a block whose head is valid to `found` and return True; return False if the block's contents are damaged."""
     end -= CRC_BYTES
     if zlib.crc32(memoryview(data)[place:end]) != _BLOCK_CRC.unpack_from(data, end)[0]:
         return False
@@ -261,7 +258,6 @@ def _take(data: mmap.mmap, place: int, end: int, head: BlockHead, row_bytes: int
 
 
 def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, found: _Findings) -> int:
-    """Add the bytes from `place` to `resume` to the lost parts; return `resume`."""
     whole = head is not None and place + HEAD_BYTES + head.size + CRC_BYTES <= len(data)
     reason = "damaged block" if whole or resume < len(data) else "torn tail"
     if head is None:
@@ -274,7 +270,6 @@ def _skip(data: mmap.mmap, place: int, resume: int, head: BlockHead | None, foun
 
 
 def _count_missing(found: _Findings, place: int, first_row: int) -> None:
-    """Add the rows that are missing before the block with the first row `first_row` to the lost parts."""
     missing = max(0, first_row - found.next_row)
     if found.lost and found.lost[-1].rows is None:
         found.lost[-1] = replace(found.lost[-1], rows=missing)

@@ -1,6 +1,6 @@
-"""Latency ledger of a recording: the columns sampled_at and applied_at, and the timing summary in the trailer.
+"""Latencies of a recording: fill its columns sampled_at and applied_at (ns, host clock), and add a summary of them.
 
-A run that was ended by kill -9 has no clock fit: its ledger contains only the times that the host measured.
+A run that was ended by kill -9 has no clock fit: it has only the times that the host measured.
 """
 
 from __future__ import annotations
@@ -39,11 +39,13 @@ _log = logging.getLogger(__name__)
 
 
 def with_ledger(recording: Recording) -> Recording:
-    """Return the recording with a timing summary in its trailer (the facts stored at the end of a trial).
+    """Return the recording with a summary of its latencies in the trailer, the data at its end.
 
-    Fill the columns sampled_at and applied_at in place. Return the recording unchanged if it has no rows, or if its
-    trailer has no clock fit or (with a logged warning) an invalid one: an invalid clock fit must not prevent a
-    recording from being stored.
+    Fill in place the columns sampled_at and applied_at: when the encoder was sampled and the command took effect.
+    Return
+    the recording unchanged if it has no rows, or if its trailer has no clock fit or (with a logged warning) an invalid
+    one:
+    an invalid clock fit must not prevent a recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer or not len(recording):
@@ -59,7 +61,7 @@ def with_ledger(recording: Recording) -> Recording:
 
 
 def ledger_of(recording: Recording) -> Ledger:
-    """Return the times (ns) of each control tick of a recording, on the host's clock.
+    """Return when each tick was sampled, received, computed, sent and applied (ns, on the host's clock).
 
     Device times are converted by the clock fit in the recording's trailer, if there is one. Raise `RecordingError`
     without rows, and `RigError` if the clock fit is invalid.

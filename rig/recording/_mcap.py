@@ -65,7 +65,6 @@ def _channel(writer: Any, topic: str, properties: dict[str, Any]) -> int:
 
 
 def _columns(recording: Recording) -> dict[str, Any]:
-    """Return the JSON schema of each column, by the column's name."""
     return {
         name: {
             "type": "integer" if recording.rows.dtype[name].kind in "iu" else ["number", "null"],

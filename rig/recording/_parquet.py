@@ -1,8 +1,8 @@
 """Recordings as Parquet: the format for storage, which pandas, polars, DuckDB, MATLAB and PlotJuggler open.
 
-Unit and meaning of a column are metadata of its field (``unit``, ``description``). Header, trailer, completeness and
-losses are metadata of the file, as JSON under the keys in `KEYS`, with a checksum of these metadata and all columns.
-pyarrow is imported only when a function of this module is called.
+Unit and meaning of a column are metadata of its field (``unit``, ``description``). Header, trailer, whether the
+recording is complete, and its lost parts are metadata of the file, as JSON under the keys in `KEYS`, with a checksum of
+these metadata and all columns. pyarrow is imported only when a function of this module is called.
 """
 
 from __future__ import annotations
@@ -99,7 +99,6 @@ def _checksum_of(metadata: Mapping[bytes, bytes]) -> int:
 
 
 def _encodings(dtype: np.dtype[np.void]) -> dict[str, Any]:
-    """Return the Parquet encoding of each column: byte-stream split for floats, deltas for integers of 4 or 8 bytes."""
     # Neighbouring floats share exponents; most whole numbers repeat or rise evenly.
     chosen = {
         name: "BYTE_STREAM_SPLIT" if dtype[name].kind == "f" else "DELTA_BINARY_PACKED"
@@ -186,7 +185,7 @@ def is_stored(path: Path, expected: Recording, names: Collection[str]) -> bool:
 def _checked_columns(
     file: Any, metadata: Mapping[bytes, bytes], facts: Recording
 ) -> Iterator[tuple[str, int, NDArray[Any]]]:
-    """Yield column name, first row and values of each chunk; raise `ValueError` at the end if the checksum is wrong."""
+    """Yield column name, first row and values of each chunk; at the end, raise `ValueError` for a wrong checksum."""
     stored: list[str] = file.schema_arrow.names
     if set(stored) != set(facts.names):
         raise ValueError("the columns of the file differ from those that its header lists")

@@ -81,7 +81,7 @@ def misfit(value: Any, shape: Any, name: str) -> str:
     """Return a sentence about the first part of `value` that does not match `shape`; "" if all parts match.
 
     `shape` is a tree of types, e.g. ``{"reason?": str}``. A key that ends in "?" may be missing or null; "*" matches
-    every key. A tuple or a range requires one of its members.
+    every key. If `shape` is a tuple or a range, the value must be one of its members.
     """
     inside: list[tuple[Any, Any, str]] = []
     if isinstance(shape, list):

@@ -36,7 +36,7 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Statistics of the duration of one latency stage over all ticks in which the duration is known (ns).
+    """Statistics of one latency, such as from sample to receipt, over all ticks in which it is known (ns).
 
     `counts` is a histogram over `TimingSummary.edges_ns`: number of ticks below the first edge, between each two edges,
     and from the last edge on. `negative` counts ticks in which the end seems to precede the begin. The bounds of the
@@ -70,14 +70,14 @@ class TimingSummary(TimingFacts):
     ticks, duration_s
         Number of control ticks, and time from the first to the last receipt of a sample (s).
     stages
-        Statistics of each stage by its name (`STAGES`, `LATENESS`); None if the stage's duration is known in no tick.
+        Statistics of each latency by its name, such as "transport_in"; None if it is known in no tick.
     edges_ns
         Edges of the histograms (ns).
     worst
         Ticks with the longest delay from sample to command and its effect, the worst first; without a clock fit, the
         latest ticks.
     counts
-        Number of ticks, samples or commands of each kind in `COUNTED`; None if the loop stored no counters.
+        Number of ticks, samples or commands of each kind, such as "late"; None if the loop stored no counters.
     """
 
     ticks: int
@@ -154,14 +154,13 @@ class TimingSummary(TimingFacts):
 
 
 def label(name: str) -> str:
-    """Return the printed name of a latency stage, like ``sampled to received``, with its further cause of delay."""
+    """Return the printed name of a latency, like ``sampled to received``, with a further cause of delay if any."""
     if name == LATENESS:
         return "late on the grid of the samples"
     return ", ".join(filter(None, (STAGES[name].label, STAGES[name].with_)))
 
 
 def _shown(quantile: Quantile) -> str:
-    """Return a quantile (ns) as text, with its upper confidence bound if known: ``87 µs (≤ 93 µs)``."""
     text = duration(quantile.value)
     if quantile.high is None or quantile.high == quantile.value:
         return text
@@ -169,7 +168,7 @@ def _shown(quantile: Quantile) -> str:
 
 
 def summarise(ledger: Ledger, counters: Mapping[str, int] | None) -> TimingSummary:
-    """Return the timing summary of a ledger (times of each tick).
+    """Return the summary of the times at which each tick was sampled, received, computed, sent and applied.
 
     `counters` are the loop's counters from the recording's trailer, or None without a trailer.
     """
@@ -205,10 +204,10 @@ def _summary(values: _Ints, known: _Mask) -> Stage | None:
 
 
 def _badness(ledger: Ledger) -> tuple[_Ints, _Mask]:
-    """Return a measure of how bad each tick is (ns), and a mask that is True where the measure is known.
+    """Return how bad each tick is (ns), and a mask that is True where this is known.
 
-    The measure is the time from the sample to the sent command, plus the wait for the effect beyond one device tick.
-    Without a clock fit, the measure is the lateness.
+    It is the time from the sample to the sent command, plus the delay of the command's effect beyond one device tick;
+    without a clock fit, how late the sample was received.
     """
     answered, known = ledger.stage("answered")
     if not known.any():

@@ -306,7 +306,6 @@ def _seconds(path: Path, name: str | int, column: Any, unit_s: float) -> tuple[F
 
 
 def _grid(path: Path, time_s: Floats, rows: Ints) -> SampleGrid:
-    """Fit a regular sampling grid to times (s, from 0); `rows` are row numbers of the file for the error message."""
     intervals = np.diff(time_s)
     back = np.flatnonzero(intervals <= 0.0)
     if len(back):

@@ -127,7 +127,7 @@ class Recording(Shown, Drawn):
 
     @property
     def has_truth(self) -> bool:
-        """True if the recording contains the true signals of a simulation, e.g. the column position_true."""
+        """True if the recording is of a simulation and has its true signals, without encoder and delays."""
         return "position_true" in self.names
 
     @property
@@ -179,7 +179,7 @@ class Recording(Shown, Drawn):
         return found
 
     def brief(self) -> list[Item]:
-        """Return creation time, file, reason of the end, verdict, and numbers of rows and columns, to print."""
+        """Return creation time, file, end, outcome (stable, …), numbers of rows and columns, as lines to print."""
         trailer = self.trailer or {}
         verdict = trailer.get("verdict") or {}
         words = "; ".join([str(verdict.get("kind") or "none"), *verdict.get("reasons", ())])
@@ -201,7 +201,7 @@ class Recording(Shown, Drawn):
         return [f"recording of {self.header.get('rig', 'a rig')}", *rows]
 
     def detailed(self) -> list[Item]:
-        """Return the lines of `brief`, and a table of all columns with unit and meaning, to print."""
+        """Return a summary of the recording, and a table of all its columns with unit and meaning, to print."""
         columns = [(name, self.units[name], self.descriptions[name]) for name in self.names]
         return [*self.brief(), Table(("column", "unit", "meaning"), columns, words=3)]
 

@@ -74,7 +74,7 @@ def sidecar_of(path: Path) -> Path:
 
 
 def facts(recording: Recording) -> dict[str, object]:
-    """Return all of a recording except its rows: header, trailer, completeness, losses, units and descriptions."""
+    """Return all of a recording but its rows, for JSON: header, trailer, lost parts, units and meanings of columns."""
     return {
         "header": recording.header,
         "trailer": recording.trailer,
@@ -86,7 +86,7 @@ def facts(recording: Recording) -> dict[str, object]:
 
 
 def write_sidecar(file: BinaryIO, recording: Recording) -> None:
-    """Write header, trailer, completeness, losses, units and descriptions of a recording as one JSON object."""
+    """Write all of a recording but its rows as one JSON object: header, trailer, lost parts, units and meanings."""
     file.write(canonical_json(facts(recording)) + b"\n")
 
 
@@ -101,7 +101,7 @@ def write_csv(file: BinaryIO, recording: Recording) -> None:
 
 
 def write_xy(file: BinaryIO, recording: Recording) -> None:
-    """Write a CSV of penetration and wall effort of all rows in the phase TRIAL; the column names contain the units."""
+    """Write a CSV of penetration and wall effort while the trial ran; the column names contain the units."""
     trial = recording.rows["phase"] == Phase.TRIAL
     names = ("penetration", "effort_wall")
     text = io.TextIOWrapper(file, encoding="utf-8", newline="")

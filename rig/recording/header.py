@@ -148,7 +148,7 @@ def make_header(
 
 
 def check_version(path: Path, found: object) -> None:
-    """Raise `RecordingError` if `found`, the format version of the recording at `path`, is not `VERSION`."""
+    """Raise `RecordingError` if `found`, the format version of the file `path`, is not the version read here."""
     if found != VERSION:
         raise RecordingError(
             f"{path} is a recording of format version {found}, and this version of haptic-rig reads version {VERSION}",
@@ -200,7 +200,10 @@ def git_revision(directory: Path) -> dict[str, Any] | None:
 
 @lru_cache(maxsize=8)
 def _describe(directory: Path, second: int) -> dict[str, Any] | None:
-    """Return the result of `git_revision` without running any program that the checkout's git configuration names."""
+    """Return commit and dirty state for `git_revision`; never run programs that the checkout's configuration names.
+
+    `second` is the current second, by which the result is cached.
+    """
     try:
         answer = _git(
             directory, "rev-parse", "HEAD", "--show-toplevel", "--git-path", "index", "--git-path", "objects"
@@ -233,7 +236,7 @@ def _describe(directory: Path, second: int) -> dict[str, Any] | None:
 
 
 def _git(directory: Path, *arguments: str, **own: str) -> str:
-    """Return the output of a git command; if `own` is given, remove all other GIT_ environment variables."""
+    """Return the output of a git command; with `own` environment variables, all other GIT_ variables are removed."""
     inherited = {name: value for name, value in os.environ.items() if not (own and name.startswith("GIT_"))}
     return subprocess.run(
         [find_program("git") or "", "-C", str(directory), *arguments],

@@ -5,7 +5,7 @@
 Bytes after the last newline are ignored: the process died while it wrote them. The file is locked while it is open,
 because only one process may write at a time.
 
-The journal of sweeps and the log of sessions are such files. A written line must not be changed.
+Logs of sessions and of maps of stable walls are such files. A written line must not be changed.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class LineFile:
             self._file.truncate(end)
 
     def append(self, line: bytes) -> None:
-        """Append a line made by `line_of`, which survives a crash of the process, and after `sync` a power failure."""
+        """Append the bytes of a line, which then survive a crash of the process, and after `sync` a power failure."""
         self._dirty = True
         data = line
         with plain_errors("write", self.path):

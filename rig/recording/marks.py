@@ -17,7 +17,8 @@ trial_out, inside_out
 Device times are on the scale of the column device_time. Host times are computed by the clock fit (host time over device
 time); without a clock fit they are None.
 
-Sealing, the MCAP export, `rig recording show` and studies use this module. The recording must not be changed.
+Storing a recording as Parquet, the MCAP export, `rig recording show` and studies use this module. The recording must
+not be changed.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def _of_edges(recording: Recording) -> list[_Found]:
 
 
 def _of_outputs(recording: Recording) -> Iterator[_Found]:
-    """Yield name, device time (ns) and tick of each rising edge of a sync output, one tick before its first sample."""
+    """Yield name, device time (ns) and tick of each rising edge of a sync output, one tick before its report."""
     loop = str((recording.header.get("extra") or {}).get("loop", "host"))
     # A law on the device sets the outputs in the tick of the sample itself: trial and contact are their marks.
     if loop != "host":

@@ -48,7 +48,7 @@ class Distribution:
     maximum
         Largest value.
     bounded
-        Level (0 … 1) of the quantile for which the maximum is an upper bound with 95 % confidence.
+        Highest level (0 … 1) of a quantile that, with 95 % confidence, does not exceed the maximum.
     """
 
     number: int

@@ -125,12 +125,14 @@ def record(
 ) -> int:
     """Write the rows of the ring buffer to a file until the control loop is done; return the number of written blocks.
 
-    On an error, store the errno in RECORDER_ERROR and return; the loop then counts the rows that it cannot store.
+    On a disk error, store the errno among the control words and return; the loop then counts the rows that it cannot
+    store.
 
     Parameters
     ----------
     words, ring_rows
-        Address of the control words, and the rows of a `rig.realtime.ring.Ring` as int64.
+        Address of the words by which loop and recorder communicate, and the rows of a `rig.realtime.ring.Ring` as
+        int64.
     descriptor
         Descriptor of an open file that already contains the header.
     block
@@ -309,7 +311,6 @@ class Recorder:
 
 
 def _create(path: Path, header: bytes) -> int:
-    """Create a file that begins with `header`, and return its descriptor; on an error, remove the file."""
     with plain_errors("write", path):
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
         # The lock shows other programs that the file is still being written, and was not cut off by a crash.

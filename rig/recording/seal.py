@@ -104,7 +104,7 @@ def seal(
 
 
 def with_truth(recording: Recording, truth: NDArray[np.void]) -> Recording:
-    """Return the recording with the true signals of the simulation as additional columns, joined by sample index.
+    """Return the recording with the true signals of its simulation as additional columns, matched by sample index.
 
     Rows without true signals get NaN; true signals without a row are ignored. If a sample index occurs twice in
     `truth`, the later one is used.

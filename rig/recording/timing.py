@@ -1,4 +1,4 @@
-"""The latency ledger: for each control tick, the times at which the sample was taken, received, answered and applied.
+"""The latencies of each control tick: when its sample was taken and received, its command sent and applied.
 
 The times are computed from columns of the rows (`rig.core.sample`) and from a clock fit (host time over device time). A
 tick has five times on the host's clock, 0 where unknown:
@@ -14,15 +14,15 @@ applied   the COMMAND was active, at the earliest: device time of sample k − a
           later
 ========  =====================================================================================================
 
-The times sampled and applied carry the errors of the clock fit, with opposite signs in the two transports. The latency
-from sampled to applied is free of the fit's offset.
+The times sampled and applied carry the errors of the clock fit, with opposite signs in the transport of the sample and
+of the command. The latency from sampled to applied is free of the fit's offset.
 
 If the control law ran on the device (`Ledger.loop`), no COMMAND answers a sample: the device applied its effort in the
 tick of the sample itself, and `execution_ns` bounds the delay. Only the times sampled and received are known then, and
 no tick is late, because nothing waited for a sample.
 
-Sealing, marks, timing summaries and the LSL clock (lab streaming layer) use this module. It must not judge a run or
-read files.
+Storing a recording as Parquet, its events, timing summaries and the LSL clock (lab streaming layer) use this module. It
+must not judge a run or read files.
 """
 
 from __future__ import annotations
@@ -131,10 +131,11 @@ class Ledger(TimingFacts):
     late: _Mask
 
     def stage(self, name: str) -> tuple[_Ints, _Mask]:
-        """Return the length of a latency stage in each tick (ns), and a mask that is True where the length is known.
+        """Return a latency in each tick (ns), and a mask that is True where it is known.
 
-        `name` is a key of `STAGES`, e.g. "transport_in", or `LATENESS` for the delay of the receipt after its regular
-        time.
+        `name` is the latency, such as "transport_in" (a key of `STAGES`), or `LATENESS`: how much later than on a
+        regular grid
+        the sample was received.
         """
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
@@ -143,18 +144,12 @@ class Ledger(TimingFacts):
 
 
 def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop: str = "host") -> Ledger:
-    """Return the times of each tick on the host's clock.
+    """Return when each tick was sampled, received, computed, sent and applied (ns, on the host's clock).
 
-    Parameters
-    ----------
-    rows
-        Rows of a recording, in the order of the ticks; rows may be missing.
-    fit
-        Fit of host time over device time; None if the clocks were not compared.
-    period_ns
-        Length of a device tick (ns, device clock).
-    loop
-        Where the control law ran: "host" or "device".
+    `rows` are in the order of the ticks; some may be missing. `fit` converts device to host time; None if the clocks
+    were
+    not compared. `period_ns` is the length of a device tick (ns, device clock), `loop` where the law ran: "host" or
+    "device".
     """
     received = _column(rows, "received_at")
     on_device = loop == "device"
@@ -197,7 +192,7 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
 
 
 def device_times(device_time: NDArray[np.int64], fit: ClockFit, near_host_ns: int) -> NDArray[np.int64]:
-    """Return the device times of rows (ns) without wrap-around, on the time scale of the clock fit.
+    """Return the device times of rows (ns) without wrap-around, with the same zero as the clock fit `fit`.
 
     `near_host_ns` is the host time at which the first row was received (ns).
     """
@@ -213,8 +208,7 @@ def _column(rows: NDArray[np.void], name: str) -> _Ints:
 def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
     """Return the row number at which the device first reports each row's command as active (−1: never).
 
-    Also return the number of commands that never became active, and of commands without a later report. An active
-    command was sent at most `SEQUENCES` / 2 commands before the row that reports it.
+    Also return the number of commands that never became active, and of those sent after the last one reported.
     """
     shown_at = np.full(len(rows), -1, np.int64)
     if not len(rows):
@@ -236,7 +230,6 @@ def _active(rows: NDArray[np.void]) -> tuple[_Ints, int, int]:
 
 
 def _became_active(rows: NDArray[np.void], device: _Ints, shown_at: _Ints, period_ns: float) -> _Ints:
-    """Return the device time (ns) at which commands became active, from the rows `shown_at` that report them first."""
     age = rows["command_age"][shown_at]
     index = _column(rows, "sample_index")
     wanted = index[shown_at] - age

@@ -37,7 +37,10 @@ def timing(recording: Recording | str | Path) -> TimingSummary:
 
 
 def timing_of(recording: Recording | str | Path) -> Timing:
-    """Return the times of each tick of a recording (ns), their summary, and the file's name; errors like `timing`."""
+    """Return the times of each tick of a recording (ns), a summary of its latencies, and the file's name (or "").
+
+    Raise `RecordingError` if the recording cannot be read or has no rows, and `RigError` if its clock fit is invalid.
+    """
     name = ""
     if not isinstance(recording, Recording):
         name = Path(recording).name

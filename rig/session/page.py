@@ -1,8 +1,8 @@
 """Functions for the page in the browser: the operator's questions and keys, the texts of each view, the simulated hand.
 
-In `rig.extras.console` the server uses this module for the views, and the session's process for the desk (the
-operator's user interface). The module opens no terminal and no device, and imports neither the control loop nor the
-simulation; `rig.session.conducting` conducts the session.
+In `rig.extras.console` the server uses this module for the views, and the session's process for its side of the user
+interface. The module opens no terminal and no device, and imports neither the control loop nor the simulation;
+`rig.session.conducting` conducts the session.
 """
 
 from rig.session.planning._keymap import STOP, VERDICTS, KeyMap

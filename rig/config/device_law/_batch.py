@@ -56,7 +56,7 @@ def sample_bytes(layout: int) -> int:
 
 
 def batch_samples(experiment: Experiment) -> int:
-    """Return the number of samples in one BATCH frame: as many as fit into a frame and into `LONGEST_FRAME_S`."""
+    """Return the number of samples in one BATCH frame: as many as fit, but no more than the device takes in 5 ms."""
     room = RAW_LIMIT - _overhead()
     fitting = room // sample_bytes(batch_layout(experiment))
     in_time = math.floor(LONGEST_FRAME_S * experiment.controller.position_rate)
@@ -64,7 +64,7 @@ def batch_samples(experiment: Experiment) -> int:
 
 
 def bytes_per_second(experiment: Experiment) -> float:
-    """Return the bytes per second that a device sends while it runs the law: BATCH frames and State messages."""
+    """Return the bytes per second that a device sends while it runs the law: frames of samples, and its state."""
     samples, rate = batch_samples(experiment), experiment.controller.position_rate
     raw = _overhead() + samples * sample_bytes(batch_layout(experiment))
     # COBS adds one byte to a frame below 254 bytes, and the delimiter is another byte.

@@ -36,11 +36,14 @@ class WallElsewhere(Protocol):
         ...
 
     def fits(self, experiment: Experiment, dictionary: Dictionary) -> list[Check]:
-        """Return checks of whether a device with this `dictionary` of features can render the experiment's wall."""
+        """Return checks of whether a device that describes itself by `dictionary` can render the experiment's wall."""
         ...
 
 
 def wall_elsewhere(arithmetic: str) -> WallElsewhere:
-    """Return the functions of the optional package for the arithmetic "drive"; raise `ConfigError` if it is missing."""
+    """Return the functions of the optional package for walls on a motor drive; raise `ConfigError` if it is missing.
+
+    `arithmetic` is the value of ``controller.arithmetic``, such as "drive".
+    """
     found: WallElsewhere = extras.load("arithmetics", arithmetic)()
     return found

@@ -75,17 +75,9 @@ def arithmetic_of(rates: Rates) -> Arithmetic:
 def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Values:
     """Return the value of each parameter that the law on the device reads, by name, except those of BATCH frames.
 
-    Parameters
-    ----------
-    controller
-        Controller of the host (`rig.config.controller.for_experiment`).
-    arithmetic
-        Arithmetic of the law on the device.
-
-    Raises
-    ------
-    PlanError
-        The device does not have the estimator, the law or an option, or a value is out of range.
+    `controller` is the host's (`rig.config.controller.for_experiment`). Raise `PlanError` if the device does not have
+    the
+    estimator, the law or one of its options, or a value is out of range.
     """
     c, law = _control_values(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
@@ -131,20 +123,11 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
 def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers: Sequence[float]) -> Values:
     """Return the values of the device parameters that change the wall while the law runs, by name.
 
-    Parameters
-    ----------
-    controller
-        Controller with which the device was armed.
-    arithmetic
-        Arithmetic of the law on the device.
-    numbers
-        Parameter set from the loop's mailbox: position of the wall, then the parameters of its law
-        (`rig.experiments.trials.live.parameter_set`).
-
-    Raises
-    ------
-    PlanError
-        A value is out of range for the device, or an option changes that cannot change while the law runs.
+    `controller` is the one with which the device was armed. `numbers` are the position of the new wall, then the
+    parameters
+    of its law (`rig.experiments.trials.live.parameter_set`). Raise `PlanError` if a value is out of range for the
+    device, or
+    an option changes that cannot change while the law runs.
     """
     position, *law = numbers
     name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)
@@ -163,14 +146,9 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
 
 
 def rendered_wall(values: Mapping[str, Value], controller: ControllerState) -> DeviceWall:
-    """Return stiffness, damping and position (SI units) of the wall that a device renders.
+    """Return stiffness, damping and position (SI units) of the wall that a device renders with its active parameters.
 
-    Parameters
-    ----------
-    values
-        Active parameters of a device that runs the law.
-    controller
-        Controller from which the parameters were computed; it has the scale factors.
+    `controller` is the host's controller from which they were computed; it has the scale factors.
     """
     fixed = ARITHMETICS[int(values["law"])] == "fixed"
     in_si = fixed_wall_in_si if fixed else float_wall_in_si
@@ -223,7 +201,6 @@ def _check_passivity(c: Control) -> None:
 
 
 def _check_work(c: Control) -> None:
-    """Raise `PlanError` if a filter would compute more than `MOST_PERIODS_A_TICK` skipped periods in one tick."""
     if c["slow_multiple"] > MOST_PERIODS_A_TICK:
         raise refusal(
             "controller.slow_velocity_rate",
@@ -235,7 +212,6 @@ def _check_work(c: Control) -> None:
 
 
 def _position_parameters(c: Control) -> Values:
-    """Return position window, homing range and homing target in counts from position zero, by parameter name."""
     delta, target, tolerance = abs(c["resolution"]), c["home_target"], c["home_tolerance"]
     target_bits = round(target / delta * 2**SETPOINT_BITS)
     return {

@@ -26,7 +26,7 @@ from rig.control.estimators.estimator import Estimator, Setting, check_below_nyq
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the parameters of the disturbance observer: gains, and acceleration by a unit of effort."""
+    """Return the parameters of the disturbance observer: gains, and the acceleration (counts/period²) per N·m or N."""
     check_below_nyquist("disturbance", "frequency_hz", settings["frequency_hz"], period_s)
     angle = 2.0 * math.pi * settings["frequency_hz"] * period_s  # ω0·T
     upper = angle * cmath.exp(2j * math.pi / 3.0)

@@ -113,7 +113,7 @@ def biquad(settings: Mapping[str, Any], period_s: float) -> Biquad:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the integers of the low pass in fixed point, in the order of the indices B0 to SCALE."""
+    """Return the low pass in integers: coefficients b0, b1, b2, a1, a2, word sizes (bits), rounding and scale."""
     f = biquad(settings, period_s)
     form = [f.coefficient_bits, f.state.fraction_bits, f.state.word_bits, f.rounding]
     return [float(n) for n in (f.b0, f.b1, f.b2, f.a1, f.a2, *form)] + [f.state.lsb / period_s]

@@ -53,7 +53,7 @@ SETTINGS: tuple[Setting | Choice, ...] = (
 
 @kernel("i8(i8, i8, i8[::1])", inline=True, no_refcount=True)
 def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
-    """Store a sample (unwrapped count, elapsed periods) in the ring of the window; return the index of its slot."""
+    """Add a sample (count, elapsed periods) to the ring buffer of the estimator; return its index in the buffer."""
     slot = state_i[SAMPLES] & MASK
     if state_i[SAMPLES] > 0:
         last = (slot - 1) & MASK
@@ -67,7 +67,10 @@ def remember(count: int, elapsed_ticks: int, state_i: Ints) -> int:
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return noise band (counts, with rounding margin), longest window (periods) and index of the stop rule."""
+    """Return three parameters: noise band (counts, plus a margin for rounding), longest window (periods), stop rule.
+
+    The stop rule is the index of the setting ``stop`` in `STOPS`: when the search for a longer window ends.
+    """
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

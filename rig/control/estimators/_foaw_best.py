@@ -88,7 +88,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the window's parameters (`_foaw.design`), then the rule for the line's intercept (index in `ANCHORS`)."""
+    """Return four parameters: noise band (counts), longest window (periods), and the rules for stop and intercept."""
     return [*foaw.design(settings, resolution, period_s), float(ANCHORS.index(settings["anchor"]))]
 
 

@@ -42,7 +42,8 @@ def update(
 ) -> float:
     """Return the velocity (rad/s or m/s): weighted mean of adaptive windowing (FOAW) and Levant's differentiator.
 
-    It is zero for the first sample. `state_i[WINDOW]` becomes the window of FOAW (periods), which decides the weight.
+    It is zero for the first sample. `state_i[WINDOW]` becomes the length of FOAW's window (periods): the longer it is,
+    the more FOAW counts.
     """
     started = state_i[foaw.SAMPLES] > 0
     moved = count_difference(count, state_i[foaw.PREVIOUS])
@@ -72,7 +73,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return parameters of adaptive windowing (FOAW) and Levant's differentiator, and those of their weighted mean.
+    """Return all parameters: of adaptive windowing (FOAW), of Levant's differentiator, and of their weighted mean.
 
     Raises `ConfigError` unless fast_window < slow_window ≤ window_limit.
     """

@@ -79,7 +79,7 @@ _SIX = types.UniTuple(types.float64, 6)
 def _propagate(
     p11: float, p12: float, p13: float, p22: float, p23: float, p33: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the covariance of the Kalman filter after one period: A·P·Aᵀ, A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
+    """Return p11, p12, p13, p22, p23, p33 of the covariance A·P·Aᵀ, with A = [[1, 1, ½], [0, 1, 1], [0, 0, 1]]."""
     a12 = p12 + p22 + 0.5 * p23
     a13 = p13 + p23 + 0.5 * p33
     a23 = p23 + p33
@@ -115,7 +115,7 @@ def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) 
 
 @kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, parameters: Floats) -> float:
-    """Return Ĉ0 (counts²), the variance of the innovations so far by the chosen fading; 0 without fading."""
+    """Return the variance of the innovations so far (counts²), by the configured kind of fading; 0 without fading."""
     fading, seen = parameters[FADING], state_i[INNOVATIONS]
     state_i[INNOVATIONS] = seen + 1
     square = innovation * innovation
@@ -142,7 +142,10 @@ def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, para
 def _gain(
     variance: float, elapsed_ticks: int, state_f: Floats, parameters: Floats
 ) -> tuple[float, float, float]:
-    """Update the covariance over the elapsed periods, with fading, and for a new sample; return the Kalman gain."""
+    """Propagate the covariance over the elapsed periods, correct it for a new sample, and return the Kalman gain.
+
+    `variance` (counts²) of the innovations decides how far the covariance is inflated (fading).
+    """
     r, q11, q12, q13 = parameters[R], parameters[Q11], parameters[Q12], parameters[Q13]
     q22, q23, q33 = parameters[Q22], parameters[Q23], parameters[Q33]
     p11, p12, p13 = state_f[P11], state_f[P12], state_f[P13]
@@ -205,7 +208,10 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the Kalman filter's parameters: noise, prior, options, steady gain; raise `ConfigError` for conflicts."""
+    """Return the Kalman filter's parameters: variances of noise, prior, options, steady gain.
+
+    Raise `ConfigError` if settings exclude each other, such as a steady gain and fading.
+    """
     order, r = ORDERS[settings["model"]], VARIANCES[settings["variance"]]
     printed, steady = settings["noise"] == "printed", settings["gain"] == "steady"
     _check_options(order, printed, steady, settings["fading"], settings["fading_window"])
@@ -230,9 +236,9 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 
 
 def steady_parameters(gains: Sequence[float], acceleration: float = 0.0) -> list[float]:
-    """Return the parameters of the Kalman recursion with three constant gains and a known acceleration.
+    """Return the Kalman filter's parameters for constant gains of position, velocity, acceleration (counts, periods).
 
-    `acceleration` is that by a unit of the motor's effort (counts per period²); 0 if the effort is not used.
+    `acceleration` (counts per period²) is what one N·m or N of the motor causes; 0 if the effort is not used.
     """
     return [VARIANCES["rounding"], *[0.0] * (STEADY - R - 1), 1.0, *gains, acceleration]
 
@@ -240,7 +246,6 @@ def steady_parameters(gains: Sequence[float], acceleration: float = 0.0) -> list
 # Cached: the Riccati equation takes 14 ms of processor time.
 @lru_cache(maxsize=512)
 def _compute_steady_gain(order: int, intensity: float, r: float, printed: bool) -> tuple[float, ...]:
-    """Return the steady Kalman gain (counts, periods); it is cached."""
     return tuple(steady_gain(intensity * process_noise(order, printed=printed), r).tolist())
 
 
@@ -265,7 +270,6 @@ def _check_options(order: int, printed: bool, steady: bool, fading: str, window:
 def _intensity(
     settings: Mapping[str, Any], order: int, r: float, resolution: float, period_s: float
 ) -> float:
-    """Return the intensity of the Kalman filter's process noise (counts, periods), from q or from the bandwidth."""
     q, bandwidth_hz = settings["q"], settings["bandwidth_hz"]
     if q > 0.0:
         if bandwidth_hz != DEFAULT_BANDWIDTH_HZ:

@@ -55,9 +55,10 @@ LONGEST_GAP = 1000  # periods; after a longer one it restarts on the mean slope
 
 @kernel("UniTuple(f8, 3)(f8, f8, f8, f8, i8)", inline=True)
 def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> tuple[float, float, float]:
-    """Advance Levant's differentiator by one period; return error x − f, u1 and u (counts, periods).
+    """Advance Levant's differentiator by one period; return the error x − f, the integral part u1, and the velocity u.
 
-    `error` is the difference between the old copy x of the position and the new sample f.
+    x is the differentiator's copy of the position f (counts). `error` is the old x minus the new sample f; `alpha` and
+    `lambda_` are the gains in counts and periods, `scheme` the discretisation (an index of `SCHEMES`).
     """
     # The sign is set-valued at zero. The explicit schemes cannot rest there: they chatter for ever, at a handle at rest
     # too, by 1.17·α·T rms (explicit, gains hba-sc), which damping turns into a buzz of the motor.
@@ -91,9 +92,9 @@ def step(error: float, u1: float, alpha: float, lambda_: float, scheme: int) -> 
 def advance(
     error: float, u1: float, moved: int, elapsed_ticks: int, alpha: float, lambda_: float, scheme: int
 ) -> tuple[float, float, float]:
-    """Advance Levant's differentiator by `elapsed_ticks` periods; return error x − f, u1 and u (counts, periods).
+    """Advance Levant's differentiator by `elapsed_ticks` periods; return x − f (counts), integral part u1, velocity u.
 
-    Lost samples are assumed on a straight line over `moved` counts.
+    x is its copy of the position f. The count has changed by `moved`; lost samples are assumed on a straight line.
     """
     slope = moved / elapsed_ticks
     if elapsed_ticks > LONGEST_GAP:
@@ -138,7 +139,7 @@ def update(
 
 
 def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple[float, float]:
-    """Return Levant's gains (μ1, μ2); raise `ConfigError` if they are outside the region of the setting "gains"."""
+    """Return Levant's gains (μ1, μ2); raise `ConfigError` if they fail the proof that the setting "gains" names."""
     gains, mu1, mu2 = settings["gains"], settings["mu1"], settings["mu2"]
     if gains in levant_regions.NAMED_GAINS:
         if mu1 or mu2:
@@ -171,7 +172,7 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return Levant's gains α·T²/Δ and λ·T/√Δ (counts, periods), then the indices of discretisation and output."""
+    """Return Levant's gains α and λ (counts, periods), then the indices of the discretisation and of the output."""
     mu1, mu2 = multipliers(settings)
     return own_parameters(settings, mu1, mu2, resolution, period_s)
 
@@ -179,7 +180,7 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
 def own_parameters(
     settings: Mapping[str, Any], mu1: float, mu2: float, resolution: float, period_s: float
 ) -> list[float]:
-    """Return the `OWN_PARAMETERS` parameters of Levant's differentiator for checked multipliers μ1 and μ2."""
+    """Return Levant's gains α and λ (counts, periods) for checked μ1, μ2; then the indices of scheme and output."""
     bound = settings["lipschitz"] * period_s**2 / abs(resolution)  # counts per period²
     scheme, output = settings["discretisation"], settings["output"]
     return [

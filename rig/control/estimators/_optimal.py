@@ -44,7 +44,7 @@ RISE, SPAN = 0, foaw.LONGEST + 1  # state_f: the window laid out flat
 
 @kernel("f8(f8[::1], i8, f8)", inline=True)
 def _noise(state_f: Floats, samples: int, bend: float) -> float:
-    """Return the estimated noise N̂ (counts) of the newest samples, from counts and periods relative to the newest."""
+    """Return the estimated noise (counts) of the newest samples; `bend` bounds the acceleration (counts/period²)."""
     noise = 0.0
     # n²/2 comparisons in each period, n the longest chord.
     for l in range(2, samples + 1):  # noqa: E741  (as in the formula)
@@ -94,7 +94,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the acceleration bound C·T²/Δ (counts per period²) and the longest chord (periods, at least 2)."""
+    """Return the bound of the acceleration (counts per period²) and the longest chord (periods, at least 2)."""
     limit = settings["window_limit"]
     if limit != round(limit):
         raise ConfigError(

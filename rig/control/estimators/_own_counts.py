@@ -64,9 +64,9 @@ def whole_numbers(values: ArrayLike, array_name: str, also: tuple[str, ...] = ()
     values
         Integers, or floats with whole values.
     array_name
-        `COUNTS` or `ELAPSED`, for messages.
+        Name of the array in messages: "counts" or "elapsed".
     also
-        Names of further arrays (``elapsed``, ``edge_time``) from which the remedy removes the same samples.
+        Names of further arrays (``elapsed``, ``edge_time``) from which the user must remove the same samples.
 
     Raises
     ------
@@ -183,7 +183,6 @@ def age_of_last_change(counts: Ints, time_s: Floats) -> Floats:
 
 
 def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> None:
-    """Raise `ConfigError` if a step of the counts differs from the previous speed by half the counter's range."""
     expected = np.concatenate(([0.0], steps[:-1] / elapsed[1:-1] * elapsed[2:]))
     wrong = np.flatnonzero(np.abs(steps - expected) >= 2 ** (bits - 1))
     if len(wrong):
@@ -198,7 +197,6 @@ def _check_direction(counts: Ints, steps: Ints, elapsed: Ints, bits: int) -> Non
 
 
 def _check_jumps(values: NDArray[Any], counts: Ints, steps: Ints) -> None:
-    """Raise `ConfigError` for a jump above half the range of all counts: the counter wraps or was reset."""
     span = int(counts.max()) - int(counts.min())
     wide = np.flatnonzero(np.abs(steps) > max(span / 2, LEAST_JUMP))
     if len(wide):
@@ -259,7 +257,6 @@ def _type_error(array_name: str, kind: str, name: str) -> ConfigError:
 
 
 def _remove_missing(values: ArrayLike, also: tuple[str, ...]) -> str:
-    """Return Python statements, for a remedy, that remove lost samples and give the gaps as `elapsed`."""
     number = "numpy.asarray(counts, dtype=float)"
     if _has_pandas_na(values):  # numpy makes no number of it
         number = "pandas.array(counts, dtype='Float64').to_numpy(float, na_value=numpy.nan)"

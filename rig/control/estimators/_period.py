@@ -61,7 +61,7 @@ def plausible_age(edge_age_s: float) -> float:
 
 @kernel("b1(i8, f8, f8, f8, f8)", inline=True)
 def has_fresh_edge(moved: int, age: float, age_before: float, elapsed_s: float, period_s: float) -> bool:
-    """Return True if there was an encoder edge since the previous sample: the count or the edge time has changed."""
+    """Return True if there was an encoder edge since the previous sample: the count or the edge's time has changed."""
     within = elapsed_s - GRACE * period_s
     return moved != 0 or (age < within and age < age_before + within)
 
@@ -78,7 +78,7 @@ def boundary_distance(moved: int, upwards: int, upwards_before: int) -> int:
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def still_possible(speed: float, age: float, gap: float) -> float:
-    """Return the velocity (counts/s), limited to one gap between encoder lines over the time since the last edge."""
+    """Return `speed` (counts/s), limited to one `gap` between lines (counts) over the last edge's `age` (s)."""
     # In the time since the last edge the handle has not passed another line. The lines of a real encoder are not evenly
     # spaced: `unevenness` widens the gap, or a wide one at speed would look like a stop.
     silence = age - EDGE_TIME_S
@@ -103,7 +103,7 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s): slope between the last two encoder edges, limited by the time since then."""
+    """Return the velocity (rad/s or m/s): slope between the last two encoder edges, limited by the last one's age."""
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -131,7 +131,7 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the widest gap between two encoder lines (counts), as the only parameter."""
+    """Return the estimator's only parameter: the widest gap between two encoder lines (counts)."""
     return [1.0 + settings["unevenness"]]
 
 

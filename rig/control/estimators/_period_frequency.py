@@ -59,7 +59,10 @@ def update(
     state_i: Ints,
     parameters: Floats,
 ) -> float:
-    """Return the velocity (rad/s or m/s): slope from the edge before the window to the last, limited by its age."""
+    """Return the velocity (rad/s or m/s): slope from the last edge before a window to the newest edge.
+
+    Between edges it is limited by the time since the newest edge.
+    """
     period_s, age = parameters[PERIOD], plausible_age(edge_age_s)
     elapsed_s = elapsed_ticks * period_s
     if state_i[STARTED] == 0:
@@ -101,9 +104,9 @@ def update(
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the widest gap between two encoder lines (counts), and the window in whole periods, rounded up.
+    """Return two parameters: the widest gap between two encoder lines (counts), and the window (periods, rounded up).
 
-    Raises `ConfigError` if the window is longer than `LONGEST` periods.
+    Raises `ConfigError` if the window is longer than the memory of `LONGEST` periods.
     """
     periods = math.ceil(settings["window_s"] / period_s * (1.0 - 1e-9))
     if periods > LONGEST:

@@ -22,7 +22,7 @@ from rig.control.estimators.estimator import Estimator, Setting, check_below_nyq
 
 
 def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> list[float]:
-    """Return the parameters of the tracking loop: the gains of position and velocity; the third gain is 0."""
+    """Return the gains of the tracking loop for position and velocity (counts, periods) as its parameters."""
     check_below_nyquist("tracking", "frequency_hz", settings["frequency_hz"], period_s)
     angle, ratio = 2.0 * math.pi * settings["frequency_hz"] * period_s, settings["damping"]  # ω0·T, ζ
     root = cmath.sqrt(complex(ratio * ratio - 1.0))

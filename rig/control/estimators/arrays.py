@@ -151,7 +151,10 @@ def estimate_with_window(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> tuple[Floats, Ints]:
-    """Return the velocities of `estimate`, and the number of sampling periods each estimate spans (int64, (n,))."""
+    """Return the velocity (rad/s or m/s) at each sample, and the number of sampling periods that it spans (int64).
+
+    The arguments are explained by `estimate`.
+    """
     arrays = own_inputs(counts, dt, resolution=resolution, edge_time=edge_time, elapsed=elapsed, width=width)
     estimator = family.get(name)
     prepared = estimator.prepare(parameters, resolution, dt)
@@ -168,7 +171,10 @@ def own_inputs(
     elapsed: ArrayLike | None = None,
     width: Any = None,
 ) -> tuple[Ints, Floats, Ints]:
-    """Check the arguments of `estimate`; return unwrapped counts, age of the last edge (s) and elapsed periods."""
+    """Check a user's arrays; return unwrapped counts, age of the last encoder edge (s), elapsed periods, for each one.
+
+    The arguments are explained by `estimate`.
+    """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ConfigError(
             f"dt = {dt!r} s is not a valid sampling period: it must be above 0 and finite",
@@ -182,7 +188,7 @@ def own_inputs(
 def inputs(
     counts: ArrayLike, dt: float, edge_time: ArrayLike | None = None, elapsed: ArrayLike | None = None
 ) -> tuple[Ints, Floats, Ints]:
-    """Check the arrays of `estimate`; return counts, age of the last encoder edge (s) and elapsed periods.
+    """Check arrays of samples; return counts, age of the last encoder edge (s) and elapsed periods, for each sample.
 
     Counts may wrap at 32 bits; those of a narrower counter must be unwrapped before (`_own_counts.unwrap`).
     """
@@ -252,10 +258,12 @@ def checked_efforts(effort: ArrayLike, samples: int) -> Floats:
 def run(
     prepared: Prepared, counts: Ints, edge_age_s: Floats, elapsed: Ints, effort: Floats | None = None
 ) -> tuple[Floats, Ints]:
-    """Run a prepared estimator over arrays; return velocities (rad/s or m/s) and windows (velocity periods).
+    """Run an estimator over arrays; return the velocity (rad/s or m/s) at each sample, and the periods that it spans.
 
-    `counts`, `edge_age_s` and `elapsed` are the results of `inputs`. The memory of `prepared` changes. `effort` is the
-    mean effort since the previous sample (N·m or N), shape (n,); without it the effort is zero.
+    `counts`, `edge_age_s` (age of the last encoder edge, s) and `elapsed` (periods since the previous sample) are the
+    results of `inputs`. `effort` is the mean effort since the previous sample (N·m or N), by default zero. The memory
+    of
+    `prepared` changes.
     """
     velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)
@@ -277,9 +285,9 @@ def update_all(
     velocities: Floats,
     windows: Ints,
 ) -> None:
-    """Call the estimator `update` for each sample; write velocities (rad/s or m/s) and windows (velocity periods).
+    """Call the function `update` of an estimator for each sample; write velocities (rad/s or m/s) and periods spanned.
 
-    All arrays except the memory (`state_f`, `state_i`) and `parameters` have the length of `counts`.
+    All arrays except the estimator's memory (`state_f`, `state_i`) and `parameters` have the length of `counts`.
     """
     for k in range(len(counts)):
         velocities[k] = update(counts[k], edge_age_s[k], elapsed[k], effort[k], state_f, state_i, parameters)

@@ -59,10 +59,12 @@ class Estimator(Shown):
     """Definition of a velocity estimator.
 
     `design(settings, resolution, period_s)` returns the parameters that follow the two common parameters; it raises
-    `ConfigError` if they cannot be realised at that period. `update` has the signature
-    `rig.realtime.plugs.ESTIMATOR_SIGNATURE`. `floats` and `ints` are the sizes of its memory; `ints` includes WINDOW.
-    `uses_effort` is True if the estimator needs the motor's effort. `position` is the index, in the floats of the
-    memory, of estimated position minus newest count (counts); None if the estimator estimates no position.
+    `ConfigError` if they cannot be realised at that period. `update` is the compiled function that is called for each
+    velocity sample (`rig.realtime.plugs.ESTIMATOR_SIGNATURE`). `floats` and `ints` are the sizes of the memory that it
+    keeps between calls. `uses_effort` is True if the estimator needs the motor's effort. `position` is the index, in
+    the
+    floats of the memory, of estimated position minus newest count (counts); None if the estimator estimates no
+    position.
     """
 
     name: str
@@ -92,7 +94,7 @@ class Estimator(Shown):
         return [f"estimator {self.name}: {self.summary}", *rows]
 
     def prepare(self, given: Mapping[str, float | str], resolution: float, period_s: float) -> Prepared:
-        """Check the settings; return the estimator with designed parameters and a memory of zeros.
+        """Check the settings; return the estimator with its computed parameters, and with its memory set to zero.
 
         Parameters
         ----------
@@ -106,7 +108,7 @@ class Estimator(Shown):
         Raises
         ------
         ConfigError
-            A setting is unknown, missing or out of range, or the design cannot be realised.
+            A setting is unknown, missing or out of range, or impossible at this period.
         """
         known = {s.name: s for s in self.settings}
         for name in given:
@@ -169,7 +171,7 @@ def check_below_nyquist(
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """An estimator ready to run, with its parameters and its memory, which changes."""
+    """A velocity estimator ready to run, with its parameters and its memory, which changes in each call."""
 
     estimator: Estimator
     parameters: Floats

@@ -36,12 +36,12 @@ def lfba_mu1(mu2: float) -> float:
 
 
 def in_hba(mu1: float, mu2: float) -> bool:
-    """Return True if Levant's gains satisfy the homogeneity-based proof: α > C, λ² ≥ 4·C·(α + C)/(α − C)."""
+    """Return True if Levant's gains satisfy the homogeneity-based proof: mu2 > 2 and mu1 ≥ `hba_mu1(mu2)`."""
     return mu2 > 2.0 and mu1 >= hba_mu1(mu2)
 
 
 def in_lfba(mu1: float, mu2: float) -> bool:
-    """Return True if Levant's gains satisfy the Lyapunov-based proof: α > 3·C + 2·C²/λ², λ > 0."""
+    """Return True if Levant's gains satisfy the Lyapunov-based proof: mu1 > `lfba_mu1(mu2)`, mu2 > 0."""
     return mu2 > 0.0 and mu1 > lfba_mu1(mu2)
 
 
@@ -52,11 +52,11 @@ def find_crossing() -> tuple[float, float]:
 
 
 def half_cycle_contraction(mu1: float, mu2: float) -> float:
-    """Return how much the error of Levant's differentiator grows in a half cycle, in the worst case (a ratio).
+    """Return the worst-case factor by which a half cycle multiplies the velocity error x2 of Levant's differentiator.
 
-    It is the largest ratio of |x2| (error of the velocity) after a half cycle to |x2| before, over all disturbances
-    |f̈| ≤ C. Below 1 the error of the continuous differentiator contracts for every such signal, and converges in
-    finite time; 0 means that no disturbance can move the error across x1 = 0.
+    The worst case is over all disturbances |f̈| ≤ C. Below 1 the error of the continuous differentiator contracts for
+    every
+    such signal, and converges in finite time; 0 means that no disturbance can move the position error x1 across zero.
 
     Notes
     -----

@@ -46,7 +46,7 @@ Values = dict[str, Value]
 
 
 def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Values:
-    """Return the device parameters that select an estimator and set its numbers.
+    """Return the device parameters, by name, that select a velocity estimator and set its gains and limits.
 
     `effort_quantum` is the effort of one quantum of the active current (N·m or N).
 
@@ -95,7 +95,7 @@ def _biquad(own: Floats) -> Values:
 
 
 def _low_pass(own: Floats) -> Values:
-    """Return the device parameters of a Butterworth low pass: gains of trapezoidal integrators (firmware/law/law.h)."""
+    """Return the device parameters of a Butterworth low pass (gains of integrators) from the host's sections."""
     sections = own[fdm_butterworth.B0 :].reshape(-1, fdm_butterworth.SECTION).tolist()
     # All zeros are at -1, so it does not matter which section scipy gave them to, nor where the odd one stands.
     sections.sort(key=lambda section: section[-1] == 0.0)

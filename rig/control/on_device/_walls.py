@@ -1,4 +1,4 @@
-"""Device parameters of the wall, its guard and its homing servo, in integers and in float32."""
+"""Device parameters of the wall, of the limits of its effort and of its homing servo, in integers and in float32."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ class DeviceWall:
 
 
 def common_parameters(name: str, law: Floats) -> Values:
-    """Return a wall's device parameters that do not depend on its arithmetic (integers or float32).
+    """Return a wall's device parameters that do not depend on its arithmetic (integers or float32), by name.
 
-    `name` is the name of the law, `law` its parameters. Raises `PlanError` if the device does not have the law.
+    `name` is the name of the force law, `law` its parameters on the host. Raises `PlanError` if no device has the law.
     """
     if name not in LAWS:
         if name.endswith("+friction"):
@@ -66,7 +66,7 @@ def common_parameters(name: str, law: Floats) -> Values:
 
 
 def options(name: str, law: Floats) -> tuple[bool, bool]:
-    """Return two flags of a law: the wall may pull; damping acts on entry only. Both are False for bilateral laws."""
+    """Return if a wall may pull, and if its damping acts on entry only; both False if it acts on both sides."""
     if name in BILATERAL or len(law) < PARAMETERS:
         return False, False
     return bool(law[MAY_PULL]), bool(law[ENTRY_ONLY])
@@ -88,7 +88,7 @@ def float_wall(c: Control, law: Floats) -> Values:
 
 
 def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the wall in SI units from the device parameters of `float_wall`.
+    """Return the wall in SI units, from the device parameters of a wall in float32.
 
     The error of float32 is 2⁻²⁴ (relative) for stiffness and damping, and 2⁻²⁵ counts for the position.
     """
@@ -151,7 +151,7 @@ def designed_wall(
 
 
 def fixed_wall(wall: FixedWall) -> Values:
-    """Return the device parameters of a wall in integers; a 64-bit number becomes ``…_high`` and ``…_low``."""
+    """Return the device parameters of a wall in integers, by name; a 64-bit number becomes ``…_high`` and ``…_low``."""
     return {
         "fixed_surface": wall.surface,
         "fixed_stiffness": wall.stiffness,
@@ -162,10 +162,11 @@ def fixed_wall(wall: FixedWall) -> Values:
 
 
 def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
-    """Return the wall in SI units from all device parameters of an integer law.
+    """Return the wall in SI units, from the device parameters of a law in integers.
 
-    The rounding error of `rig.control._fixed_wall.design_wall` is half of 2⁻ˢ quanta (s = fixed_shift) for each LSB of
-    depth or velocity, and 2⁻⁹ counts for the position.
+    Its rounding error is half of 2⁻ˢ current quanta (s is the parameter ``fixed_shift``) for each LSB of depth or
+    velocity,
+    and 2⁻⁹ counts for the position.
     """
     delta, quantum, period_s = _scales(c)
     lsb = math.ldexp(1.0, -int(values["fixed_shift"]))

@@ -1,7 +1,8 @@
 """List the walls of a study that a real rig refuses because of the measured delay of its link.
 
-The arming gate (`rig.doctor.gate`) refuses walls that would be unstable with this delay. A session begins only if the
-operator has consented to all of these walls, which are therefore listed before a person touches the handle.
+The check before a motor is armed (`rig.doctor.gate`) refuses walls that would be unstable with this delay. A session
+begins only if the operator has consented to all of these walls, which are therefore listed before a person touches the
+handle.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ CONSENT = (
 
 
 def walls_of(walls: Walls) -> Iterator[SessionWall]:
-    """Yield every wall that a session may present, practice included, grouped by condition and damping."""
+    """Yield every wall that a session may present, practice walls included, grouped by condition and damping."""
     protocol = walls.protocol
     practised = protocol.practice.condition or protocol.condition[0].name
     for condition in protocol.condition:
@@ -46,9 +47,9 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
 def refusals(
     device: FramedDevice, under: Mapping[tuple[str, float], Sequence[Experiment]]
 ) -> tuple[RefusedWalls, ...]:
-    """Measure the delay of the device's link, and return the walls that the arming gate refuses; nothing moves.
+    """Measure the delay of the device's link; return the walls that this delay makes unstable by linear theory.
 
-    The gate refuses walls that are unstable by linear theory with this delay. Return () in virtual time.
+    The rig refuses to run these walls without the operator's consent. Nothing moves. Return () in virtual time.
 
     Parameters
     ----------
@@ -76,9 +77,10 @@ def refusals(
 
 
 def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` if the rig refuses a wall of the session without the operator's consent.
+    """Raise `PlanError` if the rig refuses a wall of the session, unless the operator has consented (`arm_anyway`).
 
-    The operator consents with `arm_anyway`. For a blinded operator the error contains only the number of such walls.
+    For an operator who must not know the presented walls (blinded), the error contains only the number of refused
+    walls.
     """
     blinded = walls.protocol.study.blind in BLINDED
     # The arming gate never refuses a simulated rig.
@@ -104,7 +106,7 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
 
 
 def arming_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
-    """Measure the delay of the link; yield a check that lists the walls which a real rig runs only with consent."""
+    """Measure the link's delay; yield a check that lists the walls that it makes unstable, which need consent."""
     if runner.simulated:
         return
     try:

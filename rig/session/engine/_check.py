@@ -73,8 +73,7 @@ def check(
     participants
         Number of participants; by default the number in the protocol.
     of_device
-        Function that returns checks of the walls on a device (`rig.session.engine._device_checks`); by default no
-        device is checked.
+        Function that checks the walls on a device (`rig.session.engine._device_checks`); by default no device is used.
     study
         Directory of the participants. Times measured in finished sessions replace the planned times of people, and the
         protocol is compared with the protocol of the earlier sessions.
@@ -148,14 +147,13 @@ def check(
 
 
 def refuse_walls(study: Walls) -> None:
-    """Raise `rig.core.errors.PlanError` if a search rule may present a wall that is not allowed on this rig."""
+    """Raise `PlanError` if the study may present a wall, also in practice, that is not allowed on this rig."""
     under = [_experiments(study, condition) for condition in study.protocol.condition]
     walls = [*_walls(study.protocol, under), *_practice(study)]
     refuse(wall_checks(walls))
 
 
 def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
-    """Return the experiments of a condition: for each damping, one experiment per level of stiffness, ascending."""
     levels = levels_of(study.protocol.search_of(condition))
     found = []
     for damping in condition.damping:
@@ -211,7 +209,7 @@ def _durations(
     stiffest: Experiment,
     question_s: float,
 ) -> Iterator[tuple[str, ExpectedRange]]:
-    """Yield name and expected duration (s) of each part of a session."""
+    """Yield name and expected duration (s) of each activity in a session, such as hits, rests and questions."""
     yield "homing and free space", trials * (times.homing + times.baseline)
     yield "hits", trials * (times.hit + times.release)
     yield "ready and verdict", trials * (times.ready + times.verdict)
@@ -238,7 +236,6 @@ def _durations(
 def _disk(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
 ) -> ExpectedRange:
-    """Return the expected disk space for the recordings of a participant (bytes)."""
     of_a_trial = {
         one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
     }
@@ -249,7 +246,6 @@ def _disk(
 def _rehearsal(
     protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
 ) -> ExpectedRange:
-    """Return the expected computing time of a rehearsal in virtual time (s)."""
     rates = {
         one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
     }

@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class SessionClock(Protocol):
-    """Clock of a session: real time, or virtual time that its methods advance (`rig.session.engine._rehearsal.Day`)."""
+    """Clock of a session: real time, or a virtual time that only its methods advance, for a simulated person."""
 
     def __call__(self) -> float:
         """Return the current time (s since 1970, or since the start of a virtual clock)."""

@@ -87,7 +87,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment with the softest wall of the first search, and settings that override a device's rates."""
+    """Return the experiment with the first search's softest wall, and the sampling rates to set on a device."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -97,7 +97,7 @@ def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mappi
 def _wall(
     walls: Walls, name: str, damping: float, stiffness: float, seed: int | None = None
 ) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment of a hit, and settings that override the device's rates."""
+    """Return the experiment with one wall of a condition, and the sampling rates (by key) to set on a device."""
     condition = walls.protocol.condition_named(name)
     experiment = walls.at(condition, damping, stiffness, seed=seed)
     return experiment, own_rates(condition, experiment)
@@ -147,7 +147,7 @@ def conduct(
     session
         New or resumed session.
     runner
-        Rig that runs the trials.
+        Object that runs trials on a rig.
     desk
         User interface of the operator, or a simulated person.
     walls
@@ -166,8 +166,8 @@ def conduct(
     ------
     RigError
         The session cannot continue: for example, the disk is full, a wall is not allowed, or the device is
-        disconnected. The effort is zero, and the session can be resumed. For a blinded operator the message hides any
-        text that may describe a wall; the full text is in the log.
+        disconnected. The effort is zero, and the session can be resumed. For an operator who must not know the walls
+        (blinded) the message hides any text that may describe a wall; the full text is in the log.
     """
     # There is no other memory than the log: whatever ended an earlier process, the same function resumes from it.
     engine = _Engine(session, runner, desk, walls or walls_in(session.state), on_event, marks)
@@ -194,7 +194,7 @@ def conduct(
 
 
 def _hide_error(state: SessionState, error: Exception) -> RigError | None:
-    """Return a substitute error for a blinded operator if `error` may describe a wall; None if `error` may be shown."""
+    """Return a substitute for an error that may describe a wall, if the operator must not know walls; else None."""
     if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
         return None
     recording = getattr(error, "recording", None)
@@ -254,7 +254,7 @@ class _Engine:
         return self._state.protocol.study.blind in BLINDED
 
     def record(self, kind: str, **content: Any) -> None:
-        """Write an event to the log, then pass the event to `on_event` and `marks`."""
+        """Write an event to the log, and send it to the program and the data streams that follow the session."""
         event = self._session.record(kind, **content)
         self._lines.append(line_of_event(event))
         if self._on_event is not None:
@@ -263,13 +263,13 @@ class _Engine:
             self._marks.push(kind, text=line_of_event(event))
 
     def open(self) -> None:
-        """Write the device, its firmware and this computer to the log, and compute the expected number of trials."""
+        """Write the device, its firmware and this computer to the log; compute the expected number of trials."""
         state = self._state
         self._expected = round(sum(likely_trials(state.protocol, state.blocks).values()))
         self.record("opened", **self._runner.facts(*first_wall(self._walls, state.blocks)))
 
     def step(self) -> bool:
-        """Execute the next step; return False if the session has ended or the operator left it."""
+        """Execute the session's next step, such as a trial or a rest; return False if the session is over or left."""
         try:
             if self._state.paused is not None:
                 self._pause(self._state.paused)
@@ -326,8 +326,9 @@ class _Engine:
     def _pulse(self, presented: Presented) -> bool:
         """Apply a torque pulse with hands off the handle; return True if the motion agrees with the rig's description.
 
-        The pulse comes before the first trial of a block, after a resume, and after a trial that ended in doubt about
-        the rig.
+        The pulse comes before the first trial of a block, after a resume, and after a trial whose end makes it doubtful
+        that
+        the rig is in order.
         """
         self._show("hands off", presented, say="Let go of the handle.")
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
@@ -409,7 +410,6 @@ class _Engine:
             self._trouble(f"the hit ended early: {why}", presented)
 
     def _trouble(self, text: str, presented: Presented) -> None:
-        """Show a problem and wait until the operator chooses how to continue."""
         self._show("stopped", presented)
         actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
         reply = self._ask(
@@ -486,7 +486,7 @@ class _Engine:
         return reply.action == "go"
 
     def _machine_pauses(self, reason: str) -> None:
-        """Pause until a person has fixed the rig or the computer; in a rehearsal, raise `OverrunError`."""
+        """Pause until a person has fixed the rig or the computer; with a simulated person, raise `OverrunError`."""
         if self._desk.who != "simulated":
             self._pause(reason)
             return
@@ -507,7 +507,7 @@ class _Engine:
         self.record("continued")
 
     def _redoable(self) -> RecordedTrial | None:
-        """Return the trial that the action "redo" would repeat (newest valid trial of the current block), or None."""
+        """Return the newest valid trial of the current block, which the operator may repeat; None if there is none."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
@@ -534,7 +534,6 @@ class _Engine:
     # What is seen.
 
     def _watch(self, presented: Presented, experiment: Experiment) -> Callable[[int, int], None]:
-        """Return a function to call during a hit: it displays each new phase and calls the user interface's `watch`."""
         beside = self._desk.watch()
         seen = -1
         self._show("homing", presented, experiment=experiment, say="Hold the handle loosely.")
@@ -559,7 +558,10 @@ class _Engine:
         experiment: Experiment | None = None,
         say: str = "",
     ) -> None:
-        """Display the state of the session, without the wall if the operator is blinded."""
+        """Display the session's state, named `words`; hide the wall from an operator who must not know it.
+
+        `say` is the text to read to the participant.
+        """
         state = self._state
         trial = wall.trial if wall else state.newest
         blind = state.protocol.study.blind in BLINDED
@@ -591,7 +593,6 @@ class _Engine:
 
 
 def _scale(x: Experiment) -> dict[str, Any]:
-    """Return start and wall position, limits and units, with which a user interface scales its bars."""
     limits, motion = x.rig.limits, x.rig.motion
     return {
         "start": x.trial.start,

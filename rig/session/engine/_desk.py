@@ -47,7 +47,7 @@ class DeskView:
     practice, attempt
         True for a practice trial; number of the attempt at this trial, from 1.
     condition, stiffness, damping
-        Condition and wall of the trial; None if the operator is blinded.
+        Condition and wall of the trial; None if the operator must not know them (blinded).
     blinded
         True if effort must be shown in words, because effort divided by penetration would reveal the stiffness.
     asked
@@ -56,7 +56,7 @@ class DeskView:
         Values for bars: start, wall, side, window (two ends), effort_limit, speed_limit, position_unit, effort_unit,
         velocity_unit.
     heat
-        Heat of the motor's winding as a fraction of its budget.
+        Heat of the motor's winding; 1 is the heat after hours at the nominal effort.
     last
         Result of the last trial in a few words, with the reason if the trial is invalid.
     lines
@@ -91,6 +91,8 @@ class Question:
 
     Attributes
     ----------
+    kind, text
+        Kind, such as "verdict" or "rest", and text of the question.
     actions
         Actions that the reply may have.
     seconds
@@ -124,7 +126,7 @@ class Desk(ABC):
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Receive the session once, before any other call; a desk must only read it, as the engine changes it."""
+        """Receive the session once, before any other call; the user interface may only read it."""
 
     @abstractmethod
     def show(self, view: DeskView) -> None:

@@ -13,7 +13,10 @@ from rig.session.planning._conditions import Walls
 
 
 def device_checks(url: str, walls: Walls) -> list[Check]:
-    """Return checks of the walls on the device at `url`, without motion; raise `RigError` if it cannot be opened."""
+    """Return checks that the device at `url` can run all walls of a study, without motion, and loses few samples.
+
+    Raise `RigError` if it cannot be opened.
+    """
     with closing(DeviceRunner(url=url, realtime=True, verified=True)) as runner:
         fits = fit_checks(walls, runner)
         checks = [*fits, *arming_checks(walls, runner)]

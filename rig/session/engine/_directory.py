@@ -107,10 +107,10 @@ def begin(
     text, sha256
         Contents and SHA-256 of the protocol file, of which a copy is stored.
     code, row
-        Code of the participant, and row of the order of conditions.
+        Code of the participant, and the participant's row (from 0) in the table of condition orders.
     versions, rehearsal, differs
-        Further contents of the first event: versions of software, the simulated person of a rehearsal, and keys that
-        have another value in the study's earlier sessions.
+        Further contents of the first event: versions of software, the simulated person (or None), and keys that have
+        another value in the study's earlier sessions.
     clock
         Clock for the times in the log (s).
     """
@@ -149,7 +149,7 @@ def refuse_begun(protocol: Protocol, directory: Path, code: str) -> None:
 
 
 def clear_rehearsal(directory: Path) -> None:
-    """Delete the directory if it contains a rehearsal; do not change a person's session or any other directory."""
+    """Delete the directory of a session with a simulated person; do nothing to any other directory."""
     events = read(directory / LOG) if (directory / LOG).exists() else []
     if events and events[0].content.get("rehearsal") is not None:
         shutil.rmtree(directory)
@@ -166,7 +166,7 @@ def _begun(directory: Path, events: Sequence[Event]) -> ConfigError:
 
 
 def resume(directory: Path, *, at: str = "trial", clock: SessionClock = WALL) -> Session:
-    """Resume a session that was interrupted or left.
+    """Resume a session that was interrupted, or that the operator left.
 
     Recordings without an event in the log are moved to trials/abandoned and listed in the log with their SHA-256. Raise
     `ConfigError` if the directory contains no session or the session has ended, and `RecordingError` if another process
@@ -222,8 +222,8 @@ def _refuse_no_session(directory: Path) -> None:
 def event_of_trial(directory: Path, trial: int, value: str) -> int:
     """Return the number of the log's event that a correction of a trial must change.
 
-    For the values "void" and "counts" this is the event of the trial itself, otherwise the event of its verdict. Raise
-    `ConfigError` if the session has no such event.
+    To exclude the trial ("void") or include it again ("counts") this is the event of the trial itself; for any other
+    `value` it is the event of its verdict. Raise `ConfigError` if the session has no such event.
     """
     _refuse_no_session(directory)
     kind = "trial" if value in OF_TRIAL else "judged"
@@ -281,7 +281,6 @@ def amend(
 
 
 def _corrected_answer(state: SessionState, name: str, value: str) -> str | int:
-    """Return a corrected answer in the form that the log stores; raise `ConfigError` if the answer is not valid."""
     item = next((one for one in state.protocol.question if one.name == name), None)
     if item is None:
         return value
@@ -329,7 +328,6 @@ def _set_aside(session: Session) -> list[dict[str, str]]:
 
 
 def _find_damaged(session: Session) -> list[dict[str, str]]:
-    """Return file and SHA-256 of damaged lines that were moved out of the log and that the log does not list yet."""
     events = [event for event in session.log.events if event.kind == "resumed"]
     known = {one["file"] for event in events for one in event.content.get("damaged", ())}
     found = [path for path in set_aside(session.log.path) if path.name not in known]

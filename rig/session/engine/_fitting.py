@@ -15,7 +15,7 @@ from rig.session.planning._schedule import levels_of
 
 
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
-    """Return the worst result of each check that the device and its link can run all conditions; nothing moves."""
+    """Check that device and link can run each condition at each damping; return the worst result of each check."""
     worst: dict[str, Check] = {}
     for x, changes in _stiffest(walls):
         for one in runner.fits(x, changes):
@@ -31,7 +31,6 @@ def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
 
 
 def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
-    """Yield the stiffest wall's experiment per condition and damping, with settings that override a device's rates."""
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:

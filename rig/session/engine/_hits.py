@@ -75,11 +75,11 @@ class DeviceRunner:
     verified
         True if the operator confirms that the polarity of the rig is verified.
     arm_anyway
-        True if the operator consents, for the whole session, to walls that the arming gate refuses.
+        True if the operator consents, for the whole session, to walls that are unstable with the measured delay.
     lossy_anyway
         True to begin although nearly every trial would be invalid because of lost samples.
     hand
-        File through which a person moves the simulated hand (`rig.realtime.hand`); None if the hand follows its script.
+        File through which a person moves the simulated hand (`rig.realtime.hand`); None if it hits by itself.
     messages
         Messages about permissions that this computer or the port did not grant, without repetition.
     """
@@ -145,10 +145,11 @@ class DeviceRunner:
         }
 
     def refusals(self, walls: Sequence[SessionWall]) -> tuple[RefusedWalls, ...]:
-        """Measure the delay of the link, and return the walls that a real rig runs only with consent; nothing moves.
+        """Measure the delay of the link, and return the walls that it makes unstable; a real rig needs consent.
 
-        Raise `PlanError` or `ConfigError` if a wall is not allowed even with consent, or the rig's polarity is not
-        verified.
+        Nothing moves. Raise `PlanError` or `ConfigError` if a wall is not allowed even with consent, or the rig's
+        polarity is
+        not verified.
         """
         if self.simulated or not walls:
             return ()
@@ -289,7 +290,6 @@ class DeviceRunner:
         stack.close()
 
     def _device(self, experiment: Experiment, changes: Mapping[str, Any]) -> FramedDevice | None:
-        """Return the open device for a trial, and open it if necessary; None in virtual time."""
         if self.virtual:
             return None
         if not self.simulated:
@@ -314,7 +314,6 @@ class DeviceRunner:
 
 
 def _serial_number(link: Link) -> str | None:
-    """Return the serial number of the connected board; None if the link does not report it."""
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 
@@ -328,16 +327,11 @@ def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
 
 
 def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: float) -> float:
-    """Return the heat of a winding after a series of efforts, as a fraction of its budget, by a first-order model.
+    """Return the heat of a winding after a series of efforts; 1 is the heat after hours at the nominal effort.
 
-    Parameters
-    ----------
-    before
-        Heat at the beginning, as a fraction of the budget.
-    load
-        Effort divided by the nominal effort in each tick; a constant load of 1 leads to a heat of 1.
-    tick_s, time_constant_s
-        Length of a tick, and thermal time constant of the winding (s).
+    `before` is the heat at the beginning, `load` the effort divided by the nominal effort in each tick of length
+    `tick_s`,
+    and `time_constant_s` the thermal time constant of the winding (s).
     """
     decay = math.exp(-tick_s / time_constant_s)
     ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)

@@ -104,9 +104,9 @@ class SessionLog:
     def append(self, kind: str, **content: Any) -> Event:
         """Append an event, write it to disk and return it; the caller may act on the event only after that.
 
-        Raise `RecordingError` if writing failed (the event did not happen, unless the log contains it when it is opened
-        again), or if an incomplete line of an earlier append could not be removed. Raise `ValueError` for a reserved
-        key in `content`.
+        Raise `RecordingError` if writing failed now or left an incomplete line earlier: only the log, opened again,
+        shows
+        whether the event was stored. Raise `ValueError` for a reserved key in `content`.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:
@@ -198,7 +198,7 @@ def set_aside(path: Path) -> list[Path]:
 
 
 def log_losses(event: Event) -> list[str]:
-    """Return sentences about lines of the log that were lost, from an event of the kind "resumed"."""
+    """Return sentences about lost lines of the log, from the event that was written when the session was resumed."""
     losses = []
     if torn := event.content.get("torn"):
         losses.append(f"the last line of the log was incomplete, as after a crash: {torn} bytes were dropped")

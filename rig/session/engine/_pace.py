@@ -17,9 +17,9 @@ from rig.session.planning._conditions import Walls, own_rates
 
 
 def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `PlanError` if nearly every trial of a session would be invalid because of lost samples.
+    """Raise `PlanError` if nearly every trial would be invalid by lost samples, unless the operator accepts that.
 
-    The losses are measured at the fastest rate of the session, and may be accepted with `lossy_anyway`.
+    The losses are measured at the fastest rate of the session; `lossy_anyway` of `runner` accepts them.
     """
     found = list(pace_checks(walls, runner))
     if not runner.lossy_anyway:
@@ -27,7 +27,7 @@ def refuse_lossy(walls: Walls, runner: TrialRunner) -> None:
 
 
 def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
-    """Yield a check of the samples lost at the fastest rate of a session; nothing moves.
+    """Yield a check of how many samples are lost at the fastest rate that a session uses; nothing moves.
 
     Yield nothing in virtual time, and for control laws that run on the device, because the host causes no losses then.
     """
@@ -52,7 +52,7 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
 
 
 def remedy(found: Pace, *, simulated: bool) -> str:
-    """Return a text about how to avoid lost samples, e.g. a lower rate, for a real or a simulated rig."""
+    """Return a text about how to avoid the measured losses of samples, e.g. a lower rate."""
     slower = "" if found.kept_hz is None else f"run at {found.kept_hz} Hz"
     ways = [slower, "rehearse" if simulated else "", "close other programs and run `rig doctor`"]
     return ", or ".join(filter(None, ways))

@@ -24,10 +24,7 @@ _DISTINGUISHING = {"simulated": "", "device": "device", "serial_number": "serial
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The device on which a session takes place: its `url` (None to simulate).
-
-    `realtime` is True if trials run in real time, and `simulated` is True if the device is simulated.
-    """
+    """The device on which a session runs: its `url` (None to simulate), and if it is simulated or in real time."""
 
     url: str | None = None
     realtime: bool = False
@@ -44,12 +41,12 @@ def last_place(events: Sequence[Event]) -> Place:
 
 
 def last_opened(events: Sequence[Event]) -> Mapping[str, Any]:
-    """Return the content of the last ``opened`` event of a log, which describes the device; {} before the first one."""
+    """Return what the log contains about the device that the session opened last; {} before the first one."""
     return next((event.content for event in reversed(events) if event.kind == "opened"), {})
 
 
 def resume_command(directory: Path, events: Sequence[Event]) -> str:
-    """Return the command line that resumes a session on the same device with the same consents of the operator."""
+    """Return the command line that resumes a session on the same device, with the same options that accept risks."""
     place = last_place(events)
     words = ["rig", "session", "resume", str(directory)]
     if place.url is not None:
@@ -64,7 +61,7 @@ def resume_command(directory: Path, events: Sequence[Event]) -> str:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """Return the properties in which the devices of two ``opened`` events differ, e.g. "serial number"; [] if none."""
+    """Return the properties in which two opened devices differ, e.g. "serial number"; [] if they do not differ."""
     return [
         name or ("the one is simulated" if one[key] else "the other is simulated")
         for key, name in _DISTINGUISHING.items()
@@ -73,14 +70,14 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def device_words(opened: Mapping[str, Any]) -> str:
-    """Return name, kind (simulated or real) and serial number of the device in an ``opened`` event, as text."""
+    """Return name, kind (simulated or real) and serial number of the device that a log describes, as text."""
     kind = "simulated" if opened.get("simulated") else "real"
     number = opened.get("serial_number")
     return f"{opened.get('device', 'unknown')} ({kind}{f', serial number {number}' if number else ''})"
 
 
 def list_lost_samples(opened: Mapping[str, Any]) -> list[str]:
-    """Return a list with one sentence about the lost samples in an ``opened`` event of a log; [] without losses."""
+    """Return a list with one sentence about the samples that were lost when the device was opened; [] for none."""
     pace = opened.get("pace") or {}
     if not pace.get("said"):
         return []

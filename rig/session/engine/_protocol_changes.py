@@ -88,7 +88,10 @@ def list_names(names: Sequence[str]) -> str:
 
 
 def walls_in(state: SessionState, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a session as experiments, from its log; `reach_for` is needed for a simulated hand."""
+    """Return the walls of a session as experiments, from its log.
+
+    `reach_for` computes how long a simulated hand moves to the wall; None if no hand is simulated.
+    """
     base = config.experiment_from_mapping(state.experiment, "the experiment in the session's log")
     return Walls(state.protocol, base, reach_for)
 
@@ -131,7 +134,7 @@ def changed_keys(walls: Walls, study: Path, code: str = "") -> list[Difference]:
 def deciding(changes: Iterable[Difference], study: Path) -> list[Difference]:
     """Return the differences between protocols that can affect the results of a study.
 
-    A changed title is also returned if the study's directory `study` is named after a title.
+    A changed title is also returned if the directory `study` is named after one of the titles.
     """
 
     def shares_a_directory(one: Difference) -> bool:
@@ -194,7 +197,6 @@ def _settings_there(study: Path, code: str) -> dict[str, dict[str, Any]]:
 
 
 def _read_settings(events: Sequence[Event]) -> dict[str, dict[str, Any]]:
-    """Return the settings of a session by the participant's code; {} if the session has no trial."""
     if not any(event.kind == "trial" for event in events):
         return {}
     began = events[0].content

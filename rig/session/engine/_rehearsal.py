@@ -39,8 +39,9 @@ class Person:
     Attributes
     ----------
     thresholds
-        K50 of each condition: the stiffness at which half of the verdicts are stable. For a condition without a
-        threshold, the person gives the automatic verdict.
+        K50 of each condition: the stiffness at which half of the person's verdicts are "stable". For a condition
+        without
+        a threshold, the person repeats the automatic verdict, which is computed from the recording.
     spread
         Spread s of the psychometric function (unit of stiffness; `rig.session.search._psychometric`).
     lapse_rate
@@ -66,7 +67,7 @@ class Person:
         return replace(self, thresholds={name: k * math.exp(drawn) for name, k in self.thresholds.items()})
 
     def judge(self, trial: RecordedTrial, drawn: np.random.Generator) -> str:
-        """Return the verdict of the simulated person on a trial: "stable", "buzz", "unstable" or "unsure"."""
+        """Return the simulated person's verdict on a trial: "stable", "buzz" (limit cycle), "unstable" or "unsure"."""
         if drawn.random() < self.unsure:
             return "unsure"
         automatic = _MAIN_VERDICT[Kind(trial.automatic)]
@@ -178,19 +179,19 @@ class RehearsalDesk(Desk):
         self.state: SessionState | None = None
 
     def attend(self, session: Session) -> None:
-        """Store the state and the clock of a session, and adapt the simulated person to the participant's code."""
+        """Store state and clock of a session; draw the simulated person's thresholds by the participant's code."""
         self.state = session.state
         self.person = self.person.of_code(session.state.code, session.state.seed)
         if isinstance(session.clock, Day | RealDay):
             self.day = session.clock
 
     def show(self, view: DeskView) -> None:
-        """Call the function `looks`, given to the class, with the view."""
+        """Pass the session's state to the function that displays a rehearsal, if there is one."""
         if self.looks is not None:
             self.looks(view)
 
     def ask(self, question: Question) -> Reply:
-        """Return the reply of the simulated person; a search with too many invalid trials is skipped."""
+        """Return the reply of the simulated person, who skips a search with too many invalid trials."""
         reply = self._answer(question)
         (self.day.rests if question.kind == "rest" else self.day.took)(reply.took_s)
         return reply

@@ -63,14 +63,14 @@ DeskFor = Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionResult:
-    """Result of a session that has ended or was left; it contains nothing about the walls.
+    """Result of a session that has ended or was left; it contains nothing about the walls, which may be secret.
 
     Attributes
     ----------
     directory
         Directory of the participant.
     code, row
-        Code of the participant, and row of the order of conditions.
+        Code of the participant, and the participant's row (from 0) in the table of condition orders.
     ended, stopped
         Reason for which the session ended, or for which the operator left it; otherwise None.
     trials, counted, invalid, by_machine, aborted, outside
@@ -111,7 +111,7 @@ class SessionResult:
 
     @property
     def pairs(self) -> list[tuple[str, str]]:
-        """Names and values of the result, for display."""
+        """Numbers of trials and blocks, and the directory, as pairs of label and text for display."""
         outside = f", {self.outside} outside the bands" if self.outside else ""
         trials = (
             f"{self.trials}, {self.counted} count, {self.invalid} invalid ({self.by_machine} by the machine), "
@@ -149,14 +149,14 @@ def run_session(
     desk
         Function that creates the user interface, for a person or a simulated person.
     runner
-        Rig that runs the trials; closed at the end.
+        Object that runs trials on a rig; closed at the end.
     study
         Directory of all participants; by default a directory named after the study's title, in ``sessions/`` or, for a
-        rehearsal, in ``rehearsals/``.
+        simulated person, in ``rehearsals/``.
     row
-        Row of the order of conditions, from 0; by default the number in the code minus 1.
+        The participant's row in the table of condition orders, from 0; by default the number in the code minus 1.
     person
-        Simulated person of a rehearsal; None for a participant.
+        Simulated person, for a rehearsal of the session; None for a participant.
     again
         If True, delete an existing rehearsal of this code first.
     other_protocol
@@ -164,7 +164,8 @@ def run_session(
     on_event
         Function that is called with each event after the event was written to the log.
     marks
-        Name of the extra (`rig.core.extras`) that streams samples and markers; without walls if a person is blinded.
+        Name of the extra (`rig.core.extras`) that streams samples and events to other programs; without walls if a
+        person must not know them.
 
     Raises
     ------
@@ -220,7 +221,10 @@ def run_session(
 
 
 def compare_with_study(walls: Walls, code: str, study: Path | None, person: Person | None) -> None:
-    """Raise `ChangedProtocolError` if the protocol differs from the study's sessions and results are affected."""
+    """Raise `ChangedProtocolError` if the protocol differs from the study's earlier sessions so that results change.
+
+    `code` is the participant, whose own session is not compared; with a `person` (simulated), compare rehearsals.
+    """
     place = study_directory(walls.protocol, study, rehearsal=person is not None)
     refuse_changed(changed_keys(walls, place, normalise(code)), place)
 
@@ -237,9 +241,10 @@ def resume_session(
 ) -> SessionResult:
     """Resume the session in a participant's directory, and return the result.
 
-    `at` is "trial" to continue with the next trial, or "block" to repeat the current block. `run_session` explains the
-    other parameters. Raise `ConfigError`, before anything is written, if the device is not that of the session, unless
-    `other_device` is set.
+    `at` is "trial" to continue with the next trial, or "block" to repeat the current block. Raise `ConfigError`, before
+    anything is written, if the device is not that of the session, unless `other_device` is set. The other parameters
+    are
+    those of `run_session`.
     """
     person = read_person(directory)
     _refuse_a_real_rig(person, runner)
@@ -301,7 +306,10 @@ def took_place(directory: Path) -> Place:
 
 
 def rehearsal_desk(person: Person, looks: Callable[[DeskView], None] | None = None) -> DeskFor:
-    """Return a function that creates the user interface of a simulated person; `looks` receives each view."""
+    """Return a function that creates the user interface of a simulated person.
+
+    `looks` is called with each state of the session to display.
+    """
 
     def desk(_: Protocol, __: Mapping[str, Any], runner: TrialRunner) -> Desk:
         return RehearsalDesk(person, Day() if runner.virtual else RealDay(), looks)
@@ -342,7 +350,7 @@ def summary(
 
 
 def row_of(code: str) -> int:
-    """Return the row of the order of conditions for a participant's code: the last number in the code minus 1.
+    """Return a participant's row (from 0) in the table of condition orders: the last number in the code minus 1.
 
     Raise `ConfigError` if the code contains no number, or if the last number is 0.
     """
@@ -362,7 +370,6 @@ def row_of(code: str) -> int:
 
 
 def _checked_row(row: int, protocol: Protocol) -> int:
-    """Return the given row of the order of conditions; raise `ConfigError` if it is outside the planned rows."""
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
@@ -374,12 +381,10 @@ def _checked_row(row: int, protocol: Protocol) -> int:
 
 
 def _reach_for(runner: TrialRunner) -> ReachFor | None:
-    """Return the function that computes the reach of a simulated hand; None for a real rig."""
     return reach_for if runner.simulated else None
 
 
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
-    """Raise `ConfigError` if a rehearsal (`person` is given) is to use a real rig."""
     if person is not None and not runner.simulated:
         raise ConfigError(
             "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",

@@ -20,7 +20,7 @@ Watch = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionWall:
-    """A wall that a session may present: experiment, and settings (`changes`) that override a device's rates."""
+    """A wall that a session may present, as an experiment; `changes` are the sampling rates to set on a device."""
 
     condition: str
     experiment: Experiment
@@ -29,7 +29,7 @@ class SessionWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefusedWalls:
-    """The walls of one condition and damping that the arming gate refuses because of the delay of the link.
+    """The walls of one condition and damping that a rig runs only with consent: its link's delay makes them unstable.
 
     `stiffness` contains their stiffnesses, ascending; `walls` is the number of all walls of this condition and damping,
     and `text` the reason for the softest refused wall.
@@ -52,10 +52,10 @@ class TrialDone:
 
 
 class TrialRunner(Protocol):
-    """Interface of a rig that runs the trials of a session: `DeviceRunner`, or a substitute in tests.
+    """Interface of an object that runs the trials of a session on a rig: `DeviceRunner`, or a substitute in tests.
 
-    `hand` is the file through which a person moves the simulated hand; None if the hand follows its script. With
-    `arm_anyway` the operator accepts walls that the arming gate refuses, with `lossy_anyway` the loss of samples.
+    `hand` is the file through which a person moves the simulated hand; None if it hits by itself. With `arm_anyway` the
+    operator accepts walls that the link's delay makes unstable, with `lossy_anyway` the loss of samples.
     """
 
     hand: Path | None
@@ -85,7 +85,7 @@ class TrialRunner(Protocol):
         ...
 
     def refusals(self, walls: Sequence[SessionWall]) -> Sequence[RefusedWalls]:
-        """Return the walls that the rig runs only with the operator's consent, because the arming gate refuses them."""
+        """Return the walls that need the operator's consent, because the delay of the link makes them unstable."""
         ...
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
@@ -116,7 +116,10 @@ class TrialRunner(Protocol):
         heat: float,
         blinded: bool = False,
     ) -> TrialDone:
-        """Run one trial and return its result; `DeviceRunner.hit` explains the parameters."""
+        """Run one trial and return its result: the hit, the error that ended it early (or None), and its duration.
+
+        `DeviceRunner.hit` explains the parameters.
+        """
         ...
 
     def close(self) -> None:

@@ -76,7 +76,7 @@ class DoJudge:
 
 @dataclass(frozen=True, slots=True)
 class DoAsk:
-    """Next step of a session: ask a question of the questionnaire, or have a part fitted to the rig (`FITTED`).
+    """Next step of a session: ask a question of the questionnaire, or let a person fit a mechanical part to the rig.
 
     `block` is 0 before the first block, the number of the finished block after a block, and -1 at the end.
     """
@@ -144,7 +144,7 @@ class SessionState:
     protocol, experiment, code, row, seed, rehearsal
         Contents of the first event of the log.
     blocks
-        Blocks in the order of this participant.
+        Groups of searches between two breaks, in the order of this participant.
     trials
         All trials so far, also those that do not count.
     begun
@@ -164,7 +164,7 @@ class SessionState:
     paused
         Reason of the current pause; None after the operator continued.
     heat
-        Heat of the motor's winding as a fraction of its budget.
+        Heat of the motor's winding; 1 is the heat after hours at the nominal effort.
     active_s
         Duration of the session so far without interruptions (s).
     """
@@ -248,7 +248,7 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """The block of searches that was begun last; None if it is finished, or no block was begun."""
+        """Group of searches that was begun last; None if it is finished, or none was begun."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])
@@ -365,16 +365,17 @@ class SessionState:
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
-        """Return the search rule (e.g. a staircase) of a search, without catch trials."""
+        """Return the rule (e.g. a staircase) by which a search chooses its walls, without catch trials."""
         return rule_of(self.protocol, run)
 
     def answers(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return the answers that the search rule of a search receives: one for each judged wall.
+        """Return the judged walls of a search from which its rule (e.g. a staircase) chooses the next wall.
 
-        Staircases and ascending series (rules in `WALKING`) derive the next wall from the sequence of walls that they
-        chose. After the correction of a verdict such a rule receives only the answers to walls that it would still have
-        chosen, so that it never jumps to a distant wall. `judged_probes` also returns the other answers, for estimates
-        that do not depend on the sequence.
+        Staircases and ascending series derive the next wall from the sequence of walls that they chose. After the
+        correction
+        of a verdict such a rule receives only the answers to walls that it would still have chosen, so that it never
+        jumps to a
+        distant wall. `judged_probes` also returns the other answers, for estimates that do not depend on the sequence.
         """
         probes = self.judged_probes(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -390,8 +391,9 @@ class SessionState:
     def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
         """Return the answers in a search: one for each judged trial that counts.
 
-        An unsure verdict is an answer without a verdict (`stable` is None). After `trial.unsure` unsure verdicts in a
-        row on the same wall, the last of them counts as not stable.
+        An unsure verdict is an answer whose `stable` is None: the wall is presented again. After `trial.unsure` unsure
+        verdicts
+        in a row on the same wall, the last of them counts as not stable.
         """
         probes: list[JudgedProbe] = []
         unsure, about = 0, None
@@ -472,7 +474,7 @@ class SessionState:
         return DoTrial(self._present(block, run, probe, attempt))
 
     def _before(self, block: Block) -> Step | None:
-        """Return the rest, fitting or start that must precede the next trial of a block; None if nothing must."""
+        """Return the step that must precede the next trial of a block (rest, fitting a part, begin); None for none."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
         if between > 0.0 and self._rested.get("block") != self.newest:
@@ -480,7 +482,6 @@ class SessionState:
         return self._ask_fitting(block) or (None if begun else DoBlock(block))
 
     def _ask_fitting(self, block: Block) -> DoAsk | None:
-        """Return the request to fit or remove the part that a block needs on the rig; None if the rig is ready."""
         fit = self._fit_of(block)
         if fit == self.fitted:
             return None
@@ -513,7 +514,7 @@ class SessionState:
         )
 
     def _turn(self, block: Block, waiting: int) -> int:
-        """Return the index of the next search among the `waiting` unfinished searches of a block."""
+        """Return which of the `waiting` unfinished searches presents the next wall: the first, or a random one."""
         if not block.interleave:
             return 0
         done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
@@ -553,7 +554,7 @@ class SessionState:
         return None
 
     def _owes(self) -> bool:
-        """Return True if a discarded trial has not been repeated yet; the session must not end before."""
+        # A discarded trial has to be repeated before the session may end.
         return any(
             self._owed.get(run.number) and self.asks(run) is not None
             for block in self.blocks
@@ -561,7 +562,6 @@ class SessionState:
         )
 
     def _stop_rule(self) -> str | None:
-        """Return the stop rule of the protocol that ends the session now, as text; None if no rule does."""
         stop = self.protocol.stop
         counted = sum(not (trial.practice or trial.void) for trial in self.trials)
         if stop.trials is not None and counted >= stop.trials:
@@ -582,7 +582,6 @@ def _run_of(events: Sequence[Event], trial: int) -> int:
 
 
 def _count_in_a_row(found: Iterable[bool]) -> int:
-    """Return the number of true values in a row at the end."""
     count = 0
     for one in found:
         count = count + 1 if one else 0

@@ -1,7 +1,7 @@
 """Compute how long people took in the finished sessions of a study; the medians replace the assumptions of a plan.
 
-The log dates events, not pauses. *ready* = (time of a trial's event − time of the event before) − (planned duration of
-the rig's own part: homing, free space, hit and release).
+The log has the times of events only. The time that people need before a trial is the time from the event before it to
+its own event, minus the planned duration of the rig's part: homing, free space, hit and release.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ def _read_finished(protocol: Protocol, path: Path) -> Sequence[Event]:
 
 
 def _trial_timing(protocol: Protocol) -> tuple[str, Trial]:
-    """Return the settings that decide the duration of a trial, without the planned times of people."""
     return protocol.study.judge, replace(protocol.trial, ready_s=0.0, verdict_s=0.0, fastest_verdict_s=0.0)
 
 

@@ -1,4 +1,7 @@
-"""Format the events of a session as sentences: without conditions and walls for blinded people, or complete."""
+"""Format the events of a session as sentences: complete, or without conditions and walls for people who are blinded.
+
+Blinded people must not know which wall is presented.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ _LINES: dict[str, str] = {
 
 
 def line_of_event(event: Event) -> str:
-    """Return an event as one line without conditions and walls, which a blinded person may read."""
+    """Return an event as one line without conditions and walls, for people who must not know them (blinded)."""
     if event.kind == "trial":
         content = event.content
         invalid = content["automatic"] == Kind.INVALID
@@ -57,7 +60,7 @@ def line_of_event(event: Event) -> str:
 
 
 def whole_line(event: Event, motion: Motion) -> str:
-    """Return an event as one line with condition, wall and all reasons, for people who are not blinded."""
+    """Return an event as one line with condition, wall and all reasons, for people who may know them."""
     content, parts = event.content, [line_of_event(event)]
     if event.kind == "trial":
         return _whole(trial_of(content), motion)

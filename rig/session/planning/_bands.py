@@ -46,7 +46,10 @@ def press_of(recording: Recording, experiment: Experiment) -> float | None:
 
 
 def judge_bands(hit: HitOutcome, trial: Trial, motion: Motion) -> HitOutcome:
-    """Return the hit with a text for each missed range (impact speed, press), marked invalid if required."""
+    """Return the hit with a text for each missed range (impact speed, press).
+
+    If ``[trial]`` requires the ranges, a hit outside of them is marked invalid, so that it is repeated.
+    """
     found = () if hit.automatic == Kind.INVALID else tuple(_outside(hit, trial, motion))
     if not found or trial.outside == "keep":
         return replace(hit, outside=found)
@@ -78,7 +81,7 @@ def _words(band: Band) -> str:
 
 
 def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
-    """Return the setting of a simulated hand whose press is the middle of the required range; {} without a range."""
+    """Return ``operator.press`` of a simulated hand for the middle of the required range; {} without a range."""
     return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
 
 

@@ -33,7 +33,7 @@ Walls = Sequence[tuple[str, Experiment]]  # each with its condition
 def wall_checks(walls: Walls) -> list[Check]:
     """Check every wall of a study as for a single hit; return the worst result of each check.
 
-    The text of a result contains the number of walls that share it. `walls` are pairs of the condition's name and the
+    The text of a result contains the number of walls that share it. Each of `walls` is a condition's name and an
     experiment with the wall.
     """
     worst: dict[str, tuple[Check, str]] = {}
@@ -68,7 +68,7 @@ def _severity(check: Check) -> int:
 
 
 def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
-    """Check that each expected limit lies within the tested levels of stiffness; yield the results.
+    """Check that theory expects each stiffness limit to lie within the levels that its search tests.
 
     A limit beyond the levels would be censored (only a bound is known), and no mean over participants could be
     computed.
@@ -111,9 +111,9 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
 
 
 def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
-    """Check that the largest number of verdicts (setting `most`) suffices for the reversals of each search.
+    """Check that each staircase has enough reversals before its largest number of verdicts (setting ``most``).
 
-    Yield the result. The analysis excludes the limit of a search that ends with too few reversals.
+    The analysis excludes the limit of a search that ends with too few reversals.
     """
     short = [cell for cell in cells if cell.trials.ended_by_most]
     if short:
@@ -130,7 +130,6 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
 
 
 def _step_at(levels: Sequence[float], stiffness: float) -> float:
-    """Return the distance of the two levels around a stiffness, relative to this stiffness; 0 beyond the levels."""
     return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(
         stiffness, levels[0]
     )
@@ -141,7 +140,7 @@ def _cell(cell: CellPlan) -> str:
 
 
 def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
-    """Check that the motor stays below its heat limit, and how often it must pause in a session of `trials` trials."""
+    """Check that the motor stays below its heat limit in a session of `trials` trials, and how often it must cool."""
     share = protocol.rest.heat
     text = (
         f"{100 * heat.after_one:.2g} % of the winding's heat budget per hit at {heat.load:.2g} of the nominal effort, "
@@ -162,7 +161,7 @@ def heat_check(protocol: Protocol, heat: Heat, trials: float) -> Check:
 
 
 def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
-    """Check that the rig's energy limit (J) ends a hit in which an unstable wall gives energy to the hand."""
+    """Check that the energy (J) is limited that the motor of an unstable wall may give to a hand in one hit."""
     if protocol.trial.kind != "human":
         return
     limits = [one.rig.limits.energy for of in by_condition for one in of]
@@ -179,7 +178,7 @@ def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]
 
 
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
-    """Check that the simulated hand of a rehearsal keeps the required impact speed and press on these walls."""
+    """Check that the simulated hand, on these walls, keeps the required ranges of impact speed and press."""
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
     simulated = [simulate_hits(x) for x in walls] if bands else []
     for name, band in bands.items():
@@ -214,7 +213,10 @@ def cap_checks(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]])
 
 
 def order_checks(protocol: Protocol, rows: int) -> Iterator[Check]:
-    """Check that the number of participants is a multiple of `rows`, so that the order of conditions is balanced."""
+    """Check that the order of conditions is balanced over participants: their number must be a multiple of `rows`.
+
+    Warn if all participants have the same order.
+    """
     number = protocol.study.participants
     if protocol.order.kind == "latin-square":
         runs = sum(len(one.damping) for one in protocol.condition)

@@ -41,12 +41,7 @@ OWNED = {  # keys of the experiment, and the key or section of the protocol that
 def base_experiment(study: Any, folder: Path) -> Experiment | list[Problem]:
     """Return the preset or experiment that the protocol's section ``[study]`` names, or a list of problems.
 
-    Parameters
-    ----------
-    study
-        Section ``[study]`` of a protocol file, not checked yet.
-    folder
-        Directory of the protocol file.
+    `study` is this section before any check, `folder` the directory of the protocol file.
     """
     study = study if isinstance(study, Mapping) else {}
     preset, file = study.get("preset"), study.get("experiment")
@@ -86,7 +81,7 @@ class Walls:
     base
         Experiment that the protocol names, from `base_of`.
     reach_for
-        Function that returns the duration of a simulated hand's movement (s) for an experiment and an impact speed
+        Function that returns how long (s) a simulated hand must move to the wall, for an experiment and an impact speed
         (`rig.session.planning._simulated_hand`). If None, required impact speeds do not change the simulated hand.
     """
 
@@ -156,7 +151,7 @@ class Walls:
 
 
 def own_rates(condition: Condition, experiment: Experiment) -> dict[str, Any]:
-    """Return the rates (Hz) that override a device's own, by key; {} if the condition has no sampling scheme."""
+    """Return the sampling rates (Hz, by key) that a condition prescribes for every device; {} if it prescribes none."""
     if condition.scheme is None:
         return {}
     rates = experiment.controller
@@ -184,12 +179,10 @@ def broken_conditions(walls: Walls) -> list[Problem]:
 
 
 def _study_changes(protocol: Protocol) -> dict[str, Any]:
-    """Return the changes to the experiment that all conditions share, by dotted key."""
     return {**protocol.study.changes, **_trial_and_caps(protocol)}
 
 
 def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
-    """Return the settings of ``[trial]`` and ``[caps]`` in the protocol, by the dotted keys of the experiment."""
     trial, caps = protocol.trial, protocol.caps
     values = {
         "trial.duration_s": trial.duration_s,
@@ -205,7 +198,6 @@ def _trial_and_caps(protocol: Protocol) -> dict[str, Any]:
 
 
 def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem for each change to an unknown key, or to a key that another section of the protocol sets."""
     places: list[tuple[str, Mapping[str, Any]]] = [("study.changes", protocol.study.changes)]
     places += [(f"condition {n}.changes", one.changes) for n, one in enumerate(protocol.condition, 1)]
     for place, changes in places:
@@ -222,7 +214,6 @@ def _find_misplaced(protocol: Protocol) -> Iterator[Problem]:
 
 
 def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each limit in ``[caps]`` that is above the limit of the rig."""
     limits = {name: getattr(base.rig.limits, name) for name in ("effort", "speed", "energy")}
     for name, quantity in (("effort", "effort"), ("speed", "velocity"), ("energy", "J")):
         cap, unit = getattr(protocol.caps, name), unit_of(quantity, base.rig.motion)
@@ -237,7 +228,6 @@ def _wide_caps(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
-    """Yield a problem for each required range (impact speed, press) beyond the rig's limit of speed or effort."""
     studied, kind = _study_changes(protocol), {"trial.kind": protocol.trial.kind}
     limits = config.override(base, kind, "the study", check_rules=False).rig.limits
     for name, (quantity, _, _) in BANDS.items():

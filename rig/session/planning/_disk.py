@@ -19,7 +19,7 @@ TRIAL_BYTES = 100e3  # of header, trailer and metadata of one recording
 
 
 def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
-    """Return the disk space of the recording of one trial of an experiment (bytes)."""
+    """Return the expected size (bytes) of the recording of one trial."""
     seconds = trial_times(x).recorded
     return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
 
@@ -27,7 +27,7 @@ def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
 def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
     """Raise `ConfigError` if the disk of directory `place` has too little free space for the recordings of a session.
 
-    The directory need not exist yet. `row` is the participant's row in the order of conditions.
+    The directory need not exist yet. `row` is the participant's row in the table of condition orders.
     """
     protocol = walls.protocol
     trials = likely_trials(protocol, schedule(protocol, row))

@@ -64,10 +64,9 @@ class Expected:
     Attributes
     ----------
     by_hand
-        Largest stable stiffness by linear theory for each kind of grip: ``none``, and the grips of
-        `rig.core.operators`.
+        Largest stable stiffness by linear theory for each grip of a hand (relaxed, normal, firm), and ``none``.
     limit
-        Expected limit of a search, with friction and encoder; without theory the whole range of levels.
+        Expected limit that a search finds, with friction and encoder; without theory the whole range of tested levels.
     note
         Reason for which theory gives no limit, or a simplification that theory makes for the estimator; otherwise
         empty.
@@ -84,7 +83,7 @@ class Expected:
 
     @property
     def in_hand(self) -> tuple[float, float] | None:
-        """Smallest and largest of the stable stiffness limits over all grips of a hand; None without theory."""
+        """Smallest and largest stable stiffness by linear theory over the grips of a hand; None without theory."""
         held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
         return (min(held), max(held)) if held else None
 
@@ -99,9 +98,9 @@ def expected_limits(
     experiment
         Experiment of the condition, with any wall.
     dampings
-        Dampings B of the condition's searches.
+        Dampings B of the condition's walls (N·m·s/rad or N·s/m).
     wanted
-        Search whose range of levels is returned if theory gives no limit.
+        Settings of the search, whose levels of stiffness are the expected range if theory gives no limit.
     """
     levels = levels_of(wanted)
     unknown = ExpectedRange(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])
@@ -139,7 +138,7 @@ def _held(by_hand: Mapping[str, float]) -> dict[str, float]:
 class ExpectedTrials:
     """Expected numbers of trials (`count`), and of trials with unstable walls (`failures`), in one search.
 
-    Of `simulated` searches, `ended_by_most` reached their largest number of verdicts before their reversals.
+    Of `simulated` staircases, `ended_by_most` reached their largest number of verdicts before enough reversals.
     """
 
     count: ExpectedRange
@@ -158,7 +157,7 @@ NO_TRIALS = ExpectedTrials(count=NOTHING, failures=NOTHING)
 
 
 def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
-    """Return the expected numbers of valid trials of a search, from observers simulated around the expected limit."""
+    """Return the expected numbers of valid trials in a search; simulated persons with limits near `limit` give them."""
     levels, settings = levels_of(wanted), wanted.settings
     # Without `enough`, Psi always uses all hits, about half of them above K50.
     if wanted.rule == "psi" and not settings.get("enough"):
@@ -206,7 +205,6 @@ def likely_trials(protocol: Protocol, blocks: Iterable[Block]) -> dict[str, floa
 
 
 def _simulate_searches(wanted: Search, k50: float) -> tuple[float, float, int]:
-    """Return mean number of trials, of trials judged not stable, and number of searches ended by the setting `most`."""
     observer = Observer(threshold=k50, spread=SPREAD * k50, lapse_rate=LAPSE_RATE)
     rules = [asking(wanted, seed) for seed in range(OBSERVERS)]
     answers = [run(rule, observer, seed, MOST_TRIALS) for seed, rule in enumerate(rules)]

@@ -35,10 +35,11 @@ def load_protocol(path: str | Path) -> Protocol:
 
 
 def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
-    """Return the walls of a protocol file as experiments, after checking the file; the result contains the protocol.
+    """Read and check a protocol file; return the protocol with an experiment for each wall that it may present.
 
-    `reach_for` is passed to `Walls` and needed only for a simulated hand. Raise `ConfigError` if the file is not valid,
-    with one line for each problem: file, key, value, allowed range, remedy.
+    `reach_for` is needed only for a simulated hand: it computes how long the hand moves to the wall. Raise
+    `ConfigError` if
+    the file is not valid, with one line for each problem: file, key, value, allowed range, remedy.
     """
     path, source = Path(path), str(path)
     table = tidy(read_toml(path, "a protocol"))
@@ -121,7 +122,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """Return a schema without the type null, which TOML lacks: optional keys are omitted instead."""
+    # TOML has no null: an optional key is left out instead.
     if isinstance(schema, list):
         return [_without_null(one) for one in schema]
     if not isinstance(schema, dict):
@@ -135,7 +136,6 @@ def _without_null(schema: Any) -> Any:
 
 
 def _type_settings(search: dict[str, Any]) -> None:
-    """Add to the schema of a search the settings that belong to each search rule."""
     names, default = search["properties"]["rule"]["enum"], search["properties"]["rule"]["default"]
     search["allOf"] = [
         {
@@ -150,7 +150,6 @@ def _type_settings(search: dict[str, Any]) -> None:
 
 
 def _check_table(table: dict[str, Any], motion: Motion | None) -> tuple[Protocol | None, list[Problem]]:
-    """Return the protocol of a TOML table (None if types are wrong), and its problems."""
     table = _with_names(_flat_changes(table))
     try:
         parsed = parse_table(PROTOCOL, table, motion)
@@ -189,7 +188,6 @@ def _flat_changes(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_names(table: dict[str, Any]) -> dict[str, Any]:
-    """Return the plan `table` with normalised names (spaces, Unicode form); a later check rejects wrong types."""
 
     def spelt(value: Any) -> Any:
         if isinstance(value, list):

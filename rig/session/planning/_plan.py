@@ -20,7 +20,7 @@ class CellPlan:
     scheme
         Short name of sampling rates and estimator, for legends.
     rule, levels
-        Name of the search rule, and the levels of stiffness.
+        Name of the search rule, which chooses the next wall, and the levels of stiffness from which it chooses.
     expected
         Expected limit by linear theory.
     trials
@@ -55,7 +55,7 @@ class StudyPlan:
     participants, rows
         Planned number of participants, and number of participants after which the order of conditions is balanced.
     blocks, runs, practice
-        Numbers of blocks, searches and practice trials in a session.
+        Numbers of blocks (groups of searches), searches and practice trials in a session.
     cells
         Plan of each search: every condition at each of its dampings.
     trials
@@ -69,7 +69,7 @@ class StudyPlan:
     trial_bytes, disk_bytes
         Disk space for one recording, and for all recordings of a participant (bytes).
     rehearsal_s
-        Approximate computing time of a rehearsal (s).
+        Approximate computing time of a session with a simulated person (s).
     heat
         Heating of the motor at the stiffest wall.
     orders

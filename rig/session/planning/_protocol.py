@@ -27,7 +27,7 @@ Band = tuple[float, ...]  # least and most; empty: anything
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Study:
-    """Title, rig, participants and blinding of a study."""
+    """Section ``[study]``: title, rig, number and codes of participants, and who must not know the presented walls."""
 
     title: Annotated[str, MinLen(1), Quantity("", "title of the study, printed in the report")]
     preset: Annotated[
@@ -75,7 +75,7 @@ class Study:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """Order in which a session presents the conditions and their repeats."""
+    """Section ``[order]``: in which order a session presents the conditions, and how often it repeats them."""
 
     kind: Annotated[
         Literal["fixed", "randomised", "latin-square"],
@@ -104,7 +104,7 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Search:
-    """Search for the stiffest stable wall: rule, levels, and settings of the rule (`rig.session.search`)."""
+    """Section ``[search]``: how the stiffest stable wall is searched: rule, its settings, levels of stiffness."""
 
     lowest: Annotated[float, Gt(0), Quantity("stiffness", "softest wall of the search")]
     highest: Annotated[float, Gt(0), Quantity("stiffness", "stiffest wall of the search")]

@@ -48,7 +48,7 @@ def broken_rules(protocol: Protocol) -> list[Problem]:
 
 
 def looks_like_a_name(code: str) -> bool:
-    """Return True if a participant's code consists of letters only, and of more than two; initials reveal less."""
+    """Return True if a participant's code has more than two letters and nothing else, as a person's name would."""
     letters = [character for character in code if character not in "-_.'"]
     return len(letters) > 2 and all(character.isalpha() for character in letters)
 
@@ -68,7 +68,6 @@ def spells_a_name(code: str, pattern: str) -> bool:
 # Every log of a study has its protocol with it, which is checked whenever the log is read.
 @lru_cache(maxsize=64)
 def _find_names(pattern: str) -> tuple[str, ...]:
-    """Return up to three first names that match a pattern; raise `re.error` for an invalid pattern."""
     return tuple(islice(_iterate_names(re.compile(pattern)), 3))
 
 
@@ -143,7 +142,7 @@ def conditions(protocol: Protocol) -> Iterator[Problem]:
 
 
 def fits(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of conditions that need another mechanical part, which a person fits between blocks (`fit`)."""
+    """Yield problems of conditions for which a person must fit a mechanical part to the rig between blocks (`fit`)."""
     blocks = protocol.order.blocks
     if len({one.fit for one in protocol.condition}) > 1 and blocks != "condition":
         must = 'must be "condition" where conditions differ in fit: the rig is not refitted within a block'
@@ -201,7 +200,6 @@ def _levels(key: str, wanted: Search) -> list[Problem]:
 
 
 def _wrong_setting(key: str, wanted: Search, name: str) -> Problem | None:
-    """Return the problem of one setting (unknown to the search rule, or of a wrong type); None if it is valid."""
     settings = settings_of(wanted.rule)
     known = list(settings)
     key, value = f"{key}.settings.{name}", wanted.settings[name]
@@ -285,7 +283,7 @@ def _refused_settings(key: str, wanted: Search) -> list[Problem]:
 
 
 def runs(protocol: Protocol) -> Iterator[Problem]:
-    """Yield a problem if the protocol has too many searches (conditions × dampings × repeats)."""
+    """Yield a problem if conditions × dampings × repeats give more searches than a session can have."""
     cells = sum(len(one.damping) for one in protocol.condition)
     if cells * protocol.order.repeats > MOST_RUNS:
         yield Problem(
@@ -346,7 +344,7 @@ def bands(protocol: Protocol) -> Iterator[Problem]:
 
 
 def items(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of questions that cannot be answered, or that share a column of the tables."""
+    """Yield problems of questions that cannot be answered, or whose names cannot name a column of a table."""
     yield from _names_twice("question.name", [item.name for item in protocol.question])
     for number, item in enumerate(protocol.question, 1):
         key = f"question {number}"
@@ -392,7 +390,6 @@ RULES: tuple[Callable[[Protocol], Iterable[Problem]], ...] = (
 
 
 def _names_twice(key: str, names: list[str]) -> Iterator[Problem]:
-    """Yield a problem for names that are equal, ignoring case."""
     for name in _twice(name.casefold() for name in names):
         written = dict.fromkeys(shown(one) for one in names if one.casefold() == name)
         yield Problem(key, " and ".join(written), "is used more than once", "give each its own name")

@@ -1,8 +1,9 @@
-"""Compute the order of a session: its blocks, the searches in each block, and the search rule of each search.
+"""Compute the order of a session: its blocks (groups of searches), the searches in each, and the rule of each search.
 
-Each participant has a row of the order, from 0. A Latin square uses Williams' designs: over a cycle of rows each
-condition is equally often at each position, and equally often after each other condition (Williams, Australian Journal
-of Scientific Research A 2, 1949).
+A search is a sequence of trials that finds the stiffest stable wall of one condition at one damping. Each participant
+has a row in the table of orders, from 0. A Latin square uses Williams' designs: over a cycle of rows each condition is
+equally often at each position, and equally often after each other condition (Williams, Australian Journal of Scientific
+Research A 2, 1949).
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchRun:
-    """One search of a session: number (from 1; 0 is practice), condition, damping, and number of the repeat.
+    """One search for the stiffest stable wall in a session, or the practice trials.
 
-    `seed` is the seed of the search rule, different for each search and participant.
+    It has a number (from 1; 0 is practice), a condition, a damping, and the number of its repeat. `seed` decides its
+    random
+    choices; it differs between searches and participants.
     """
 
     number: int
@@ -42,7 +45,7 @@ class SearchRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Group of searches between two breaks of a session; block 0 is practice.
+    """Group of searches for the stiffest stable wall, between two breaks of a session; block 0 is practice.
 
     If `interleave` is True, the trials of the block's searches alternate.
     """
@@ -54,14 +57,9 @@ class Block:
 
 
 def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
-    """Return the blocks of a participant's session in their order, practice first.
+    """Return the blocks (groups of searches) of a participant's session in their order, practice first.
 
-    Parameters
-    ----------
-    protocol
-        Checked protocol (`rig.session.planning._load`).
-    row
-        The participant's row of the order, from 0: the first participant has 0, the next one 1.
+    `row` is the participant's row in the table of orders: the first participant has 0, the next one 1.
     """
     if row < 0:
         raise ValueError(f"row = {row} of the order of conditions must not be below 0")
@@ -86,7 +84,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
 
 
 def rows_of(protocol: Protocol) -> int:
-    """Return the number of participants after which the order of conditions repeats; 1 unless it is a Latin square."""
+    """Return after how many participants the order of conditions repeats; 1 unless the order is a Latin square."""
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
@@ -103,21 +101,21 @@ def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
 
 
 def rule_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the rule of a search, without catch trials; for practice, a rule that presents each wall once."""
+    """Return the rule by which a search chooses walls, without catch trials; practice presents each wall once."""
     if run.practice:
         return InOrder(protocol.practice.stiffness)
     return rule(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
 def asking_of(protocol: Protocol, run: SearchRun) -> search.Rule:
-    """Return the rule of a search, with catch trials if the protocol has any; practice has none."""
+    """Return the rule by which a search chooses walls, with catch trials (known verdict) if the protocol has any."""
     if run.practice:
         return rule_of(protocol, run)
     return asking(protocol.search_of(protocol.condition_named(run.condition)), run.seed)
 
 
 def asking(wanted: Search, seed: int) -> search.Rule:
-    """Return the search rule for search settings, with catch trials if the settings have any."""
+    """Return the rule by which a search chooses walls, with catch trials (known verdict) if `wanted` has any."""
     own = rule(wanted, seed)
     if not wanted.catch_share:
         return own
@@ -125,7 +123,7 @@ def asking(wanted: Search, seed: int) -> search.Rule:
 
 
 def rule(wanted: Search, seed: int) -> search.Rule:
-    """Return the search rule for search settings, without catch trials; raise `ConfigError` if they are invalid."""
+    """Return the rule by which a search chooses walls, without catch trials; raise `ConfigError` for bad settings."""
     levels = levels_of(wanted)
     settings: Mapping[str, Any] = wanted.settings
     start = settings.get("start")
@@ -135,7 +133,7 @@ def rule(wanted: Search, seed: int) -> search.Rule:
 
 
 def levels_of(wanted: Search) -> tuple[float, ...]:
-    """Return the levels of stiffness of a search, ascending; the last one does not exceed ``highest``."""
+    """Return the stiffnesses that a search may present, ascending, from `lowest` to at most `highest`."""
     steps = level_steps(wanted)
     if wanted.step is not None:
         values = (wanted.lowest + wanted.step * place for place in range(steps + 1))
@@ -146,7 +144,7 @@ def levels_of(wanted: Search) -> tuple[float, ...]:
 
 
 def level_steps(wanted: Search) -> int:
-    """Return the number of steps from the lowest to the last level of a search."""
+    """Return the number of steps from the lowest to the highest stiffness that a search may present."""
     if wanted.step is not None:
         steps = (wanted.highest - wanted.lowest) / wanted.step
     else:
@@ -156,7 +154,7 @@ def level_steps(wanted: Search) -> int:
 
 @dataclass(frozen=True)
 class InOrder:
-    """Search rule for practice: present each wall once, independent of the verdicts, and give no limit."""
+    """Rule for practice trials: present each wall once, whatever the verdicts; estimate nothing."""
 
     levels: Sequence[float]
 
@@ -192,7 +190,7 @@ _Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
 
 
 def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
-    """Return condition, damping and repeat of the searches in each block, in the order of the session."""
+    """Return (condition, damping) and repeat number of the searches in each block, in the order of the session."""
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
@@ -237,7 +235,7 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
 def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
     """Return items in the order that the protocol prescribes for a row: unchanged, random, or by a Latin square.
 
-    `what` names the draw, so that random orders are independent of each other.
+    `what` names the items and enters the seed, so that random orders are independent of each other.
     """
     seed = protocol.study.seed
     match protocol.order.kind:
@@ -250,7 +248,6 @@ def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Seque
 
 
 def _count_repeats(cells: Iterable[tuple[str, float]]) -> list[_Cell]:
-    """Return each search with the number of its repeat, counted from 1 in the given order."""
     seen: dict[tuple[str, float], int] = {}
     counted = []
     for cell in cells:
@@ -275,7 +272,6 @@ def _practice(protocol: Protocol, row: int) -> list[Block]:
 
 
 def _draw(items: Sequence[T], key: str) -> list[T]:
-    """Return items in a random order that `key` determines; all orders are equally likely."""
     # Drawn by hashing, not by a generator: the same order in every version of every library.
     places = sorted(range(len(items)), key=lambda place: _hash(f"{key}/{place}"))
     return [items[place] for place in places]

@@ -1,4 +1,4 @@
-"""Find the duration of reach with which the simulated hand of a rehearsal hits at a required impact speed."""
+"""Find how long a simulated hand must move to the wall, so that it hits with a required impact speed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HALVINGS = 8
 
 
 def reach_for(x: Experiment, speed: float) -> float:
-    """Return the duration of a simulated hand's reach (s) whose impact speed is nearest to `speed` (rad/s or m/s)."""
+    """Return how long (s) a simulated hand must move to the wall to hit it with `speed` (rad/s or m/s)."""
     room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
     quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
     brief = replace(x, trial=replace(x.trial, hold_s=TOUCH_S))

@@ -26,16 +26,16 @@ LONG = 10_000
 
 
 def cooling_s(heat: float, share: float, time_constant_s: float) -> float:
-    """Return the time (s) in which a motor cools from `heat` to `COOL_TO` times `share`.
+    """Return how long (s) a motor cools from `heat` to a fixed part of `share`, at which a session continues.
 
-    `heat` and `share` are fractions of the heat budget of the motor's winding.
+    `heat` and `share` are relative to the heat of the winding after hours at the nominal effort.
     """
     return time_constant_s * math.log(heat / (COOL_TO * share))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialTimes:
-    """Durations of the parts of one trial (s), in the order in which they occur."""
+    """Durations of the parts of one trial (s), from the time before it to the verdict after it."""
 
     ready: float
     homing: float
@@ -78,7 +78,7 @@ class Taken:
     question: float
 
     def of_people(self, planned: TrialTimes) -> TrialTimes:
-        """Return planned durations of a trial in which the measured times of people replace the planned ones."""
+        """Return the durations of a trial (s) with the measured times of people in place of the planned ones."""
         return replace(planned, ready=max(0.0, self.trial - planned.recorded), verdict=self.verdict)
 
 
@@ -116,14 +116,9 @@ class Heat:
 
 
 def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: float = 0.0) -> TrialTimes:
-    """Return the durations of the parts of one trial.
+    """Return the durations of the parts of one trial of an experiment.
 
-    Parameters
-    ----------
-    experiment
-        Experiment with any wall.
-    ready_s, verdict_s
-        Times that people take before and after the trial (s).
+    `ready_s` and `verdict_s` are the times that people take before and after the trial (s).
     """
     trial, homing = experiment.trial, experiment.homing
     way = abs(experiment.wall.position - trial.start)
@@ -138,9 +133,9 @@ def trial_times(experiment: Experiment, *, ready_s: float = 0.0, verdict_s: floa
 
 
 def heat_of(experiment: Experiment, times: TrialTimes, trials: int, share: float) -> Heat:
-    """Return the heat of the motor's winding over a number of equal trials.
+    """Return the heat of the motor's winding over a number of equal trials, and the pauses for cooling.
 
-    Above the fraction `share` of the heat budget the session pauses for cooling.
+    Above the fraction `share` of the heat after hours at the nominal effort the session pauses.
     """
     limits = experiment.rig.limits
     load = min(push_at_rest(experiment), limits.effort) / limits.nominal_effort

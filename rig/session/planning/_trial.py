@@ -24,7 +24,7 @@ MARKED = ("trial", "condition", "stiffness", "damping")  # of a wall, in a marke
 
 @dataclass(kw_only=True)
 class Presented:
-    """Presented wall of a trial, and the search to which the wall belongs."""
+    """Wall that a trial presents, and the search (sequence of trials) to which the trial belongs."""
 
     block: Annotated[int, Quantity("", "number from 1; 0 is practice")]
     run: Annotated[
@@ -53,7 +53,7 @@ class Presented:
 
     @property
     def probe(self) -> Probe:
-        """The presented wall as a `Probe`, the form that search rules use."""
+        """The presented wall in the form that search rules use: stiffness, and who chose it."""
         return Probe(self.stiffness, track=self.track, catch=self.catch)
 
     @property
@@ -64,7 +64,7 @@ class Presented:
 
 @dataclass(kw_only=True)
 class HitOutcome:
-    """Result of a recorded hit."""
+    """Result of one recorded hit on a wall, before a person judges it."""
 
     recording: Annotated[str, Quantity("", "file of the recording, relative to the participant's directory")]
     sha256: Annotated[str, Quantity("", "SHA-256 of the sealed recording")]
@@ -132,7 +132,7 @@ class RecordedTrial(Presented, HitOutcome):
         return self.verdict != "" and not self.invalid
 
     def leave_out(self, why: str) -> None:
-        """Exclude the trial for the reason `why`, unless the operator has excluded it earlier for another reason."""
+        """Exclude the trial from the results for the reason `why`; keep an earlier reason of the operator."""
         if self.void in ("", LEFT_OUT):
             self.void = why
 
@@ -144,7 +144,7 @@ def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
 
 
 def trial_of(content: Mapping[str, Any]) -> RecordedTrial:
-    """Return the trial that a log entry describes; its `void` is "left out" if the entry was excluded later."""
+    """Return the trial that a log entry describes; it is marked as left out if the operator excluded it later."""
     given = {one.name: content[one.name] for one in (*fields(Presented), *fields(HitOutcome))}
     # A log may be older than the normalisation of names in protocols.
     given["condition"] = normalise(given["condition"])

@@ -75,9 +75,10 @@ RULES: dict[str, Callable[..., Rule]] = {
 
 
 def make(name: str, **settings: Any) -> Rule:
-    """Return the search rule with this name (a key of `RULES`) and these settings, e.g. levels (stiffnesses) and seed.
+    """Return a search rule, which chooses the walls to judge, by its name (a key of `RULES`) and its settings.
 
-    Raise `rig.core.errors.ConfigError` for an unknown name, an unknown setting or an invalid value.
+    Settings are e.g. levels (stiffnesses) and seed. Raise `rig.core.errors.ConfigError` for an unknown name, an unknown
+    setting or an invalid value.
     """
     rule = RULES.get(name)
     if rule is None:

@@ -115,7 +115,7 @@ class Catching:
             )
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return a catch trial (a wall whose correct verdict is known) or the next wall of the rule.
+        """Return a catch trial (a wall whose correct verdict is known), or the next wall of the other search rule.
 
         A catch trial without a verdict is repeated. Return None if the search is finished.
         """
@@ -128,7 +128,7 @@ class Catching:
         return self._drawn(len(verdicts_of(answers)), caught) or probe
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the rule's estimate of the limit of stable walls, without the catch trials."""
+        """Return the estimate of the stiffest stable wall by the other search rule, without the catch trials."""
         return self.rule.estimate(answers)
 
     def _drawn(self, verdicts: int, caught: int) -> Probe | None:

@@ -28,7 +28,7 @@ class LevelGrid:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next wall of the random order; None after the last wall."""
+        """Return the next wall of the random order in which all levels are presented; None after the last wall."""
         done = len(verdicts_of(answers))
         if done >= self.repeats * len(self.levels):
             return None

@@ -22,7 +22,7 @@ from rig.session.search._staircase import Staircase
 class Interleaved:
     """Search rule: two interleaved staircases, which begin at the softest and at the stiffest level.
 
-    `Staircase` explains the other settings.
+    The other settings are those of a single staircase (`Staircase`), for each of the two.
 
     Parameters
     ----------

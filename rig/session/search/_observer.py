@@ -34,12 +34,12 @@ class Observer:
         return bool(drawn.random() < share_stable(stiffness, self.threshold, self.spread, self.lapse_rate))
 
     def level_of(self, share: float) -> float:
-        """Return the stiffness at which the fraction `share` of verdicts is stable, without lapses."""
+        """Return the stiffness of which the simulated person calls the fraction `share` stable, without lapses."""
         return float(self.threshold + self.spread * np.log((1.0 - share) / share))
 
 
 def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[JudgedProbe]:
-    """Return the answers of a simulated observer until the search is finished, at most `most`; random by `seed`."""
+    """Return the verdicts of a simulated person on the walls that a rule chooses, until it ends, at most `most`."""
     drawn = np.random.default_rng(seed)
     answers: list[JudgedProbe] = []
     while len(answers) < most and (probe := rule.next(answers)) is not None:
@@ -84,7 +84,7 @@ class Performance:
         return self.above + self.below
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return all numbers and the observer's parameters as a dictionary of JSON types."""
+        """Return bias, scatter and all other numbers, with the simulated person, as a dictionary for JSON."""
         return {**asdict(self), "observer": asdict(self.observer)}
 
 

@@ -91,13 +91,13 @@ class PsychometricGrid:
 
     @cached_property
     def logs(self) -> tuple[Floats, Floats]:
-        """Natural logarithms of the probabilities `shares`, and of 1 − `shares`."""
+        """Natural logarithms of the probability of a stable verdict at each grid point, and of one minus it."""
         with np.errstate(divide="ignore"):
             return np.log(self.shares), np.log1p(-self.shares)
 
     @cached_property
     def _latest(self) -> list[tuple[tuple[tuple[float, bool], ...], Floats]]:
-        """Cache of the last verdicts and their log likelihood, because the next call mostly adds one verdict."""
+        # The last verdicts and their log likelihood, because the next call mostly adds one verdict.
         return [((), np.zeros(self.shares.shape[1:]))]
 
     def posterior(self, verdicts: Sequence[tuple[float, bool]]) -> Floats:
@@ -114,10 +114,10 @@ class PsychometricGrid:
         return np.asarray(weights / weights.sum())
 
     def quantiles(self, posterior: Floats, share: float, probabilities: Sequence[float]) -> Floats:
-        """Return quantiles of the stiffness at which the fraction `share` of the verdicts is stable; at least 0.
+        """Return quantiles of the stiffness at which the fraction `share` of verdicts is stable; at least 0.
 
-        `posterior` is the result of the method `posterior`, and `probabilities` are the levels of the quantiles (0 …
-        1). The stiffness is that of an observer without lapses.
+        `posterior` is the probability of each grid point, `probabilities` are the levels of the quantiles (0 … 1). The
+        stiffness is that of an observer without lapses.
         """
         shifts = self.spreads * math.log((1.0 - share) / share)
         # The probability of each K50 is spread over its cell: after some dozens of verdicts a cell is not small
@@ -132,7 +132,7 @@ class PsychometricGrid:
 
 @lru_cache(maxsize=16)
 def of_levels(levels: tuple[float, ...]) -> PsychometricGrid:
-    """Return the grid for these levels (stiffnesses, ascending), from a cache."""
+    """Return the psychometric function's grid for these levels (stiffnesses, ascending), from a cache."""
     return PsychometricGrid(levels)
 
 

@@ -1,4 +1,4 @@
-"""Decide if values scatter more than rounding to the tested levels explains, as each interval and p value requires.
+"""Decide if values scatter more than rounding to the tested levels explains; else no interval or p value is computed.
 
 For means over n independent searches, the caller divides the rounding error by √n.
 """

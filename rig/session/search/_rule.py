@@ -16,9 +16,9 @@ Censored = Literal["", "above", "below"]
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A wall to be judged: its stiffness (`level`), and True if the wall is a catch trial.
+    """A wall to be judged: its stiffness (`level`), and True if its correct verdict is known (`catch`).
 
-    `track` is the number of the series or staircase that chose the wall.
+    `track` is the number of the ascent or staircase that chose the wall, from 0.
     """
 
     level: float
@@ -78,7 +78,7 @@ class Rule(Protocol):
     """Interface of a search rule, which chooses the walls to judge, and estimates the limit of stable walls."""
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next wall after these answers; None if the search is finished."""
+        """Return the next wall to judge, given all answers so far; None if the search is finished."""
         ...
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
@@ -87,7 +87,7 @@ class Rule(Protocol):
 
 
 def checked_levels(levels: Iterable[float]) -> tuple[float, ...]:
-    """Return levels (stiffnesses) as floats; raise `ConfigError` unless two or more, above zero and ascending."""
+    """Return stiffness levels as floats; raise `ConfigError` unless there are two or more, above 0, ascending."""
     values = tuple(float(level) for level in levels)
     rising = all(a < b for a, b in pairwise(values))
     if len(values) < 2 or not rising or not values[0] > 0.0 or not math.isfinite(values[-1]):
@@ -108,7 +108,7 @@ def check_whole(name: str, value: int, least: int, most: int) -> None:
 
 
 def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool]]) -> Estimate:
-    """Return the estimate with `distrust_reason` set if its verdicts contradict the estimated limit."""
+    """Return the estimate with a reason to distrust it, if the verdicts (level, stable) contradict its limit."""
     if estimate.distrust_reason or estimate.censored:
         return estimate
     reason = contradiction(estimate.value, estimate.low, estimate.high, verdicts)
@@ -135,7 +135,10 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 
 
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
-    """Return level and verdict (True: stable) of each judged answer, of one or all tracks, without catch trials."""
+    """Return stiffness and verdict (True: stable) of each judged wall, without catch trials and unsure verdicts.
+
+    With `track`, only walls that this ascent or staircase chose.
+    """
     return [
         (answer.probe.level, answer.stable)
         for answer in answers

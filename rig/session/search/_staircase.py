@@ -98,7 +98,10 @@ class Staircase:
         return float(0.5 ** (1.0 / self.stable_to_rise))
 
     def next(self, answers: Sequence[JudgedProbe], track: int = 0) -> Probe | None:
-        """Return the current wall of the staircase with the number `track`; None if the search is finished."""
+        """Return the staircase's current wall; None if the search is finished.
+
+        Only answers with the number `track` are used, because several staircases may share one search.
+        """
         walk = self.walk(verdicts_of(answers, track))
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
@@ -128,13 +131,15 @@ class Staircase:
     def has_ended(self, walk: _Walk) -> bool:
         """Return True if the search is finished.
 
-        A search ends after `turns` reversals, after `most` verdicts, or at the lowest or highest level of stiffness.
+        A search ends after `turns` reversals, after `most` verdicts, or after several verdicts that would move it
+        beyond the
+        lowest or highest level of stiffness.
         """
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS
 
     def estimate_of(self, walk: _Walk, verdicts: Sequence[tuple[float, bool]], hits: int) -> Estimate:
-        """Return the estimate of the limit of stable walls, from the staircase's state and verdicts (level, stable)."""
+        """Return the estimate of the stiffest stable wall, from the staircase's state and verdicts."""
         fine = [self.levels[place] for place, smallest in walk.turns if smallest]
         # An even number of turns: upper and lower ones alternate, and an odd one would pull the mean to its side.
         places = fine[len(fine) % 2 :] or [self.levels[place] for place, _ in walk.turns]

@@ -82,7 +82,8 @@ class AskingDesk(Desk):
     def watch(self) -> Callable[[int, int], None] | None:
         """Return a function to call regularly during a hit, with the number of ticks and the phase.
 
-        The function raises `StoppedError`, which ends the hit, on STOP or if the user interface does not respond.
+        The function raises `StoppedError`, which ends the hit, if the operator requests a stop or the user interface
+        hangs.
         """
         return self._watch
 
@@ -94,7 +95,6 @@ class AskingDesk(Desk):
         self._check_there()
 
     def _put(self, question: Question) -> None:
-        """Send a question to the user interface; a question about a rest contains the remaining time (s)."""
         seconds = question.seconds
         if seconds:
             seconds = max(SHORTEST_S, seconds - (time.monotonic() - self._began_s))

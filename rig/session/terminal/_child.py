@@ -74,7 +74,6 @@ class Child:
         self.say("setup", **setup)
 
     def _start(self, ours: ExitStack) -> None:
-        """Start process and reader thread; `ours` closes all opened descriptors if one of them cannot be started."""
 
         def owned(stack: ExitStack, *descriptors: int) -> None:
             for descriptor in descriptors:
@@ -146,7 +145,7 @@ class Child:
             self._process.send_signal(signal.SIGKILL)
 
     def close(self, *, last: bool = True) -> None:
-        """End the console process, by force if needed; restore the terminal if this console is the `last` one."""
+        """End the console process, by force if needed; restore the terminal unless another console follows (`last`)."""
         if self._closed:
             return
         if not self.dead:
@@ -178,6 +177,5 @@ class Child:
 
 
 def _nameless() -> int:
-    """Return the descriptor of a temporary file without a name, which is deleted when the descriptor is closed."""
     with tempfile.TemporaryFile(buffering=0) as file:
         return os.dup(file.fileno())

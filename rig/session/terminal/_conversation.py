@@ -256,7 +256,6 @@ class Conversation:
         return self._answer(Answer("answer", value))
 
     def _answer_of(self, text: str) -> str | None:
-        """Return a typed answer in its stored form; if the answer is not valid, set `notice` and return None."""
         item = (self.question.item if self.question is not None else None) or {"kind": "text"}
         value = parse_answer(item, text)
         if value is None:

@@ -51,7 +51,7 @@ INSTRUCTIONS: Mapping[str, Instruction] = {
 
 
 def instruct(view: DeskView) -> tuple[str, str]:
-    """Return cue and text for the participant's screen; in an unknown state of the session, "Please wait"."""
+    """Return the large and the small text for the participant's screen; "Please wait" in an unknown state."""
     instruction = INSTRUCTIONS.get(view.state, Instruction("Please wait"))
     read_out = "" if instruction.replaces else view.say
     return instruction.cue, " ".join(filter(None, (read_out, instruction.text)))

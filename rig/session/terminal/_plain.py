@@ -8,16 +8,18 @@ from rig.session.terminal._live import Snapshot
 
 
 class PlainLines:
-    """Storage of the printed texts, so that each text is printed only when it changes."""
+    """Printed texts of the operator's user interface, so that each text is printed only when it changes."""
 
     def __init__(self) -> None:
         self._printed: dict[str, str] = {}
         self._log: tuple[str, ...] = ()
 
     def lines(self, talk: Conversation, live: Snapshot | None, now_s: float) -> list[str]:
-        """Return the texts that have changed since the last call, one line each.
+        """Return the texts of the user interface that have changed since the last call, one line each.
 
-        `live` contains the current values of a running trial, and `now_s` is the time on the caller's clock (s).
+        `talk` is the state of the user interface, `live` contains the current values of a running trial, and `now_s` is
+        the
+        time on the caller's clock (s).
         """
         view = talk.view
         found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]
@@ -36,7 +38,6 @@ class PlainLines:
         return [line for line in found if line]
 
     def _new(self, name: str, text: str) -> str:
-        """Return the text if it differs from the last text with this name; otherwise ""."""
         before, self._printed[name] = self._printed.get(name, ""), text
         return text if text != before else ""
 

@@ -33,13 +33,7 @@ class PointerTarget(Protocol):
 
 
 class Pointer:
-    """Position of the simulated hand as a fraction of the screen's width, from 0 to 1.
-
-    Parameters
-    ----------
-    press
-        Force of a full press (N).
-    """
+    """Position of the simulated hand as a fraction of the screen's width (0 to 1), and force of a full press (N)."""
 
     def __init__(self, press: float) -> None:
         self._press = press

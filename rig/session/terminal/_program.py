@@ -75,7 +75,6 @@ class _Console:
         self._printer = PlainLines()
 
     def _setup(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-        """Return the first message from the session, and the messages that arrived together with it."""
         while True:
             data = os.read(self._from, READ_BYTES)
             if not data:
@@ -111,7 +110,6 @@ class _Console:
             terminal.give_back(IN, before)
 
     def _round(self) -> bool:
-        """Process keys, messages and output once; return False if the console must end."""
         # Whatever stops the rounds (a stopped process, a terminal that takes no more output) ends a hit within seconds.
         self._send("alive")
         wait = ROUND_S if self._talk.moving else QUIET_S
@@ -159,7 +157,7 @@ class _Console:
             self._seat.key(key, time.monotonic())
 
     def _echo(self, key: str) -> None:
-        """Print a typed character of a text, because the terminal's own echo is off."""
+        # The terminal does not echo keys while the console reads them one by one.
         entry = self._talk.entry
         if entry is None:
             return

@@ -123,7 +123,7 @@ class Seat:
             self.do(self.talk.press(name, now_s), shown_s)
 
     def look(self, now_s: float) -> None:
-        """Read the values of the running control loop, and send the reply that ends a rest if due at `now_s` (s)."""
+        """Read the values of the running control loop, and end a rest whose time is over at `now_s` (s)."""
         self.do(self.talk.pass_time(now_s))
         self.snapshot = self.live.look()
         self.talk.live = self.snapshot is not None
@@ -147,7 +147,7 @@ class Seat:
 
 
 def full_press(experiment: Mapping[str, Any]) -> float:
-    """Return the force of a full press of an experiment's simulated hand (N)."""
+    """Return the force (N) with which an experiment's simulated hand presses, or a default."""
     return float(experiment.get("operator", {}).get("press", PRESS_N))
 
 

@@ -28,7 +28,7 @@ def as_plain(before: list[Any]) -> list[Any]:
 
 
 def from_plain(value: list[Any]) -> list[Any]:
-    """Convert terminal settings from `as_plain` back, for `termios.tcsetattr`."""
+    """Convert terminal settings from numbers and lists back to the form that `termios.tcsetattr` accepts."""
     # The termios module reads and writes these two entries as numbers outside of line mode.
     timed = (termios.VMIN, termios.VTIME)
     characters = [n if i in timed else bytes([n]) for i, n in enumerate(value[_CHARACTERS])]

@@ -48,7 +48,7 @@ class Gauge:
 
 
 def place(view: DeskView) -> str:
-    """Return participant's code, block, search and trial as one line, without unknown parts."""
+    """Return participant's code, block, search and trial number as one line; unknown ones are left out."""
     parts = [view.code] if view.code else []
     if view.practice:
         parts.append("practice")
@@ -62,13 +62,13 @@ def place(view: DeskView) -> str:
 
 
 def state(talk: Conversation) -> str:
-    """Return the state of the session as text, with the action that the operator requested for later."""
+    """Return the state of the session as text, with the operator's request for the next question, if any."""
     waits = "" if talk.later is None else f" ({talk.later} next)"
     return talk.view.state + waits
 
 
 def facts(view: DeskView) -> list[tuple[str, str]]:
-    """Return names and values of facts about the current trial, to display next to the live values."""
+    """Return pairs of label and text about the current trial, such as condition, wall and motor heat."""
     wall = "hidden"
     if view.stiffness is not None:
         wall = f"K = {view.stiffness:g}" + ("" if view.damping is None else f", B = {view.damping:g}")

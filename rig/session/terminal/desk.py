@@ -1,4 +1,4 @@
-"""Desk for an operator at a terminal: the session's side of the console, which is a child process.
+"""The session's side of the operator's console at a terminal; the console itself is a child process.
 
 `rig session run` uses this module. It must not decide about trials or write to the session's directory;
 `rig.session.engine` does that.
@@ -129,7 +129,6 @@ class ConsoleDesk(AskingDesk):
         self._child.say(kind, **content)
 
     def _take(self, patience_s: float) -> Message | None:
-        """Return the next message of the current console process; None if none arrives within `patience_s` (s)."""
         try:
             child, message = self._inbox.get(timeout=patience_s) if patience_s else self._inbox.get_nowait()
         except Empty:
@@ -169,7 +168,6 @@ class ConsoleDesk(AskingDesk):
         return Child(self._place, self._before, self._setup, self._inbox)
 
     def _restart(self) -> None:
-        """Replace a dead or hanging console by a new one; raise `StoppedError` after `RESTARTS` restarts."""
         if not self._child.dead:
             self._child.kill()
         why = self._child.complaint()
@@ -188,13 +186,14 @@ class ConsoleDesk(AskingDesk):
 def at_console(
     *, hand: Literal["keyboard"] | None = None, place: Path = TERMINAL
 ) -> Callable[[Protocol, Mapping[str, Any], TrialRunner], Desk]:
-    """Return a function that makes the operator's user interface in a terminal, for `run_session`.
+    """Return a function that makes the operator's user interface in a terminal, as `run_session` needs it.
 
     Parameters
     ----------
     hand
-        Input device that moves the hand of a simulated rig; None if the hand follows its script. For a real rig the
-        returned function raises `ConfigError` if `hand` is given.
+        Input device that moves the hand of a simulated rig; None if the hand hits by itself. For a real rig the
+        returned
+        function raises `ConfigError` if `hand` is given.
     place
         Path of the terminal.
     """
