@@ -77,12 +77,12 @@ class Scheme:
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(
-                f"scheme {text!r}: uniform sampling has one rate",
+                f"scheme {text!r} has two rates, but uniform sampling has one, for position and velocity",
                 remedy=f"write dual:{rates}, or uniform: with one rate",
             )
         if kind == "dual" and "/" not in rates:
             raise ConfigError(
-                f"scheme {text!r}: dual sampling has two rates, of position and velocity",
+                f"scheme {text!r} has one rate, but dual sampling has two, for position and velocity",
                 remedy=f"write dual:{rates}/2k, or uniform:{rates}",
             )
         given = dict(_setting(setting, text) for setting in settings)

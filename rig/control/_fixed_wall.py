@@ -154,12 +154,12 @@ def design_wall(
     if not 0 <= limit <= CURRENT_GREATEST:
         raise ConfigError(
             f"the effort limit {effort_limit:g} is {limit} current quanta; allowed are 0 to {CURRENT_GREATEST}",
-            remedy="lower the effort limit or choose a larger current quantum",
+            remedy="lower the effort limit or choose a larger current quantum (smallest step of the current)",
         )
     for name, value in (*gains.items(), ("constant effort", abs(constant))):
         if not 0.0 <= value <= GAIN_GREATEST:
             raise ConfigError(
-                f"the {name} is {value:g} (smallest steps of the motor current); allowed are 0 to {GAIN_GREATEST}",
+                f"the {name} is {value:g} current quanta (smallest steps); allowed are 0 to {GAIN_GREATEST}",
                 remedy="choose a softer wall",
             )
     shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)
@@ -167,8 +167,8 @@ def design_wall(
     for name, value in gains.items():
         if abs(math.ldexp(whole[name], -shift) - value) > PRECISION * value:
             raise ConfigError(
-                f"the {name} is {value:.3g} current quanta per LSB, which {shift} fractional bits can represent "
-                f"only as the integer {whole[name]}",
+                f"the {name} is {value:.3g} current quanta per LSB of depth or velocity, which {shift} fractional bits "
+                f"can represent only as the integer {whole[name]}",
                 remedy=f"raise the {name}, or choose a velocity format with fewer fractional bits",
             )
     return FixedWall(

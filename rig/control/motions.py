@@ -152,7 +152,7 @@ def make_nudging_law(
     def design(wall: Mapping[str, Any]) -> list[float]:
         if wall["side"] != 1:
             raise ValueError(
-                f"wall side = {wall['side']}, but the law of small pushes needs side 1: set it to 1"
+                f"wall.side = {wall['side']}, but small pushes need a wall that is entered upwards: set it to 1"
             )
         return [
             effort_per_s / rate_hz,

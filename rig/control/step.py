@@ -314,7 +314,7 @@ class ControllerState:
             raise _version_error(f"reading its fields fails with {error!r}") from error
         # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
-            raise _version_error("the memory of the estimator or the law has a different size")
+            raise _version_error("parameters or memory of the estimator or the force law have a different size")
         return made
 
 
@@ -329,9 +329,7 @@ def _record(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Record:
     differing = set(dtype.names or ()) ^ set(values)
     # A field left at zero would change the controller.
     if differing:
-        raise _version_error(
-            f"the fields {', '.join(sorted(differing))} exist in only one of the two versions"
-        )
+        raise _version_error(f"only one of the versions has the fields {', '.join(sorted(differing))}")
     record = np.zeros(1, dtype=dtype)
     for name, value in values.items():
         record[name] = value

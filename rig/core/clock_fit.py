@@ -156,7 +156,7 @@ class ClockFit:
             kinds = {"int": int, "float": float}
             found = cls(**{f.name: kinds[str(f.type)](mapping[f.name]) for f in fields(cls)})
             if not all(abs(getattr(found, f.name)) < 1 << 62 for f in fields(cls)):  # sums of two fit 64 bits
-                raise ValueError("a number of the clock fit is not between -2^62 and 2^62")
+                raise ValueError("a number is not between -2^62 and 2^62")
             return found
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise RecordingError(

@@ -88,7 +88,7 @@ def plain(value: Any, not_finite: Callable[[float], Any] = lambda _: None) -> An
         return inner(value.as_mapping())
     if is_dataclass(value) and not isinstance(value, type):
         return {name: inner(getattr(value, name)) for name in _names(type(value))}
-    raise TypeError(f"a value of type {type(value).__name__} cannot be written as JSON")
+    raise TypeError(f"a {type(value).__name__} cannot be written as JSON; make it a dict, list or number")
 
 
 def _key(key: Any) -> str:

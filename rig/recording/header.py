@@ -56,9 +56,9 @@ def dtype_of(schema: Mapping[str, Any]) -> np.dtype[np.void]:
         columns = schema["columns"]
         formats = [column["dtype"] for column in columns]
         if not columns or not all(_SIMPLE_DTYPE.fullmatch(text) for text in formats):
-            raise ValueError("a column's dtype is not a little-endian integer or float")
+            raise ValueError(f"the dtypes {formats} are not all little-endian integers or floats")
         if not all(isinstance(column[text], str) for column in columns for text in ("unit", "description")):
-            raise ValueError("a column has no unit or description")
+            raise ValueError("a column has no text for its unit or its description")
         return np.dtype(
             {
                 "names": [column["name"] for column in columns],

@@ -154,19 +154,19 @@ def multipliers(settings: Mapping[str, Any], estimator: str = "levant") -> tuple
             f"estimator {estimator}: gains = {gains!r} needs mu1 and mu2",
             remedy="give mu1 and mu2; `rig theory levant-regions` shows which pairs converge",
         )
-    pair = f"estimator {estimator}: mu1 = {mu1:g}, mu2 = {mu2:g} lie outside the region {gains!r}"
-    unchecked = "or gains = 'custom', for which convergence is not checked"
+    outside_region = f"estimator {estimator}: mu1 = {mu1:g}, mu2 = {mu2:g} lie outside the region {gains!r}"
+    or_custom_gains = "or gains = 'custom', for which convergence is not checked"
     if gains == "hba" and not levant_regions.in_hba(mu1, mu2):
-        least = f"mu1 ≥ {levant_regions.hba_mu1(mu2):.5g}, or " if mu2 > 2.0 else ""
+        least_mu1 = f"mu1 ≥ {levant_regions.hba_mu1(mu2):.5g}, or " if mu2 > 2.0 else ""
         raise ConfigError(
-            f"{pair}, which requires mu2 > 2 and mu1 ≥ (mu2² + 4)/(mu2² − 4)",
-            remedy=f"choose {least}a larger mu2 (above 2), which lowers the least mu1 towards 1; {unchecked}",
+            f"{outside_region}, which requires mu2 > 2 and mu1 ≥ (mu2² + 4)/(mu2² − 4)",
+            remedy=f"choose {least_mu1}a larger mu2 (above 2), which lowers the least mu1 towards 1; {or_custom_gains}",
         )
     if gains == "lfba" and not levant_regions.in_lfba(mu1, mu2):
         raise ConfigError(
-            f"{pair}, which requires mu1 > 3 + 2/mu2²",
+            f"{outside_region}, which requires mu1 > 3 + 2/mu2²",
             remedy=f"choose mu1 > {levant_regions.lfba_mu1(mu2):.5g}, or a larger mu2, which lowers this limit of mu1 "
-            f"towards 3; {unchecked}",
+            f"towards 3; {or_custom_gains}",
         )
     return float(mu1), float(mu2)
 

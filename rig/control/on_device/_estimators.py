@@ -88,7 +88,7 @@ def _biquad(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.word_bits",
             values["biquad_word_bits"],
-            f"the words of a device have {WORD_BITS} bits",
+            f"the firmware computes in words of {WORD_BITS} bits",
             f"choose {WORD_BITS} or less",
         )
     return values
@@ -130,7 +130,7 @@ def _foaw_best(own: Floats) -> Values:
         raise refusal(
             "controller.parameters.anchor",
             anchor,
-            "a device does not have this anchor",
+            "the firmware does not support this rule for the intercept of the fitted line",
             'choose anchor = "lsq" or "last"',
         )
     return {**_foaw(own), "foaw_least_squares": int(anchor == "lsq")}

@@ -193,7 +193,7 @@ def fixed_guard(c: Control, velocity: Format) -> Values:
         raise refusal(
             key,
             c[f"home_{name}"],
-            f"it gives a gain of {gain:.3g} quanta of effort per LSB; the largest is 2^30",
+            f"in the device's integers this is {gain:.3g} current quanta per LSB of depth or velocity, above 2^30",
             f"lower {key}",
         )
     shift = shifts[-1]

@@ -100,7 +100,7 @@ def refuse_unarmable(walls: Walls, runner: TrialRunner) -> None:
             _number(found) if blinded else f"{_number(found)}: {_list_walls(found, walls.base.rig.motion)}"
         )
         raise PlanError(
-            f"with the measured delay of the link the arming gate refuses {refused_walls}",
+            f"with the measured delay of the link the rig refuses {refused_walls}, unstable by linear theory",
             remedy=f"{CONSENT}; list them with rig session check, for the same device",
         )
 

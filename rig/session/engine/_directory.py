@@ -270,7 +270,7 @@ def amend(
         if name == "void" and value not in OF_TRIAL:
             raise ConfigError(
                 f"event {number} is a trial, which cannot be corrected to {value!r}",
-                remedy=f"choose one of {', '.join(OF_TRIAL)}; to correct its verdict, give `trial` N",
+                remedy=f"choose one of {', '.join(OF_TRIAL)}; to correct its verdict, give its number as `trial`",
             )
         kept: str | int | bool = OF_TRIAL.get(value, value) if name == "void" else value
         if kind == "answered":

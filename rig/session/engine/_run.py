@@ -270,7 +270,7 @@ def _refuse_another_device(
         raise ConfigError(
             f"the session of {state.code} began on {device_words(before)}, but this device is {device_words(now)}",
             remedy=f"give the URL of the first device{f', `url` {url}' if url else ' (omit it to simulate)'}; to "
-            "continue here give `other_device`, which the analysis reports",
+            "continue on this device give `other_device`; the analysis will report the change",
         )
 
 
@@ -373,8 +373,8 @@ def _checked_row(row: int, protocol: Protocol) -> int:
     rows = max(protocol.study.participants, rows_of(protocol))
     if not 0 <= row < rows:
         raise ConfigError(
-            f"row {row} of the order of conditions does not exist: {protocol.study.participants} participants are "
-            "planned, and rows are counted from 0",
+            f"the table of condition orders has no row {row}: {protocol.study.participants} participants are planned, "
+            "and rows are counted from 0",
             remedy=f"give `row` 0 to {rows - 1}, or raise study.participants",
         )
     return row
@@ -387,7 +387,7 @@ def _reach_for(runner: TrialRunner) -> ReachFor | None:
 def _refuse_a_real_rig(person: Person | None, runner: TrialRunner) -> None:
     if person is not None and not runner.simulated:
         raise ConfigError(
-            "a rehearsal cannot use a real rig: the simulated person would continue after a STOP",
+            "a rehearsal cannot use a real rig: the simulated person would continue after the operator stops it",
             remedy="omit `url`, or omit `rehearse` and run the session with a person",
         )
 

@@ -62,7 +62,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
     `row` is the participant's row in the table of orders: the first participant has 0, the next one 1.
     """
     if row < 0:
-        raise ValueError(f"row = {row} of the order of conditions must not be below 0")
+        raise ValueError(f"row = {row} in the table of condition orders must not be below 0")
     groups = _orders(protocol, row)
     blocks = list(_practice(protocol, row))
     number = 0
