@@ -103,8 +103,7 @@ def parse_table(kind: FileKind[T], table: Table, motion: Motion | None) -> tuple
     """Return the content of a table as the kind's dataclass (None if invalid), and the problems of single keys.
 
     `table` is the file as nested dicts with text keys (`rig.config._files.tidy`). `motion` is the rig's motion, for
-    units in
-    messages; None when it is unknown.
+    units in messages; None when it is unknown.
     """
     problems = list(_mistaken_choices(kind, table))
     # Validated as JSON, because strict validation of Python objects accepts instances of the dataclasses only.
@@ -123,8 +122,7 @@ def apply_changes(
     """Return a copy of a checked dataclass with some keys changed, and the problems of the new values.
 
     `changes` are nested tables (`rig.config._files.nest`). In a field that is a mapping with arbitrary keys, new
-    entries are
-    added to the present ones. `motion` is the rig's motion, for units in messages; None when it is unknown.
+    entries are added to the present ones. `motion` is the rig's motion, for units in messages; None when it is unknown.
     """
     making = _Changing(changes)
     result = making.section(described, changes, ())

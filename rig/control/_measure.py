@@ -147,8 +147,7 @@ class Filters:
     """Coefficients of the high pass and the band pass with which a trial is judged.
 
     `sections` has one row (b0, b1, b2, a1, a2) for each second-order section. After `lead_ticks` ticks the output of
-    both
-    filters does not depend on earlier samples.
+    both filters does not depend on earlier samples.
     """
 
     sections: Floats
@@ -298,8 +297,7 @@ def toggling_floor(frequency_hz: float, resolution: float, highpass_hz: float, l
     """Return the rms velocity (rad/s or m/s) of a count that toggles at `frequency_hz`, within a band of frequencies.
 
     A square wave with the height Δ of one count (`resolution`, rad or m) has odd harmonics. At f Hz the velocity of
-    each
-    has the rms 2√2·f·Δ; the powers of those in the band are added.
+    each has the rms 2√2·f·Δ; the powers of those in the band are added.
     """
     # With no harmonic in the band at least one: the band's edges let a part of the fundamental through.
     harmonics = 0
@@ -326,9 +324,8 @@ def _ripple_and_travel(
     """Write the ripples of effort and position and the growth of the effort's ripple to the record `numbers`.
 
     *heard* is the rms effort above the high pass, *moved* the peak-to-peak position above it, both in the tail (last
-    part
-    of the trial) and in the stay in the wall; *growth* is the rms effort of the tail's second half over that of the
-    first.
+    part of the trial) and in the stay in the wall; *growth* is the rms effort of the tail's second half over that of
+    the first.
     """
     s, n = settings[0], numbers[0]
     ticks = position.shape[0]
@@ -521,8 +518,7 @@ def measure(
         overwrite.
     numbers
         One record of dtype `NUMBERS` for the results; all of it is overwritten. For a trial of fewer than
-        `FEWEST_TICKS`
-        ticks it gets zeros, and NaN for numbers that cannot be known.
+        `FEWEST_TICKS` ticks it gets zeros, and NaN for numbers that cannot be known.
     """
     n = numbers[0]
     ticks = position.shape[0]

@@ -99,8 +99,7 @@ def excited_law(
     """Return the law of a spring and a damper on both sides with an excitation by the rig's own motor.
 
     `efforts` is one period at the loop's rate (N·m or N, positive with position), faded in over `ramp_ticks` ticks.
-    `device`
-    has the device parameters with which a device computes the same period (`rig.control.excitation_table`).
+    `device` has the device parameters with which a device computes the same period (`rig.control.excitation_table`).
     """
     table = np.atleast_1d(np.asarray(efforts, dtype=np.float64))
 

@@ -162,9 +162,8 @@ class Multisine:
         """Return the multisine with random phases, uniform on the circle; the same seed gives the same phases.
 
         A seed may be several numbers, such as (seed, realisation). With `rms` given, each draw of the phases has a
-        different
-        peak; with `peak` given, a different rms. The other parameters (band, period, lines, spectrum) are those of
-        `schroeder`.
+        different peak; with `peak` given, a different rms. The other parameters (band, period, lines, spectrum) are
+        those of `schroeder`.
         """
         lines = _lines(band, period_s, spacing_lines, odd)
         phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(lines))

@@ -114,10 +114,8 @@ def true_signals(
     """Return the true signals of a simulated trial from rows that also have `rig.core.sample.TRUTH_COLUMNS`.
 
     Position and velocity are those of the handle, which the hand feels. Penetration is that of the mass with the
-    encoder; in
-    a rig of two masses the capstan lies between handle and encoder. Events and lost samples are copied from `recorded`,
-    the
-    recorded signals of the same rows.
+    encoder; in a rig of two masses the capstan lies between handle and encoder. Events and lost samples are copied from
+    `recorded`, the recorded signals of the same rows.
     """
     trial = rows["phase"] == Phase.TRIAL
     return replace(
@@ -134,8 +132,7 @@ def judge(signals: TrialSignals, thresholds: Thresholds) -> Verdict:
     """Return the verdict on one trial (stable, limit cycle, unstable or invalid), with its reasons and numbers.
 
     The last part of the trial (`thresholds.tail_s`) decides. A shorter trial is judged on all its samples; a trial
-    without
-    samples is invalid.
+    without samples is invalid.
     """
     return measure_signals(signals, thresholds).verdict
 

@@ -106,8 +106,7 @@ def make_tracing_law(
     """Return a law that moves the handle along a path, by a servo.
 
     `path` has points (time, position): ascending times from the beginning of the trial (s), and positions (rad or m).
-    The
-    servo has a stiffness, a damping (SI units) and a largest effort `limit` (N·m or N); the loop runs at `rate_hz`.
+    The servo has a stiffness, a damping (SI units) and a largest effort `limit` (N·m or N); the loop runs at `rate_hz`.
     """
 
     def design(wall: Mapping[str, Any]) -> list[float]:

@@ -85,10 +85,9 @@ class Form:
     """Interface of a user's law or estimator: allowed arguments, common parameters, and the kernel that calls it.
 
     `quantities` maps the name of an argument to its meaning and to its expression in the kernel. `given` are the names
-    of
-    the parameters that every `p` has; they come first. `memory` is the expression for the user's numbers in the memory,
-    ``{count}`` of them. `around` is the source text of the kernel, in which ``{call}`` is replaced by the call of the
-    function; `names` maps the names used in that source to objects.
+    of the parameters that every `p` has; they come first. `memory` is the expression for the user's numbers in the
+    memory, ``{count}`` of them. `around` is the source text of the kernel, in which ``{call}`` is replaced by the call
+    of the function; `names` maps the names used in that source to objects.
     """
 
     kind: str

@@ -185,8 +185,7 @@ class ControllerArguments(NamedTuple):
         Compiled functions of the velocity estimator and the force law (`rig.realtime.plugs`).
     control, memory
         Settings (dtype `CONTROL`) and memory (dtype `MEMORY`), arrays of length 1. `step` changes `memory`, from which
-        the
-        recorded values of the tick are taken too.
+        the recorded values of the tick are taken too.
     estimator_f, estimator_i, estimator_parameters
         Memory (floats, integers) and parameters of the estimator.
     law_state, law_parameters
@@ -290,8 +289,7 @@ class ControllerState:
         """Return the controller from a dictionary that `as_mapping` made; `law` replaces the force law that it names.
 
         Raises `rig.core.errors.ConfigError` if the estimator or the law is unknown, and `RecordingError` if a setting
-        or a
-        number of the memory is missing or unknown, or an array has a wrong size.
+        or a number of the memory is missing or unknown, or an array has a wrong size.
         """
         try:
             estimator, wall = mapping["estimator"], mapping["law"]
@@ -314,7 +312,9 @@ class ControllerState:
             raise _version_error(f"reading its fields fails with {error!r}") from error
         # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
-            raise _version_error("parameters or memory of the estimator or the force law have a different size")
+            raise _version_error(
+                "parameters or memory of the estimator or the force law have a different size"
+            )
         return made
 
 

@@ -258,9 +258,8 @@ class Measured:
         Thresholds used for the measurement.
     thrown_out
         True if a safety limit ended the run: the handle left its range or was too fast, or the motor gave too much
-        energy
-        or oscillated violently (`rig.control._watch`). The signals up to that tick do not show it. The trial is then
-        unstable after a contact, and invalid without a contact.
+        energy or oscillated violently (`rig.control._watch`). The signals up to that tick do not show it. The trial is
+        then unstable after a contact, and invalid without a contact.
     """
 
     numbers: np.void

@@ -74,8 +74,7 @@ def current_sensor(model: RigModel) -> CurrentSensor:
     """Return the parameters that predict the measured motor current from the commanded current.
 
     Their `noise` is -1, which switches the comparison of the two currents off, if the device does not measure the
-    current,
-    or if the simulation has a computation delay, which the prediction does not include.
+    current, or if the simulation has a computation delay, which the prediction does not include.
     """
     amplifier = model.amplifier
     back_emf = amplifier.back_emf * model.encoder.resolution / amplifier.effort_quantum

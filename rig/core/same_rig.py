@@ -25,8 +25,7 @@ def check_rig(model: RigModel, device: Dictionary) -> Check:
     """Check that a device was built for the experiment's rig `model`, by the description that it sent of itself.
 
     A failed check has both values of each difference. Constants that the description lacks are not compared; a passed
-    check
-    lists them.
+    check lists them.
     """
     ours = describe(
         model,

@@ -42,10 +42,8 @@ def with_ledger(recording: Recording) -> Recording:
     """Return the recording with a summary of its latencies in the trailer, the data at its end.
 
     Fill in place the columns sampled_at and applied_at: when the encoder was sampled and the command took effect.
-    Return
-    the recording unchanged if it has no rows, or if its trailer has no clock fit or (with a logged warning) an invalid
-    one:
-    an invalid clock fit must not prevent a recording from being stored.
+    Return the recording unchanged if it has no rows, or if its trailer has no clock fit or (with a logged warning) an
+    invalid one: an invalid clock fit must not prevent a recording from being stored.
     """
     trailer = recording.trailer or {}
     if CLOCK_KEY not in trailer or not len(recording):

@@ -134,8 +134,7 @@ class Ledger(TimingFacts):
         """Return a latency in each tick (ns), and a mask that is True where it is known.
 
         `name` is the latency, such as "transport_in" (a key of `STAGES`), or `LATENESS`: how much later than on a
-        regular grid
-        the sample was received.
+        regular grid the sample was received.
         """
         if name == LATENESS:
             return self.lateness, np.ones(len(self.lateness), bool)
@@ -147,9 +146,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     """Return when each tick was sampled, received, computed, sent and applied (ns, on the host's clock).
 
     `rows` are in the order of the ticks; some may be missing. `fit` converts device to host time; None if the clocks
-    were
-    not compared. `period_ns` is the length of a device tick (ns, device clock), `loop` where the law ran: "host" or
-    "device".
+    were not compared. `period_ns` is the length of a device tick (ns, device clock), `loop` where the law ran: "host"
+    or "device".
     """
     received = _column(rows, "received_at")
     on_device = loop == "device"

@@ -76,8 +76,7 @@ def law_parameters(controller: ControllerState, arithmetic: Arithmetic) -> Value
     """Return the value of each parameter that the law on the device reads, by name, except those of BATCH frames.
 
     `controller` is the host's (`rig.config.controller.for_experiment`). Raise `PlanError` if the device does not have
-    the
-    estimator, the law or one of its options, or a value is out of range.
+    the estimator, the law or one of its options, or a value is out of range.
     """
     c, law = _control_values(controller), controller.law.parameters
     _check_arithmetic(c, controller, arithmetic)
@@ -124,10 +123,8 @@ def live_parameters(controller: ControllerState, arithmetic: Arithmetic, numbers
     """Return the values of the device parameters that change the wall while the law runs, by name.
 
     `controller` is the one with which the device was armed. `numbers` are the position of the new wall, then the
-    parameters
-    of its law (`rig.experiments.trials.live.parameter_set`). Raise `PlanError` if a value is out of range for the
-    device, or
-    an option changes that cannot change while the law runs.
+    parameters of its law (`rig.experiments.trials.live.parameter_set`). Raise `PlanError` if a value is out of range
+    for the device, or an option changes that cannot change while the law runs.
     """
     position, *law = numbers
     name, before, after = controller.law.law.name, controller.law.parameters, np.array(law, dtype=np.float64)

@@ -262,8 +262,7 @@ def run(
 
     `counts`, `edge_age_s` (age of the last encoder edge, s) and `elapsed` (periods since the previous sample) are the
     results of `inputs`. `effort` is the mean effort since the previous sample (N·m or N), by default zero. The memory
-    of
-    `prepared` changes.
+    of `prepared` changes.
     """
     velocities, windows = np.empty(len(counts)), np.empty(len(counts), np.int64)
     memory = (prepared.state_f, prepared.state_i, prepared.parameters)

@@ -62,8 +62,7 @@ class Estimator(Shown):
     `ConfigError` if they cannot be realised at that period. `update` is the compiled function that is called for each
     velocity sample (`rig.realtime.plugs.ESTIMATOR_SIGNATURE`). `floats` and `ints` are the sizes of the memory that it
     keeps between calls. `uses_effort` is True if the estimator needs the motor's effort. `position` is the index, in
-    the
-    floats of the memory, of estimated position minus newest count (counts); None if the estimator estimates no
+    the floats of the memory, of estimated position minus newest count (counts); None if the estimator estimates no
     position.
     """
 

@@ -55,8 +55,8 @@ def half_cycle_contraction(mu1: float, mu2: float) -> float:
     """Return the worst-case factor by which a half cycle multiplies the velocity error x2 of Levant's differentiator.
 
     The worst case is over all disturbances |f̈| ≤ C. Below 1 the error of the continuous differentiator contracts for
-    every
-    such signal, and converges in finite time; 0 means that no disturbance can move the position error x1 across zero.
+    every such signal, and converges in finite time; 0 means that no disturbance can move the position error x1 across
+    zero.
 
     Notes
     -----

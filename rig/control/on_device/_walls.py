@@ -165,8 +165,7 @@ def fixed_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
     """Return the wall in SI units, from the device parameters of a law in integers.
 
     Its rounding error is half of 2⁻ˢ current quanta (s is the parameter ``fixed_shift``) for each LSB of depth or
-    velocity,
-    and 2⁻⁹ counts for the position.
+    velocity, and 2⁻⁹ counts for the position.
     """
     delta, quantum, period_s = _scales(c)
     lsb = math.ldexp(1.0, -int(values["fixed_shift"]))

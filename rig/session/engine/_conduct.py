@@ -327,8 +327,7 @@ class _Engine:
         """Apply a torque pulse with hands off the handle; return True if the motion agrees with the rig's description.
 
         The pulse comes before the first trial of a block, after a resume, and after a trial whose end makes it doubtful
-        that
-        the rig is in order.
+        that the rig is in order.
         """
         self._show("hands off", presented, say="Let go of the handle.")
         self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))

@@ -148,8 +148,7 @@ class DeviceRunner:
         """Measure the delay of the link, and return the walls that it makes unstable; a real rig needs consent.
 
         Nothing moves. Raise `PlanError` or `ConfigError` if a wall is not allowed even with consent, or the rig's
-        polarity is
-        not verified.
+        polarity is not verified.
         """
         if self.simulated or not walls:
             return ()
@@ -330,8 +329,7 @@ def heat_after(before: float, load: np.ndarray, tick_s: float, time_constant_s: 
     """Return the heat of a winding after a series of efforts; 1 is the heat after hours at the nominal effort.
 
     `before` is the heat at the beginning, `load` the effort divided by the nominal effort in each tick of length
-    `tick_s`,
-    and `time_constant_s` the thermal time constant of the winding (s).
+    `tick_s`, and `time_constant_s` the thermal time constant of the winding (s).
     """
     decay = math.exp(-tick_s / time_constant_s)
     ages = np.arange(len(load) - 1, -1, -1, dtype=np.float64)

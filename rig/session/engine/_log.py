@@ -105,8 +105,7 @@ class SessionLog:
         """Append an event, write it to disk and return it; the caller may act on the event only after that.
 
         Raise `RecordingError` if writing failed now or left an incomplete line earlier: only the log, opened again,
-        shows
-        whether the event was stored. Raise `ValueError` for a reserved key in `content`.
+        shows whether the event was stored. Raise `ValueError` for a reserved key in `content`.
         """
         taken = [name for name in RESERVED if name in content]
         if taken:

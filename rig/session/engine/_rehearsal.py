@@ -40,8 +40,7 @@ class Person:
     ----------
     thresholds
         K50 of each condition: the stiffness at which half of the person's verdicts are "stable". For a condition
-        without
-        a threshold, the person repeats the automatic verdict, which is computed from the recording.
+        without a threshold, the person repeats the automatic verdict, which is computed from the recording.
     spread
         Spread s of the psychometric function (unit of stiffness; `rig.session.search._psychometric`).
     lapse_rate

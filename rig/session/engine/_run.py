@@ -243,8 +243,7 @@ def resume_session(
 
     `at` is "trial" to continue with the next trial, or "block" to repeat the current block. Raise `ConfigError`, before
     anything is written, if the device is not that of the session, unless `other_device` is set. The other parameters
-    are
-    those of `run_session`.
+    are those of `run_session`.
     """
     person = read_person(directory)
     _refuse_a_real_rig(person, runner)

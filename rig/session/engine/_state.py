@@ -372,10 +372,9 @@ class SessionState:
         """Return the judged walls of a search from which its rule (e.g. a staircase) chooses the next wall.
 
         Staircases and ascending series derive the next wall from the sequence of walls that they chose. After the
-        correction
-        of a verdict such a rule receives only the answers to walls that it would still have chosen, so that it never
-        jumps to a
-        distant wall. `judged_probes` also returns the other answers, for estimates that do not depend on the sequence.
+        correction of a verdict such a rule receives only the answers to walls that it would still have chosen, so that
+        it never jumps to a distant wall. `judged_probes` also returns the other answers, for estimates that do not
+        depend on the sequence.
         """
         probes = self.judged_probes(run)
         if run.number not in self.corrected or run.practice or self._search(run).rule not in WALKING:
@@ -392,8 +391,7 @@ class SessionState:
         """Return the answers in a search: one for each judged trial that counts.
 
         An unsure verdict is an answer whose `stable` is None: the wall is presented again. After `trial.unsure` unsure
-        verdicts
-        in a row on the same wall, the last of them counts as not stable.
+        verdicts in a row on the same wall, the last of them counts as not stable.
         """
         probes: list[JudgedProbe] = []
         unsure, about = 0, None

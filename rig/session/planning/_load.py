@@ -38,8 +38,7 @@ def load_walls(path: str | Path, reach_for: ReachFor | None = None) -> Walls:
     """Read and check a protocol file; return the protocol with an experiment for each wall that it may present.
 
     `reach_for` is needed only for a simulated hand: it computes how long the hand moves to the wall. Raise
-    `ConfigError` if
-    the file is not valid, with one line for each problem: file, key, value, allowed range, remedy.
+    `ConfigError` if the file is not valid, with one line for each problem: file, key, value, allowed range, remedy.
     """
     path, source = Path(path), str(path)
     table = tidy(read_toml(path, "a protocol"))

@@ -31,8 +31,7 @@ class SearchRun:
     """One search for the stiffest stable wall in a session, or the practice trials.
 
     It has a number (from 1; 0 is practice), a condition, a damping, and the number of its repeat. `seed` decides its
-    random
-    choices; it differs between searches and participants.
+    random choices; it differs between searches and participants.
     """
 
     number: int

@@ -73,8 +73,7 @@ class Ascending:
         """Return the mean of the last stable levels of all finished ascents, with a 95 % interval (Student's t).
 
         The interval is infinite for a single ascent, and for ascents that scatter no more than rounding to levels
-        explains. If
-        such ascents end beyond the levels (censored), the last level bounds the interval on one side.
+        explains. If such ascents end beyond the levels (censored), the last level bounds the interval on one side.
         """
         series = self.series(answers)
         if not series:

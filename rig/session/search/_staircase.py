@@ -132,8 +132,7 @@ class Staircase:
         """Return True if the search is finished.
 
         A search ends after `turns` reversals, after `most` verdicts, or after several verdicts that would move it
-        beyond the
-        lowest or highest level of stiffness.
+        beyond the lowest or highest level of stiffness.
         """
         fine = sum(1 for _, smallest in walk.turns if smallest)
         return fine >= self.turns or walk.hits >= self.most or walk.pressed >= EDGE_VERDICTS

@@ -18,8 +18,7 @@ class PlainLines:
         """Return the texts of the user interface that have changed since the last call, one line each.
 
         `talk` is the state of the user interface, `live` contains the current values of a running trial, and `now_s` is
-        the
-        time on the caller's clock (s).
+        the time on the caller's clock (s).
         """
         view = talk.view
         found = [self._new("keys", words.always(talk)), self._new("place", words.place(view))]

@@ -192,8 +192,7 @@ def at_console(
     ----------
     hand
         Input device that moves the hand of a simulated rig; None if the hand hits by itself. For a real rig the
-        returned
-        function raises `ConfigError` if `hand` is given.
+        returned function raises `ConfigError` if `hand` is given.
     place
         Path of the terminal.
     """
