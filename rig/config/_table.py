@@ -89,13 +89,16 @@ def parameters_of(root: type) -> Mapping[str, ConfigKey]:
 
 
 def sections() -> Mapping[str, tuple[str, ...]]:
-    """Return the names of the keys in each table of an experiment file, by the table's dotted name ("": top level)."""
+    """Return the names of the keys in each section of an experiment file, by its dotted name ("": top level)."""
     return sections_of(Experiment, ("preset",))
 
 
 @cache
 def sections_of(root: type, also: tuple[str, ...] = ()) -> Mapping[str, tuple[str, ...]]:
-    """Return the keys in each table of a file, by the table's dotted name; `also` are further top-level keys."""
+    """Return the keys of each section (TOML table) of a file with the fields of `root`, by the section's dotted name.
+
+    `also` are further keys at the top level.
+    """
     found: dict[str, tuple[str, ...]] = {"": (*also, *(f.name for f in fields(root)))}
     for key in parameters_of(root):
         while "." in key:

@@ -80,12 +80,12 @@ class FileKind(Generic[T]):
     otherwise: str = ""
 
     def parameters(self) -> Mapping[str, ConfigKey]:
-        """Return the description of each key of a file of this kind, by the key's dotted name."""
+        """Return the description of each key of such a file, by the key's dotted name."""
         root: Any = self.root  # mypy finds type[T] not hashable
         return parameters_of(root)
 
     def sections(self) -> Mapping[str, tuple[str, ...]]:
-        """Return the names of the keys in each table of a file of this kind, by the table's dotted name."""
+        """Return the names of the keys in each section of such a file, by the section's dotted name."""
         root: Any = self.root
         return sections_of(root, self.also)
 

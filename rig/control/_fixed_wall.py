@@ -55,14 +55,14 @@ WALL = types.NamedUniTuple(types.int64, len(FixedWall._fields), FixedWall)
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def depth(count: int, wall: FixedWall) -> int:
-    """Return the penetration (counts · 2^8) of the wall at a count, saturated; above zero the handle is inside."""
+    """Return the penetration of the wall at an encoder count (counts · 2^8), saturated; positive inside the wall."""
     travel = wall.direction * count_difference(count, wall.reference)
     return saturate((travel << DEPTH_BITS) - wall.surface, DEPTH_WORD)
 
 
 @kernel(types.int64(types.int64, types.int64, WALL), inline=True)
 def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
-    """Return the reaction of the wall in current quanta · 2^shift, positive towards free space.
+    """Return the reaction of the wall, positive towards free space, in current quanta (smallest steps) · 2^shift.
 
     `penetration` is the result of `depth`; `velocity` is in LSB of the estimator's format, positive with rising counts.
     """
@@ -79,7 +79,7 @@ def reaction(penetration: int, velocity: int, wall: FixedWall) -> int:
 
 @kernel(types.int64(types.int64, WALL), inline=True)
 def limit_current(total: int, wall: FixedWall) -> int:
-    """Return the current (quanta) for an effort in quanta · 2^shift: rounded, halves towards +∞, within ±limit."""
+    """Return the current in quanta (smallest steps) for an effort in quanta · 2^shift: rounded, within ±limit."""
     quanta = shift_right(total, wall.shift, NEAREST)
     return min(max(quanta, -wall.limit), wall.limit)
 

@@ -24,12 +24,12 @@ def clip_effort(effort: float, limit: float) -> float:
 
 @kernel("f8(f8, f8, f8)", inline=True)
 def limit_slew(effort: float, previous: float, step: float) -> float:
-    """Return the effort limited to at most `step` above or below the previous effort (N·m or N)."""
+    """Return the effort (N·m or N) moved by at most `step` from the effort of the previous tick."""
     return min(max(effort, previous - step), previous + step)
 
 
 @kernel("f8(f8, f8)", inline=True)
 def current_quanta(effort: float, effort_quantum: float) -> float:
-    """Return the current (whole quanta) for an effort (N·m or N): nearest, halves towards +∞, within ±32767."""
+    """Return the current (whole quanta, the smallest steps) for an effort (N·m or N): nearest, within ±32767."""
     # floor(x + ½) and not round, which takes halves to even: firmware/law and old recordings have halves towards +∞.
     return float(np.floor(min(max(effort / effort_quantum + 0.5, -32767.0), 32767.0)))

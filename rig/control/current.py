@@ -229,7 +229,7 @@ def _slot(words: Ints, back: int) -> int:
 
 @rule
 def _extremes(words: Ints) -> tuple[int, int, int]:
-    """Return lowest, highest and nominal delayed current over all possible delays (1/16384 quantum)."""
+    """Return lowest, highest and nominal current over all possible delays (units of 1/16384 current quantum)."""
     slot = _slot(words, words[CURRENT.first])
     # The delay is no whole number of ticks: extremes over whole ticks around half and twice of it.
     low, high = words[CURRENT.lowest + slot], words[CURRENT.highest + slot]
@@ -243,7 +243,7 @@ def _extremes(words: Ints) -> tuple[int, int, int]:
 
 @rule
 def _back_emf(words: Ints, count: int) -> int:
-    """Return the current by back-EMF under voltage drive, signed with the motion (1/16384 quantum)."""
+    """Return the current that the back-EMF takes at the present speed (units of 1/16384 current quantum)."""
     step = min(max(count - words[CURRENT.count], -_MOST_COUNTS), _MOST_COUNTS) * _COUNT
     words[CURRENT.count] = count
     # Smoothed over SPEED_LAG_S, or single counts would be large currents.
@@ -277,13 +277,12 @@ def _outside(left: int, low: int, high: int) -> int:
 
 @rule
 def _size(current: int) -> int:
-    """Return the magnitude of a current in 1/16384 quantum, rounded to quanta."""
+    """Return a magnitude in units of 1/16384 current quantum as whole quanta, rounded."""
     return (abs(current) + _UNIT // 2) // _UNIT
 
 
 @rule
 def _part(difference: int, share: int) -> int:
-    """Return a difference multiplied by `share`/65536, rounded down."""
     return difference * share >> 16
 
 

@@ -244,17 +244,17 @@ class ExcitationTable:
 
     @property
     def values(self) -> Floats:
-        """Return one period of the excitation (current quanta), shape (period,)."""
+        """Return one period of the excitation (in current quanta, the device's smallest steps), shape (period,)."""
         return np.asarray(self.table, np.float64) * 2.0**-self.bits
 
     @property
     def peak(self) -> float:
-        """Return the largest magnitude of the excitation (current quanta)."""
+        """Return the largest magnitude of the excitation (in current quanta, the device's smallest steps)."""
         return float(np.abs(self.values).max())
 
     @property
     def rms(self) -> float:
-        """Return the root mean square of the excitation over a period (current quanta)."""
+        """Return the excitation's root mean square over a period (in current quanta, the device's smallest steps)."""
         return float(np.sqrt(np.mean(self.values**2)))
 
     @property

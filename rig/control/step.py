@@ -396,7 +396,7 @@ def advance_phase(control: Any, memory: Any, elapsed_ticks: int) -> None:
 
 @kernel(types.float64(CONTROL_TYPE, MEMORY_TYPE, types.int64), inline=True)
 def _sources(control: Any, memory: Any, elapsed_ticks: int) -> float:
-    """Return the sum of all efforts of this tick (N·m or N), including the wall's, before the guard limits it."""
+    """Return the sum of all efforts of this tick (N·m or N), including the wall's, before any limit."""
     c, m = control[0], memory[0]
     phase = m["phase"]
     if phase in (HOMING, SETTLE):

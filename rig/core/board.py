@@ -90,14 +90,14 @@ def current_sensor(model: RigModel) -> CurrentSensor:
 
 
 def peak_current(model: RigModel) -> int:
-    """Return the largest current of the rig's amplifier, in whole current quanta."""
+    """Return the largest current of the rig's amplifier, in whole current quanta (smallest steps of the device)."""
     # The factor makes 10.999… quanta 11: the quotient of two decimals is rounded.
     whole = model.amplifier.effort_limit / model.amplifier.effort_quantum * (1.0 + 1e-12)
     return int(min(whole, CURRENT_QUANTA_LIMIT))
 
 
 def over_current(model: RigModel) -> int:
-    """Return the measured current (quanta) above which the device reports an overcurrent fault."""
+    """Return the measured current (in smallest steps, quanta) above which the device reports an overcurrent fault."""
     return int(OVER_CURRENT_MARGIN * model.amplifier.effort_limit / model.amplifier.effort_quantum)
 
 

@@ -37,7 +37,10 @@ def _is_installed(module: str) -> bool:
 
 
 def loader(package: str, table: Mapping[str, tuple[str, str]]) -> Callable[[str], Any]:
-    """Return a function ``__getattr__`` for a package; it imports a name of `table` (module, name) on first use."""
+    """Return a ``__getattr__`` for a package that imports a public name on first use.
+
+    `table` has the module and the name in it for each public name.
+    """
 
     def loaded(name: str) -> Any:
         if name not in table:

@@ -118,7 +118,7 @@ def read_parquet(path: Path, columns: Collection[str] | None = None) -> Recordin
 
 
 def read_parquet_facts(path: Path) -> Recording:
-    """Return header and trailer of a Parquet recording as a recording without rows."""
+    """Return what a Parquet recording has besides its rows (header and trailer), as a recording without rows."""
     with _open_file(path) as file:
         metadata = _metadata(path, file.schema_arrow)
         return _facts(path, metadata)

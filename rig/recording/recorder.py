@@ -243,7 +243,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the recording; after an exception of the loop, write the exception's text into the trailer."""
+        """End the recording; after an exception of the loop, write its text into the data at the file's end."""
         if error is None:
             self.finish()
             return

@@ -102,7 +102,7 @@ def float_wall_in_si(values: Mapping[str, Value], c: Control) -> DeviceWall:
 
 
 def float_guard(c: Control) -> Values:
-    """Return the device parameters of constant effort, limits and homing servo in float32 (counts, current quanta)."""
+    """Return the device parameters of constant effort, limits and homing servo in float32 (counts, current steps)."""
     delta, quantum, period_s = _scales(c)
     return {
         "float_constant": c["constant_effort"] / quantum,

@@ -259,7 +259,6 @@ def _same(value: float) -> ExpectedRange:
 
 
 def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
-    """Return condition and damping of each search in each block, as texts, without practice."""
     several = {one.name for one in protocol.condition if len(one.damping) > 1}
     return tuple(
         tuple(

@@ -23,7 +23,7 @@ class SessionClock(Protocol):
 
 
 class WallClock:
-    """Clock of a session that returns the real time of day."""
+    """Clock of a session with a real person: the time of day."""
 
     def __call__(self) -> float:
         """Return the current time (s since 1970)."""

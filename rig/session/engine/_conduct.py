@@ -87,7 +87,7 @@ _PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, Recor
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
-    """Return the experiment with the first search's softest wall, and the sampling rates to set on a device."""
+    """Return the experiment with the first and softest wall of a session, and the sampling rates to set on a device."""
     protocol = walls.protocol
     run = next(run for block in blocks for run in block.runs)
     softest = protocol.search_of(protocol.condition_named(run.condition)).lowest
@@ -104,7 +104,7 @@ def _wall(
 
 
 class Marks(Protocol):
-    """Interface of an object that sends the session's events to other programs, without delaying the session."""
+    """Interface of an object that sends events of a session, such as a trial, to other programs, without delay."""
 
     def push(self, mark: str, at_ns: int | None = None, **content: Any) -> None:
         """Send an event with the name `mark` and further values to other programs.
@@ -115,7 +115,7 @@ class Marks(Protocol):
 
 
 class Streams(Marks, Protocol):
-    """Data streams (of an extra package) that send events to other programs; the session opens and closes them."""
+    """Data streams, provided by an optional package, that send a session's events to other programs."""
 
     @property
     def lost(self) -> int:

@@ -126,7 +126,7 @@ class Desk(ABC):
     who: Literal["person", "simulated"] = "person"  # who judges here
 
     def attend(self, session: Session) -> None:  # noqa: B027  (who is asked and shown all needs no more)
-        """Receive the session once, before any other call; the user interface may only read it."""
+        """Receive the session once, before any other call; it must not be changed."""
 
     @abstractmethod
     def show(self, view: DeskView) -> None:

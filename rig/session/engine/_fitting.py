@@ -26,7 +26,7 @@ def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
 
 
 def refuse_misfit(walls: Walls, runner: TrialRunner) -> None:
-    """Raise `rig.core.errors.PlanError` if the device cannot run one of the session's conditions."""
+    """Raise `PlanError` if the device cannot run one of the conditions (settings) that the session compares."""
     refuse(fit_checks(walls, runner))
 
 

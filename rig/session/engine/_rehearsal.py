@@ -134,7 +134,7 @@ def check_person(person: Person, protocol: Protocol) -> None:
 
 
 class Day:
-    """Virtual clock of a rehearsal (s), which only its methods advance."""
+    """Virtual clock (s) of a session with a simulated person; only its methods advance it."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -157,7 +157,7 @@ class Day:
 
 
 class RealDay(WallClock):
-    """Clock of a rehearsal in real time."""
+    """Clock of a session with a simulated person that runs in real time."""
 
     def rests(self, seconds: float) -> None:
         """Wait for the duration of a rest (s)."""
@@ -186,7 +186,7 @@ class RehearsalDesk(Desk):
             self.day = session.clock
 
     def show(self, view: DeskView) -> None:
-        """Pass the session's state to the function that displays a rehearsal, if there is one."""
+        """Pass the session's state to the function `looks`, which displays it, if there is one."""
         if self.looks is not None:
             self.looks(view)
 
@@ -217,7 +217,7 @@ class RehearsalDesk(Desk):
 
 
 def _plain_answer(item: Mapping[str, Any]) -> str:
-    """Return a placeholder answer to a question: the first choice, the middle of a scale, or the word "rehearsal"."""
+    """Return the simulated person's answer to a question: the first choice, the middle of a scale, or "rehearsal"."""
     if item.get("kind") == "choice":
         return str(item["choices"][0])
     if item.get("kind") == "scale":

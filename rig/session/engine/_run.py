@@ -293,7 +293,7 @@ def _resume(
 
 
 def read_person(directory: Path) -> Person | None:
-    """Return the simulated person of the rehearsal in a directory; None for a session with a participant."""
+    """Return the simulated person of the session in a directory; None if a real participant takes part."""
     events = read(directory / LOG)
     found = events[0].content.get("rehearsal") if events else None
     return None if found is None else Person(**found)
@@ -421,7 +421,7 @@ def _conduct(
 def _streams(
     protocol: Protocol, experiment: Mapping[str, Any], marks: str | None
 ) -> Iterator[Streams | None]:
-    """Yield the open data streams of a session to other programs; None if `marks` is None."""
+    """Yield the open data streams to other programs of the optional package `marks`; None if `marks` is None."""
     if marks is None:
         yield None
         return

@@ -87,7 +87,7 @@ class DoAsk:
 
 @dataclass(frozen=True, slots=True)
 class DoBlock:
-    """Next step of a session: begin this block."""
+    """Next step of a session: begin this block, a group of searches between two breaks."""
 
     block: Block
 
@@ -112,7 +112,7 @@ class DoPause:
 
 @dataclass(frozen=True, slots=True)
 class DoDecide:
-    """Next step of a session: ask the operator how to continue after too many invalid trials of the search `run`."""
+    """Next step of a session: ask the operator what to do after too many invalid trials of the search `run`."""
 
     run: SearchRun
     last: RecordedTrial
@@ -248,7 +248,7 @@ class SessionState:
 
     @property
     def open_block(self) -> Block | None:
-        """Group of searches that was begun last; None if it is finished, or none was begun."""
+        """Group of searches between two breaks that was begun last; None if it is finished, or none was begun."""
         if not self.begun:
             return None
         block = next(one for one in self.blocks if one.number == self.begun[-1])
@@ -361,7 +361,7 @@ class SessionState:
         return self.trials[number - 1]
 
     def trials_of(self, run: SearchRun) -> list[RecordedTrial]:
-        """Return the trials of a search that were not excluded, also the invalid trials."""
+        """Return all trials of a search for the stiffest stable wall that were not excluded, also invalid ones."""
         return [trial for trial in self.trials if trial.run == run.number and not trial.void]
 
     def rule(self, run: SearchRun) -> Rule:
@@ -388,10 +388,10 @@ class SessionState:
         return led
 
     def judged_probes(self, run: SearchRun) -> list[JudgedProbe]:
-        """Return the answers in a search: one for each judged trial that counts.
+        """Return all judged walls of a search for the stiffest stable wall: one for each judged trial that counts.
 
-        An unsure verdict is an answer whose `stable` is None: the wall is presented again. After `trial.unsure` unsure
-        verdicts in a row on the same wall, the last of them counts as not stable.
+        A wall without a clear verdict has `stable` None: it is presented again. After `trial.unsure` unsure verdicts in
+        a row on the same wall, the last of them counts as not stable.
         """
         probes: list[JudgedProbe] = []
         unsure, about = 0, None
@@ -411,7 +411,7 @@ class SessionState:
         return self.protocol.search_of(self.protocol.condition_named(run.condition))
 
     def asks(self, run: SearchRun) -> Probe | None:
-        """Return the next wall that a search presents; None if the search is finished or was skipped."""
+        """Return the next wall that a search presents to the person; None if the search is finished or was skipped."""
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
@@ -523,7 +523,7 @@ class SessionState:
         return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: SearchRun) -> int:
-        """Return the number of invalid trials in a row at the end of a search, since the operator last continued.
+        """Return how many of a search's newest trials in a row are invalid, since the operator last continued.
 
         Trials that computer or link made invalid are not counted.
         """

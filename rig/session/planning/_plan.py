@@ -13,7 +13,7 @@ from rig.session.planning._times import Heat, Taken, TrialTimes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellPlan:
-    """Plan of one search: a condition at one damping.
+    """Plan of one search for the stiffest stable wall: a condition at one damping.
 
     Attributes
     ----------

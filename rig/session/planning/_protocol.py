@@ -137,7 +137,7 @@ class Search:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Condition:
-    """Condition to be compared: a sampling scheme and other changed settings, at one or more dampings."""
+    """A condition that a study compares with others: sampling scheme and other changed settings, and dampings."""
 
     name: Annotated[
         str, MinLen(1), Quantity("", "name in tables and figures; never shown to blinded persons")
@@ -282,7 +282,7 @@ class Trial:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Practice:
-    """Practice trials before the first block, which are not evaluated."""
+    """Section ``[practice]``: trials before the first block, which are not evaluated."""
 
     stiffness: Annotated[
         tuple[float, ...], Quantity("stiffness", "stiffness of the practice trials, in this order")
@@ -296,7 +296,7 @@ class Practice:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rest:
-    """Rests of the hand and cooling pauses of the motor."""
+    """Section ``[rest]``: rests of the hand and cooling pauses of the motor."""
 
     every: Annotated[
         int, Ge(0), Le(10_000), Quantity("", "number of trials between two rests; 0: no rests")
@@ -317,7 +317,7 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caps:
-    """Limits that no trial may exceed, for any wall that a search rule chooses."""
+    """Section ``[caps]``: limits, such as stiffness and energy, that no trial of a study may exceed."""
 
     stiffness: Annotated[
         float | None,
@@ -337,7 +337,7 @@ class Caps:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stop:
-    """Rules that end a session early."""
+    """Section ``[stop]``: rules that end a session early."""
 
     trials: Annotated[int | None, Ge(1), Le(100_000), Quantity("", "end after this number of trials")] = None
     minutes: Annotated[

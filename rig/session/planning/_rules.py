@@ -163,7 +163,7 @@ def _scheme(key: str, text: str) -> Iterator[Problem]:
 
 
 def searches(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of searches with invalid levels, or with settings that their search rule does not have."""
+    """Yield problems of searches for the stiffest stable wall: invalid levels, or settings unknown to their rule."""
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:
         if wanted is not None:
@@ -235,13 +235,13 @@ _TYPES: dict[str, tuple[str, Callable[[Any], bool], dict[str, Any]]] = {
 
 
 def settings_of(name: str) -> dict[str, inspect.Parameter]:
-    """Return the settings that a protocol may give to a search rule, by name."""
+    """Return the settings that a protocol may give to a search rule such as "staircase", by name."""
     parameters = inspect.signature(search.RULES[name]).parameters
     return {key: one for key, one in parameters.items() if key not in ("levels", "seed")}
 
 
 def settings_schema(name: str) -> dict[str, Any]:
-    """Return the JSON schema of a search rule's settings, described by the texts of the rule's docstring."""
+    """Return the JSON schema of the settings of a search rule such as "staircase", with texts from its docstring."""
     # A rule may leave a shared setting to the docstring of another rule; its own text replaces the others'.
     meanings: dict[str, str] = {}
     for one in (*search.RULES.values(), search.RULES[name]):

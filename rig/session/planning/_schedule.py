@@ -95,7 +95,7 @@ def rows_of(protocol: Protocol) -> int:
 
 
 def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
-    """Return condition and damping of each search of a protocol, in the order of the file."""
+    """Return each pair of condition and damping for which a protocol searches the stiffest stable wall."""
     return tuple((one.name, damping) for one in protocol.condition for damping in one.damping)
 
 
@@ -162,7 +162,7 @@ class InOrder:
         return Probe(self.levels[len(answers)]) if len(answers) < len(self.levels) else None
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return an estimate without a value (NaN), because practice finds no limit."""
+        """Return an estimate without a value (NaN), because practice does not search for the stiffest stable wall."""
         return Estimate(
             value=math.nan, low=0.0, high=math.inf, share=math.nan, censored="", hits=len(answers)
         )
@@ -224,7 +224,7 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
 
 
 def _fits(protocol: Protocol) -> dict[str, list[str]]:
-    """Return the names of conditions grouped by the part that must be fitted to the rig, to avoid refitting."""
+    """Return the names of conditions, grouped by the mechanical part that they need on the rig."""
     found: dict[str, list[str]] = {}
     for one in protocol.condition:
         found.setdefault(one.fit, []).append(one.name)

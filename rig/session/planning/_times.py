@@ -84,7 +84,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Heat:
-    """Heat of the motor's winding in a session, as fractions of its heat budget, and cooling pauses.
+    """Heat of the motor's winding in a session (1: after hours at the nominal effort), and cooling pauses.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ def run(rule: Rule, observer: Observer, seed: int, most: int = 100_000) -> list[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Performance:
-    """Performance of a search rule with a simulated observer over many sessions.
+    """How well a search rule finds a simulated person's threshold of stiffness, over many sessions.
 
     Attributes
     ----------

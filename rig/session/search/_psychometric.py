@@ -196,7 +196,7 @@ def interval(
 
 
 def _edges(levels: Floats, least: float) -> Floats:
-    """Return evenly spaced edges, from half a range below the levels (but not below `least`) to half a range above."""
+    """Return evenly spaced edges, from half a range below the levels, but at least `least`, to half a range above."""
     half = (levels[-1] - levels[0]) / 2.0
     low, high = max(levels[0] - half, least), levels[-1] + half
     wanted = math.ceil((high - low) / (FINENESS * np.diff(levels).min()))

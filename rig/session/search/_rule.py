@@ -39,7 +39,7 @@ class JudgedProbe:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """Estimate of the limit of stable walls (a stiffness).
+    """Estimated stiffness of the stiffest wall that a person judges as stable.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Rule(Protocol):
         ...
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the estimate of the limit of stable walls from these answers, also for an unfinished search."""
+        """Return the estimated stiffness of the stiffest stable wall from the answers to the walls so far."""
         ...
 
 
@@ -116,7 +116,7 @@ def mark_contradictions(estimate: Estimate, verdicts: Sequence[tuple[float, bool
 
 
 def contradiction(value: float, low: float, high: float, verdicts: Sequence[tuple[float, bool]]) -> str:
-    """Return the reason for which verdicts (level, stable) contradict a limit and its interval, or "".
+    """Return why verdicts (stiffness, stable) contradict an estimated limit `value` and its interval, or "".
 
     A limit must lie in its own interval, and between a wall that was judged stable and a wall that was judged not
     stable.

@@ -106,7 +106,7 @@ class Staircase:
         return None if self.has_ended(walk) else Probe(self.levels[walk.place], track=track)
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean level of the reversals at the smallest step, with a 95 % interval from all verdicts."""
+        """Return the mean stiffness of the reversals at the smallest step, with a 95 % interval from all verdicts."""
         verdicts = verdicts_of(answers, 0)
         return self.estimate_of(self.walk(verdicts), verdicts, len(answers))
 

@@ -25,7 +25,7 @@ Message = Mapping[str, Any]
 
 
 class AskingDesk(Desk):
-    """Desk (the session's side of the operator's user interface) for a user interface in another process.
+    """The session's side of an operator's user interface that runs in another process.
 
     Subclasses send and receive the messages, and check that the other process is alive.
     """

@@ -28,7 +28,7 @@ Message = dict[str, Any]
 
 
 class Child:
-    """Console process, seen from the session's process.
+    """Console process (the operator's user interface in a terminal), seen from the session's process.
 
     Parameters
     ----------
@@ -105,27 +105,27 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Process ID of the console."""
+        """Process ID of the operator's console."""
         return self._process.pid
 
     @property
     def dead(self) -> bool:
-        """True if the console process has ended."""
+        """True if the process of the operator's console has ended."""
         return self._process.poll() is not None
 
     @property
     def silent_s(self) -> float:
-        """Time since the last message from the console (s)."""
+        """Time since the last message from the operator's console (s)."""
         return time.monotonic() - self.heard_s
 
     def say(self, kind: str, **content: Any) -> None:
-        """Send a message to the console without waiting, even if the console does not read."""
+        """Send a message to the operator's console without waiting, even if the console does not read."""
         if not self._closed:
             self._pending += line_of(kind, **content)
             self.flush()
 
     def flush(self) -> None:
-        """Send waiting bytes that did not fit into the pipe; kill the console if too many are waiting."""
+        """Send waiting bytes that the pipe to the console did not accept; kill the console if too many are waiting."""
         with suppress(BlockingIOError, BrokenPipeError):
             while self._pending and not self._closed:
                 del self._pending[: os.write(self._to, self._pending)]
@@ -133,7 +133,7 @@ class Child:
             self.kill()
 
     def complaint(self) -> str:
-        """Return the last line that the console wrote to standard error; "" if it wrote nothing."""
+        """Return the last line that the console process wrote to standard error; "" if it wrote nothing."""
         length = os.fstat(self._complaints).st_size
         text = os.pread(self._complaints, 4096, max(0, length - 4096)).decode(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]

@@ -95,7 +95,7 @@ class Conversation:
         self.help = False
 
     def see(self, view: Mapping[str, Any]) -> None:
-        """Replace the displayed view by the content of a message from the session."""
+        """Replace the displayed state of the session by the content of a message from the session."""
         self.view = DeskView(**{**view, "lines": tuple(view.get("lines", ()))})
 
     def ask(self, question: Mapping[str, Any], now_s: float) -> list[Decision]:
@@ -170,7 +170,7 @@ class Conversation:
         return self._mean(self.keymap.meaning(key), key)
 
     def line(self, text: str) -> list[Decision]:
-        """Process a complete typed line as the text of a note or an answer; return the resulting decisions.
+        """Process a complete typed line as the text of a note or an answer; return the replies to the session.
 
         Return [] if no text is expected.
         """

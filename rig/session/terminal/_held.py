@@ -22,7 +22,7 @@ class HeldKeys:
         self._asked_s = now_s
 
     def ask_again(self) -> None:
-        """Open a follow-up question caused by the newest key press, which must not answer the follow-up question."""
+        """Open a further question that the newest key press caused; that key press must not answer it."""
         self._asked_s = max((last_s for _, last_s in self._presses.values()), default=self._asked_s)
 
     def arrive(self, key: str, now_s: float) -> bool:

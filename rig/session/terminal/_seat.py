@@ -78,7 +78,7 @@ class Seat:
     Attributes
     ----------
     talk
-        State of the user interface.
+        State of the operator's user interface.
     snapshot
         Current values of the running trial; None if no control loop runs.
     number

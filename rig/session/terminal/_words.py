@@ -167,7 +167,7 @@ def choices(talk: Conversation) -> str:
 
 
 def always(talk: Conversation) -> str:
-    """Return the text about the keys that work at any time."""
+    """Return the text about the keys that the operator can press at any time."""
     return "\n".join(filter(None, [hand(talk), "[SPACE] STOP  [?] keys  [^C] stop and leave"]))
 
 

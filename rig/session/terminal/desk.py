@@ -113,11 +113,11 @@ class ConsoleDesk(AskingDesk):
 
     @property
     def pid(self) -> int:
-        """Process ID of the console."""
+        """Process ID of the operator's console."""
         return self._child.pid
 
     def close(self) -> None:
-        """End the console process and restore the terminal's settings."""
+        """End the process of the operator's console and restore the terminal's settings."""
         if not self._closed:
             self._closed = True
             self._child.close()
@@ -155,7 +155,7 @@ class ConsoleDesk(AskingDesk):
             )
 
     def _is_renewed(self) -> bool:
-        """Restart the console if it died or hangs; return True if it was restarted."""
+        """Restart the operator's console if it died or hangs; return True if it was restarted."""
         self._child.flush()
         renewed = self._child.dead or self._child.silent_s > (
             self._hung_s if self._child.greeted else START_S
