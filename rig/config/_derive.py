@@ -1,4 +1,7 @@
-"""Compute values from an experiment: rig model, excitation size, verdict thresholds; check its estimator and law."""
+"""Compute values from an experiment: rig model, excitation size, verdict thresholds; check its estimator and law.
+
+`rig.config` exports these functions. They must not change an experiment that they receive.
+"""
 
 from __future__ import annotations
 

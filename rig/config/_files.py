@@ -1,6 +1,7 @@
 """Read experiment files and presets (TOML) as nested dicts, and overlay one dict on another.
 
-A *table* is a section of a TOML file, and the dict that represents it.
+A *table* is a section of a TOML file, and the dict that represents it. The loaders of experiments, protocols and boards
+use it. It must not check a key.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Create a checked `Experiment` from a file, a mapping or options; or raise one error that lists all problems."""
+"""Create a checked `Experiment` from a file, a mapping or options; or raise one error that lists all problems.
+
+`rig.config` exports these functions. They must not write a file.
+"""
 
 from __future__ import annotations
 

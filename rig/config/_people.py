@@ -1,6 +1,7 @@
 """Set and check limits for people: limits of a trial in which a person holds the handle (``trial.kind = "human"``).
 
-The effort is at most ``nominal_effort``, and violent oscillations end the trial (`rig.control._watch`).
+The effort is at most ``nominal_effort``, and violent oscillations end the trial (`rig.control._watch`). The loader of
+experiments calls it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Describe problems of an experiment, and join them into one error with a line for each problem."""
+"""Describe problems of an experiment, and join them into one error with a line for each problem.
+
+All checks of files report their problems by it.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Check rules between several keys of an experiment; each rule is a function that yields the problems that it finds.
 
-The rules run after the type and range of each key have been checked.
+The rules run after the type and range of each key have been checked. The loader of experiments calls them. A rule must
+not change the experiment.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ The validator, the error messages, the listing of a plan and the schema for edit
 physics of the rig.
 
 Positions, efforts and stiffnesses are at the link, in SI units, which depend on ``rig.motion``
-(`rig.core.sample.unit_of`).
+(`rig.core.sample.unit_of`). Recordings contain an experiment: a renamed key makes older recordings unreadable.
 """
 
 from __future__ import annotations

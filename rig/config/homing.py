@@ -125,14 +125,8 @@ def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
 def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) -> float:
     """Return the smallest phase margin of a homing servo (rad); negative if the servo is unstable.
 
-    Parameters
-    ----------
-    x
-        Experiment with rig and controller; motor and link are assumed to move together.
-    stiffness, damping
-        Gains of the servo (N·m/rad and N·m·s/rad, or N/m and N·s/m).
-    ticks
-        Delay of the loop in addition to the set-point delay (ticks).
+    Motor and link are assumed to move together. `stiffness` and `damping` are the servo's gains (N·m/rad and N·m·s/rad,
+    or N/m and N·s/m), `ticks` is the delay of the loop in addition to the set-point delay.
     """
     delay_s, velocity_s = _delays_s(x, ticks)
     lag_s, mass = x.rig.amplifier.lag_s, inertia(x)

@@ -1,4 +1,7 @@
-"""Butterworth filters as second-order sections: the bilinear, prewarped design."""
+"""Butterworth filters as second-order sections: the bilinear, prewarped design.
+
+The filters of a verdict and the Butterworth estimator use it. It must not import scipy, which loads slowly.
+"""
 
 from __future__ import annotations
 

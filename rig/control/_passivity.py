@@ -4,6 +4,8 @@ The passivity observer is the sum E of effort times travel (`rig.control._watch.
 active on the device minus the constant push of an automated trial. If E is above zero inside the wall, damping is
 added that would remove E within one tick T at the present speed v, B = E/(v²·T), but at most `limit`.
 
+`rig.control.step` calls it in each tick. It must not allocate.
+
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", the impedance causality; the limit
 and the rule about reversal are defined by this project.
 """

@@ -1,7 +1,7 @@
 """Effort of the homing servo, and the motion of its set point.
 
 Homing moves a set point towards the start at limited speed. A soft servo, clipped to `home_effort`, follows it, so that
-an obstacle is pressed with at most that effort.
+an obstacle is pressed with at most that effort. `rig.control.step` calls it in each tick. It must not allocate.
 """
 
 from __future__ import annotations

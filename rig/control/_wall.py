@@ -1,7 +1,8 @@
 """The virtual wall: a unilateral spring and damper.
 
 τ = K·θ + B·ω inside, zero outside (Koul et al., equation (1)). In dual-rate rendering θ is the position of this tick
-and ω the velocity held since the last velocity sample; `rig.control.step` selects both.
+and ω the velocity held since the last velocity sample; `rig.control.step` selects both. Experiments select it by
+``wall.law``; `rig.control.step` calls it in each tick. It must not allocate.
 """
 
 from __future__ import annotations

@@ -160,29 +160,13 @@ class ExcitationTable:
     ) -> ExcitationTable:
         """Return the table with the lines and the amplitude of a multisine; its phases follow the rule `phases`.
 
-        Parameters
-        ----------
-        multisine
-            Equally spaced lines of equal amplitude (N·m or N).
-        rate_hz
-            Rate of the device (Hz).
-        effort_quantum
-            Effort of one current quantum (N·m or N).
-        ramp
-            Number of ticks in which the excitation rises from zero.
-        phases, seed
-            Rule for the phases ("schroeder", or pseudo-random ones: `PHASES`), and their seed.
+        The multisine has equally spaced lines of equal amplitude (N·m or N). `rate_hz` is the rate of the device, and
+        `effort_quantum` the effort of one current quantum (N·m or N). The excitation rises from zero within `ramp`
+        ticks. The rule for the phases is "schroeder" or pseudo-random (`PHASES`), then with a seed.
 
-        Raises
-        ------
-        ConfigError
-            Lines or amplitudes are not equal, the period is not a whole number of ticks, or a device would reject a
-            parameter.
-
-        Notes
-        -----
-        `bits` is the largest number with which the peak fits 16 bits, so one step of the table is between 2^−15 and
-        2^−14 of the peak.
+        Raise `ConfigError` if lines or amplitudes are not equal, the period is not a whole number of ticks, or a device
+        would reject a parameter. `bits` is the largest number with which the peak fits 16 bits, so one step of the
+        table is between 2^−15 and 2^−14 of the peak.
         """
         harmonics, ticks = multisine.harmonics, rate_hz * multisine.period_s
         steps = np.diff(harmonics)

@@ -140,24 +140,10 @@ def describe(
 ) -> dictionaries.Dictionary:
     """Return the description that a rig's device sends of itself: constants, settings, and parameters with ranges.
 
-    The ranges are limited by motion, encoder and peak current of the rig.
-
-    Parameters
-    ----------
-    model
-        Physics of the rig.
-    firmware
-        Version of the device's firmware.
-    simulated
-        True if the device has no real motor.
-    rate_default, rate_maximum
-        Default and highest tick rate (Hz).
-    name
-        Name of the device; None: name of the rig.
-    narrower
-        Further ranges (minimum, maximum) by parameter name.
-    settings
-        Settings with which the firmware of the board was built.
+    The ranges are limited by motion, encoder and peak current of the rig, and by `narrower`: (minimum, maximum) by
+    parameter name. `firmware` is the version of the device's firmware, `settings` are those with which it was built;
+    `simulated` is True if the device has no real motor. Tick rates are in Hz. Without `name` the device has the name of
+    the rig.
     """
     motion = 0 if model.motion == "rotary" else 1
     peak = peak_current(model)

@@ -26,7 +26,8 @@ Each line below gives offset and size in bytes::
 The JSON of the header contains under ``schema`` the size of a row and the dtype, offset, unit and meaning of each
 column: to read a capture, this page and a JSON parser suffice. The reader skips and reports a damaged block, with the
 number of its rows if its own head or the next head is valid. A file without an end block was cut off: its last bytes
-may be an incomplete block, all other blocks are valid.
+may be an incomplete block, all other blocks are valid. The recorder, the reader and `seal` use it. Another layout of
+bytes needs another format version.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ header and trailer.
 The time of a message is the creation time of the recording plus the time since its first row on the device's clock, or
 on the host's clock if the device's was not recorded. NaN and infinities are null, because JSON lacks them.
 
+`rig.recording.export` calls it.
+
 Source: MCAP format specification (mcap.dev/spec) through the package ``mcap``; "well-known" encodings json, jsonschema.
 """
 

@@ -1,4 +1,7 @@
-"""Summary of the latencies of a recording: duration of each stage, the worst ticks, and the loop's counters."""
+"""Summary of the latencies of a recording: duration of each stage, the worst ticks, and the loop's counters.
+
+The trailer of a recording stores it and `rig recording timing` shows it.
+"""
 
 from __future__ import annotations
 

@@ -32,16 +32,9 @@ _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 class LineFile:
-    """Append-only file of lines with checksums, open for writing.
+    """Append-only file of lines with checksums, open for writing; it is created if it does not exist.
 
-    Raise `RecordingError` if another process is writing the file, or on a disk error.
-
-    Parameters
-    ----------
-    path
-        Path of the file, which is created if it does not exist.
-    remedy
-        Advice to print in the error message if another process has the file open.
+    Raise `RecordingError` if another process is writing the file, with `remedy` as advice, or on a disk error.
     """
 
     def __init__(self, path: Path, *, remedy: str) -> None:

@@ -80,14 +80,8 @@ class Distribution:
 def quantile(ordered: ArrayLike, share: float, confidence: float = CONFIDENCE) -> Quantile:
     """Return a quantile of a sample with its confidence bounds.
 
-    Parameters
-    ----------
-    ordered
-        Sample in ascending order, with at least one value.
-    share
-        Level of the quantile: the fraction of values (0 … 1) that do not exceed the quantile.
-    confidence
-        Confidence of the lower and of the upper bound, each alone (0 … 1).
+    The sample is `ordered`, ascending, with at least one value. `share` is the fraction of values (0 … 1) that do not
+    exceed the quantile, `confidence` that of the lower and of the upper bound, each alone (0 … 1).
     """
     sample = np.asarray(ordered)
     number = len(sample)

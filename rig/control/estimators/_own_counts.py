@@ -1,7 +1,8 @@
 """Check and unwrap counts and elapsed periods of other data loggers: whole numbers of any type, counters that wrap.
 
 A missing, fractional or ambiguous value raises an error with its index and with Python statements that correct the
-array; `tests/rig/control/test_own_counts.py` runs these statements as printed.
+array; `tests/rig/control/test_own_counts.py` runs these statements as printed. `rig.control.estimators.arrays` uses it.
+It must not repair counts silently.
 """
 
 from __future__ import annotations

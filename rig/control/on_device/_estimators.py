@@ -1,9 +1,10 @@
 """Device parameters of an estimator, converted from those of the host's kernel.
 
-A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), `foaw-end`,
-`foaw-best`, Levant's differentiator, and the Kalman filter with its steady gain, which also runs `tracking` and
-`disturbance`. Others are rejected: `period` and `period-frequency` need edge times, a recursive gain takes longer than
-a tick allows, and `optimal` and `foaw-levant` are not implemented in firmware.
+A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), `foaw-end`, `foaw-best`,
+Levant's differentiator, and the Kalman filter with its steady gain, which also runs `tracking` and `disturbance`.
+Others are rejected: `period` and `period-frequency` need edge times, a recursive gain takes longer than a tick allows,
+and `optimal` and `foaw-levant` are not implemented in firmware. `rig.config.device_law` and exports of an estimator use
+it. Change it only together with firmware/law.
 """
 
 from __future__ import annotations

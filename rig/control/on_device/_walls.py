@@ -1,4 +1,7 @@
-"""Device parameters of the wall, of the limits of its effort and of its homing servo, in integers and in float32."""
+"""Device parameters of the wall, of the limits of its effort and of its homing servo, in integers and in float32.
+
+`rig.config.device_law` uses it. Change it only together with firmware/law.
+"""
 
 from __future__ import annotations
 

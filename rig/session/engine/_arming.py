@@ -2,7 +2,7 @@
 
 The check before a motor is armed (`rig.doctor.gate`) refuses walls that would be unstable with this delay. A session
 begins only if the operator has consented to all of these walls, which are therefore listed before a person touches the
-handle.
+handle. The start of a session and the check of a device use it. It must not arm or move the motor.
 """
 
 from __future__ import annotations

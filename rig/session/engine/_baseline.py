@@ -1,4 +1,7 @@
-"""Measure a rig's baseline noise without wall contact, in the free-space phase at the start of a person's trial."""
+"""Measure a rig's baseline noise without wall contact, in the free-space phase at the start of a person's trial.
+
+Each recorded trial of a session calls it (`_hits`). It reads the recording only.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Clocks for the times in a session's log."""
+"""Clocks for the times in a session's log.
+
+The log and simulated persons use them. They must not time a control loop.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 No state is stored outside the log, so the same function resumes a session after any end of the process. The engine uses
 the rig only through a `TrialRunner`, and people only through a `Desk` (the operator's user interface).
+`rig.session.engine._run` calls it.
 """
 
 from __future__ import annotations

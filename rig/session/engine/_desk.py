@@ -1,6 +1,7 @@
 """Interface between a session and the operator at the rig: views, questions and replies.
 
-Everything in a view or a question may be displayed: the engine omits what a blinded operator must not know.
+Everything in a view or a question may be displayed: the engine omits what a blinded operator must not know. The engine
+calls a desk; the terminal, the page and a simulated person implement it.
 """
 
 from __future__ import annotations

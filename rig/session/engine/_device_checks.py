@@ -1,4 +1,7 @@
-"""Check a protocol on a device before a session: the device can run the conditions and walls, and loses few samples."""
+"""Check a protocol on a device before a session: the device can run the conditions and walls, and loses few samples.
+
+`rig session check` with a device calls it. It must not move the motor.
+"""
 
 from __future__ import annotations
 

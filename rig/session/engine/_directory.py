@@ -4,6 +4,8 @@ session.log               every decision (`rig.session.engine._log`), from which
 protocol.toml             copy of the protocol file at the start
 trials/t0001.parquet …    recordings; the name contains the trial's number, but nothing about its wall
 trials/abandoned/         recordings of trials that were not logged because the process died
+
+A log and the recordings of a person are never deleted, only moved or corrected.
 """
 
 from __future__ import annotations

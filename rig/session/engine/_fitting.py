@@ -1,4 +1,7 @@
-"""Check that the device of a session can run every condition, before a session writes anything."""
+"""Check that the device of a session can run every condition, before a session writes anything.
+
+The start of a session and the check of a device use it. It must not move the motor.
+"""
 
 from __future__ import annotations
 

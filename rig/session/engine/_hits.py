@@ -1,4 +1,7 @@
-"""Run the trials of a session on a device as recorded hits, and compute the values of each hit for the log."""
+"""Run the trials of a session on a device as recorded hits, and compute the values of each hit for the log.
+
+The engine (`_conduct`) uses it as a `TrialRunner`. It must not choose the wall of a trial.
+"""
 
 from __future__ import annotations
 

@@ -62,14 +62,10 @@ class DamagedLineError(RecordingError):
 
 
 class SessionLog:
-    """Open log of a session; only one process at a time can open it.
+    """Open log of a session in the file `path`; only one process at a time can open it.
 
-    Parameters
-    ----------
-    path
-        Path of the file; created if it does not exist.
-    clock
-        Function that returns the time of day (s since 1970), for `Event.at`.
+    `clock` gives the time of an event (s since 1970). Raise `RecordingError` if another process has the log open, a
+    line is damaged or missing, or writing fails.
 
     Attributes
     ----------
@@ -77,11 +73,6 @@ class SessionLog:
         Events so far, oldest first.
     torn
         Number of bytes of an incomplete last line that were removed: a process died while it wrote them.
-
-    Raises
-    ------
-    RecordingError
-        Another process has the log open, a line is damaged or missing, or writing to the disk fails.
     """
 
     def __init__(self, path: Path, *, clock: Callable[[], float] = time.time) -> None:

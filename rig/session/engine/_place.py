@@ -1,6 +1,7 @@
 """Read from a session's log on which device it takes place, and compare it with the device of a resumed session.
 
-A session must stay on its device: limits found on two devices, or on a rig and its simulation, cannot be combined.
+A session must stay on its device: limits found on two devices, or on a rig and its simulation, cannot be combined. The
+engine, its commands and the analysis use it. It must not open a device.
 """
 
 from __future__ import annotations

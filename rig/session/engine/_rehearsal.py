@@ -1,7 +1,8 @@
 """Rehearse a session with a simulated person: hits by the simulated hand, verdicts by known thresholds.
 
 A rehearsal shows how long a protocol takes and how its search rules respond to lapses. Because the thresholds are
-known, tests can check the results of an analysis.
+known, tests can check the results of an analysis. `rig session run --rehearse` and tests use it. It must never drive a
+real rig.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Run or resume a participant's session from a protocol file, for `rig session run` and `rig session resume`."""
+"""Run or resume a participant's session from a protocol file, for `rig session run` and `rig session resume`.
+
+All checks come before the first line of the log, so that a refused session leaves no trace.
+"""
 
 from __future__ import annotations
 

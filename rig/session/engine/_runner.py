@@ -1,4 +1,7 @@
-"""Interface between the engine of a session and a rig that runs the trials and returns their results."""
+"""Interface between the engine of a session and a rig that runs the trials and returns their results.
+
+`DeviceRunner` and the runners of tests implement it. The engine uses a rig in no other way.
+"""
 
 from __future__ import annotations
 

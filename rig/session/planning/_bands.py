@@ -1,7 +1,8 @@
 """Check that impact speed and press of a hit lie within the protocol's required ranges, and adjust a simulated hand.
 
 The impact speed is the speed of the handle at the first contact (`rig.control.verdict`). The press is the mean effort
-with which the wall pushed the hand outwards in the last part of the hit (`verdict.tail_s`), for any control law.
+with which the wall pushed the hand outwards in the last part of the hit (`verdict.tail_s`), for any control law. Trials
+of a session and checks of a protocol use it. It must not run a trial.
 """
 
 from __future__ import annotations

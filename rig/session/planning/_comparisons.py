@@ -1,4 +1,7 @@
-"""Check the plan of a study: expected limits, theory, motor heat, energy, order of conditions, rests, stop rules."""
+"""Check the plan of a study: expected limits, theory, motor heat, energy, order of conditions, rests, stop rules.
+
+`rig.session.engine._check` calls it. It must not open a device.
+"""
 
 from __future__ import annotations
 

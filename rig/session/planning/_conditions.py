@@ -3,7 +3,8 @@
 Settings are applied in this order, later ones replace earlier ones: the preset or the experiment file; the settings for
 safety with a person (`SAFE`); ``[study.changes]``; ``[trial]`` and ``[caps]``; sampling scheme and changes of the
 condition; damping and stiffness of the wall. A simulated hand keeps the ranges of impact speed and press in
-``[trial]``, unless other settings determine how it hits (`rig.session.planning._bands`).
+``[trial]``, unless other settings determine how it hits (`rig.session.planning._bands`). Checks and sessions get every
+wall from here, so that the presented walls are the checked ones.
 """
 
 from __future__ import annotations
@@ -95,21 +96,11 @@ class Walls:
     def at(
         self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
     ) -> Experiment:
-        """Return the experiment with one wall of a condition.
+        """Return the experiment with one wall of a condition; raise `ConfigError` if rig, trial or estimator exclude
+        it.
 
-        Parameters
-        ----------
-        condition
-            Condition of the protocol.
-        damping, stiffness
-            B (N·m·s/rad or N·s/m) and K (N·m/rad or N/m) of the wall.
-        seed
-            Seed of the trial; by default the study's seed.
-
-        Raises
-        ------
-        ConfigError
-            The rig, the trial or the estimator does not allow this wall.
+        `damping` and `stiffness` are B (N·m·s/rad or N·s/m) and K (N·m/rad or N/m) of the wall. `seed` is the seed of
+        the trial; by default the study's seed.
         """
         key = (condition.name, damping, stiffness)
         if key not in self._known:

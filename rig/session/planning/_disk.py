@@ -1,4 +1,7 @@
-"""Compute the disk space for the recordings of a session, and check that it is available."""
+"""Compute the disk space for the recordings of a session, and check that it is available.
+
+`rig session plan` shows it; a session does not begin on a disk with too little space.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Estimate the stiffness limit and the number of trials of a search before any person has touched the handle.
 
 Linear theory gives a range for the limit. Simulated observers (`rig.session.search._observer`), with limits at both
-ends and in the middle of this range, give the number of trials.
+ends and in the middle of this range, give the number of trials. Plans of studies and the checks of a protocol use it.
+No result of a study depends on it.
 """
 
 from __future__ import annotations
@@ -91,16 +92,10 @@ class Expected:
 def expected_limits(
     experiment: Experiment, dampings: tuple[float, ...], wanted: Search
 ) -> dict[float, Expected]:
-    """Return the expected stiffness limit of one condition for each damping.
+    """Return the expected stiffness limit of one condition for each of its dampings B (N·m·s/rad or N·s/m).
 
-    Parameters
-    ----------
-    experiment
-        Experiment of the condition, with any wall.
-    dampings
-        Dampings B of the condition's walls (N·m·s/rad or N·s/m).
-    wanted
-        Settings of the search, whose levels of stiffness are the expected range if theory gives no limit.
+    `experiment` has the settings of the condition with any wall. If theory gives no limit, the range of the levels of
+    the search `wanted` is returned.
     """
     levels = levels_of(wanted)
     unknown = ExpectedRange(levels[0], math.sqrt(levels[0] * levels[-1]), levels[-1])

@@ -1,4 +1,7 @@
-"""Questions of the questionnaire: convert them for the operator's user interface, and parse the answers."""
+"""Questions of the questionnaire: convert them for the operator's user interface, and parse the answers.
+
+The engine and the operator's user interface use it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Check the section ``[keys]`` of a protocol, and find the meaning of a pressed key."""
+"""Check the section ``[keys]`` of a protocol, and find the meaning of a pressed key.
+
+The check of a protocol, the terminal and the page use it. It must not read a key itself.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Read a protocol file or mapping and return a checked `Protocol`, or raise one error that lists all problems."""
+"""Read a protocol file or mapping and return a checked `Protocol`, or raise one error that lists all problems.
+
+Sessions, checks and logs use it. It must not open a device.
+"""
 
 from __future__ import annotations
 

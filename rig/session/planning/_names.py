@@ -1,6 +1,7 @@
 """Normalise names when they are read, so that other code can compare strings; and derive directory names.
 
-Names are read from protocols (`rig.session.planning._load`), from command lines, and from logs of earlier versions.
+Names are read from protocols (`rig.session.planning._load`), from command lines, and from logs of earlier versions. Do
+not change the rules: directories of existing studies are found by these names.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Data classes for the plan of a study: searches, trials, durations, order and results of checks."""
+"""Data classes for the plan of a study: searches, trials, durations, order and results of checks.
+
+`rig.session.engine._check` fills them; `rig session plan` and the page show them.
+"""
 
 from __future__ import annotations
 

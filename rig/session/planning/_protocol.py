@@ -1,7 +1,8 @@
 """Sections of a protocol file for an experiment with participants: types, ranges and meanings of all keys.
 
 The protocol names an experiment file with the physics (rig, trial, thresholds), and changes it by dotted keys.
-Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`).
+Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.core.sample.unit_of`). Each log contains
+a protocol: a new key needs a default, or older logs cannot be read.
 """
 
 from __future__ import annotations

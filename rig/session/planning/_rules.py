@@ -1,6 +1,6 @@
 """Check rules that relate several keys of a protocol; each function yields the problems that it finds.
 
-The protocol must already have valid types and ranges. No experiment is needed.
+The protocol must already have valid types and ranges. No experiment is needed. `rig.session.planning._load` calls them.
 """
 
 from __future__ import annotations

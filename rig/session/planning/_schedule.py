@@ -3,7 +3,8 @@
 A search is a sequence of trials that finds the stiffest stable wall of one condition at one damping. Each participant
 has a row in the table of orders, from 0. A Latin square uses Williams' designs: over a cycle of rows each condition is
 equally often at each position, and equally often after each other condition (Williams, Australian Journal of Scientific
-Research A 2, 1949).
+Research A 2, 1949). The engine and the analysis use it. A log stores only protocol and row: with another order, older
+logs would be misread.
 """
 
 from __future__ import annotations

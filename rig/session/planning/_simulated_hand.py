@@ -1,4 +1,7 @@
-"""Find how long a simulated hand must move to the wall, so that it hits with a required impact speed."""
+"""Find how long a simulated hand must move to the wall, so that it hits with a required impact speed.
+
+Checks of a protocol and sessions with a simulated hand use it, never a trial with a person.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Access to the protocol templates of this package: commented protocol files that pass the check."""
+"""Access to the protocol templates of this package: commented protocol files that pass the check.
+
+`rig session new` uses it.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 The heat of the winding is a fraction of its budget, which is the heat after hours at the nominal effort. A push with
 `load` times the nominal effort drives the heat towards load², with the thermal time constant of the winding; cooling
 has the same time constant. Above the fraction ``rest.heat``, the session pauses until the heat is `COOL_TO` times that
-fraction.
+fraction. The plan of a study, its checks and the engine's cooling pauses use it. It must not read a clock.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 All other representations of a trial are derived from this record: the event in the log, the state, the marker of a
 stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and the sentences of
-`rig.session.engine._telling`. Units and meanings of columns are defined only here.
+`rig.session.engine._telling`. Units and meanings of columns are defined only here. A renamed field would make older
+logs unreadable.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Ascending search rule of Koul et al., section III: raise the stiffness until a wall is not stable, then start again.
 
 A lapse (a wrong verdict by mistake) at any stable wall below the limit ends the series early. Estimates are therefore
-too low by more than their scatter shows, and most hits are far below the limit (numbers in ``README.md``).
+too low by more than their scatter shows, and most hits are far below the limit (numbers in ``README.md``). A protocol
+selects it by ``search.rule = "ascending"``.
 """
 
 from __future__ import annotations

@@ -53,17 +53,12 @@ class CatchTrials:
     def of(
         cls, answers: Sequence[JudgedProbe], levels: Sequence[float], sides: Container[Censored]
     ) -> CatchTrials:
-        """Count the catch trials (trials whose correct verdict is known) and the wrong verdicts among answers.
+        """Count the catch trials (trials whose correct verdict is known) and the wrong verdicts among a search's
+        answers.
 
-        Parameters
-        ----------
-        answers
-            All answers of a search.
-        levels
-            Stiffnesses of the search, ascending.
-        sides
-            Sides ("above", "below") on which the limit of stable walls lies beyond the levels. Catch trials at that end
-            are not counted, because the correct verdict is unknown.
+        `levels` are the stiffnesses of the search, ascending. `sides` ("above", "below") are those on which the
+        stiffest stable wall lies beyond the levels: catch trials at that end are not counted, because the correct
+        verdict is unknown.
         """
         caught = [(one.probe.level, one.stable) for one in answers if one.probe.catch]
         # A wall beyond the limit has no known verdict: then its catch trials measure no lapses.

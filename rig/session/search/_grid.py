@@ -1,7 +1,7 @@
 """Grid search rule: every level equally often, in random order (the method of constant stimuli).
 
 This rule needs the most trials and the fewest assumptions: it also detects walls that do not follow a threshold, such
-as stiff walls that are stable although softer walls are not.
+as stiff walls that are stable although softer walls are not. A protocol selects it by ``search.rule = "grid"``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Interleaved search rule: two staircases (up-down methods), one from below and one from above, alternating at random.
 
 A person cannot follow a staircase that continues at random times, so a verdict depends more on the wall and less on the
-previous verdict.
+previous verdict. A protocol selects it by ``search.rule = "interleaved"``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Simulate observers and measure each search rule: bias, scatter, number of hits, and coverage of the intervals."""
+"""Simulate observers and measure each search rule: bias, scatter, number of hits, and coverage of the intervals.
+
+Plans of studies, simulated persons and tests use it. No result of a person depends on it.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Kontsevich and Tyler, Vision Research 39 (1999), with lapse rate and spread integrated out (Prins 2013). After each
 answer the posterior over (K50, spread, lapse rate) is updated. The next level is the one with the least expected
-entropy of K50 after its verdict.
+entropy of K50 after its verdict. A protocol selects it by ``search.rule = "psi"``.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 At the stiffness K50 half of the verdicts are stable. s is the spread: how gradually verdicts change with stiffness. λ
 is the lapse rate: the fraction of verdicts that are inverted by mistake, equally likely in both directions. Spread and
 lapse rate are integrated out (the marginal of Prins, Journal of Vision 13(7):3, 2013, of the Psi method of Kontsevich
-and Tyler, Vision Research 39, 1999).
+and Tyler, Vision Research 39, 1999). Search rules and the analysis of studies use it. It must not draw random numbers.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Decide if values scatter more than rounding to the tested levels explains; else no interval or p value is computed.
 
-For means over n independent searches, the caller divides the rounding error by √n.
+For means over n independent searches, the caller divides the rounding error by √n. Search rules and the analysis of
+studies use it.
 """
 
 from __future__ import annotations
@@ -29,14 +30,9 @@ def rounding_deviation(step: float) -> float:
 def is_resolved(deviation: float, rounding: float = 0.0, magnitude: float = 0.0) -> bool:
     """Return True if a standard deviation is larger than rounding to the tested levels of stiffness explains.
 
-    Parameters
-    ----------
-    deviation
-        Standard deviation of values or of a residual; the result is False if the deviation is not finite.
-    rounding
-        Standard deviation of the rounding of each value to levels; 0 for continuous values.
-    magnitude
-        Magnitude of the largest value, for the rounding of floating-point numbers.
+    `deviation` is that of values or of a residual; if it is not finite, the result is False. `rounding` is the standard
+    deviation of the rounding of each value to levels, 0 for continuous values. `magnitude` is the magnitude of the
+    largest value, for the rounding of floating-point numbers.
     """
     return math.isfinite(deviation) and deviation > max(rounding * (1.0 + FLOATING), FLOATING * magnitude)
 

@@ -1,4 +1,7 @@
-"""Common parts of all search rules: probes (walls to judge), answers, estimates, and checks of levels and settings."""
+"""Common parts of all search rules: probes (walls to judge), answers, estimates, and checks of levels and settings.
+
+Every search rule imports this file; it must not import one of them.
+"""
 
 from __future__ import annotations
 

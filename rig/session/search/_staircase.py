@@ -2,7 +2,8 @@
 
 With `stable_to_rise` = 1 the rule converges to the stiffness at which half of the verdicts are stable. With n stable
 verdicts to rise, the n-th power of the stable fraction is a half: 0.71 for n = 2, 0.79 for n = 3 (Levitt, Journal of
-the Acoustical Society of America 49, 1971; "1-up-1-down", "1-up-2-down", "1-up-3-down", where up means softer).
+the Acoustical Society of America 49, 1971; "1-up-1-down", "1-up-2-down", "1-up-3-down", where up means softer). A
+protocol selects it by ``search.rule = "staircase"``, which is the default.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Start the console as a process on a terminal, read its messages in a thread, end it, and restore the terminal."""
+"""Start the console as a process on a terminal, read its messages in a thread, end it, and restore the terminal.
+
+`rig.session.terminal.desk` uses it. During a hit nothing here may wait for the console, which may hang.
+"""
 
 from __future__ import annotations
 
@@ -30,16 +33,8 @@ Message = dict[str, Any]
 class Child:
     """Console process (the operator's user interface in a terminal), seen from the session's process.
 
-    Parameters
-    ----------
-    place
-        Descriptor of the terminal.
-    before
-        Settings of the terminal before the console started, to restore.
-    setup
-        Content of the first message to the console.
-    inbox
-        Queue into which messages from the console are put, as pairs of this object and the message.
+    `place` is the descriptor of the terminal, `before` its settings to restore later, `setup` the content of the first
+    message to the console. Messages from the console are put into `inbox`, as pairs of this object and the message.
 
     Attributes
     ----------

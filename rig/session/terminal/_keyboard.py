@@ -2,7 +2,8 @@
 
 A key is named by its character or by one of these names: ``enter space tab escape backspace up down left right home end
 pageup pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; all other keys are ``unknown``. Sources: ECMA-48
-(CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys).
+(CSI sequences); XTerm Control Sequences (SS3, ``~`` keys, modifyOtherKeys). The console (`_program`) uses it. No input
+may raise an error.
 """
 
 from __future__ import annotations

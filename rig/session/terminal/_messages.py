@@ -12,6 +12,8 @@ console     reply      number of the question, action, value
 console     stop       the operator requests zero effort; the stop word of a running loop is set already
 console     gone       no reply is possible any more: reason
 ==========  =========  ============================================================================================
+
+Both processes (`_child` and `_program`) use it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Print the state of the operator's user interface as plain lines, one line for each change."""
+"""Print the state of the operator's user interface as plain lines, one line for each change.
+
+The console (`_program`) uses it. It must not read a key or a clock.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Convert input from mouse or arrow keys to the target position and press of the simulated hand.
 
 The left edge of the screen is a little behind the start position, the right edge inside the wall, for walls on either
-side.
+side. The terminal and the page use it. It must not read the stiffness of a wall.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Connect an operator to a session: process messages and keys, and move the simulated hand.
 
 A terminal (`rig.session.terminal._program`) and a page in the browser (`rig.extras.console.sessions`) pass messages and
-keys to a `Seat`, and display its state.
+keys to a `Seat`, and display its state. It must not read the properties of a wall, because the operator may be blinded.
 """
 
 from __future__ import annotations
@@ -25,16 +25,9 @@ PRESS_N = 4.0  # full press if the experiment gives none: the force of a normal 
 
 
 class SeatHand:
-    """Simulated hand that the operator moves.
+    """Simulated hand that the operator moves by an input device (`kind`): "mouse" or "keyboard".
 
-    Parameters
-    ----------
-    kind
-        Input device that moves the hand: "mouse" or "keyboard".
-    press
-        Force of a full press (N).
-    hand
-        Receiver of the hand's target position and press.
+    `press` is the force of a full press (N), `hand` the receiver of the hand's target position and press.
     """
 
     def __init__(self, kind: HandKind, press: float, hand: PointerTarget) -> None:
@@ -66,14 +59,8 @@ class SeatHand:
 class Seat:
     """The operator's side of a session: it receives the session's messages, processes keys, and sends replies.
 
-    Parameters
-    ----------
-    setup
-        Content of the session's first message: process ID and keys.
-    say
-        Function that sends a message to the session.
-    hand
-        Simulated hand that the operator moves, or None.
+    `setup` is the content of the session's first message (process ID and keys), `say` a function that sends a message
+    to the session, and `hand` the simulated hand that the operator moves, or None.
 
     Attributes
     ----------

@@ -1,6 +1,7 @@
 """Set a terminal to single keys without echo, and restore its settings, also from another process.
 
-The console changes the settings; the session's process restores them if the console died.
+The console changes the settings; the session's process restores them if the console died. Only these functions change
+the settings of the operator's terminal.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Texts of the operator's user interface, for the terminal and the page in the browser.
 
-Texts for a participant are in `_participant`.
+Texts for a participant are in `_participant`. They must not contain a wall that the view does not contain.
 """
 
 from __future__ import annotations
