@@ -96,8 +96,7 @@ class Walls:
     def at(
         self, condition: Condition, damping: float, stiffness: float, *, seed: int | None = None
     ) -> Experiment:
-        """Return the experiment with one wall of a condition; raise `ConfigError` if rig, trial or estimator exclude
-        it.
+        """Return the experiment with one wall of a condition; raise `ConfigError` if the rig or the trial exclude it.
 
         `damping` and `stiffness` are B (N·m·s/rad or N·s/m) and K (N·m/rad or N/m) of the wall. `seed` is the seed of
         the trial; by default the study's seed.

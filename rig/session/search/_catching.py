@@ -53,8 +53,7 @@ class CatchTrials:
     def of(
         cls, answers: Sequence[JudgedProbe], levels: Sequence[float], sides: Container[Censored]
     ) -> CatchTrials:
-        """Count the catch trials (trials whose correct verdict is known) and the wrong verdicts among a search's
-        answers.
+        """Count catch trials (trials whose correct verdict is known) and their wrong verdicts in a search's answers.
 
         `levels` are the stiffnesses of the search, ascending. `sides` ("above", "below") are those on which the
         stiffest stable wall lies beyond the levels: catch trials at that end are not counted, because the correct
