@@ -61,15 +61,15 @@ def free_s(experiment: Experiment) -> float:
     return trial.baseline_s + random.Random(f"foreperiod {trial.seed}").uniform(0.0, trial.foreperiod_s)
 
 
-def _reach(x: Experiment) -> OperatorReach:
-    depth = x.operator.depth / x.rig.mechanics.handle_radius
+def _reach(experiment: Experiment) -> OperatorReach:
+    depth = experiment.operator.depth / experiment.rig.mechanics.handle_radius
     return OperatorReach(
-        start=x.trial.start,
-        target=x.wall.position + x.wall.side * depth,
-        pace=x.homing.speed,
-        wait_s=x.homing.settle_s + free_s(x) + x.operator.begin_s,
-        free_s=free_s(x),
-        seed=x.trial.seed,
+        start=experiment.trial.start,
+        target=experiment.wall.position + experiment.wall.side * depth,
+        pace=experiment.homing.speed,
+        wait_s=experiment.homing.settle_s + free_s(experiment) + experiment.operator.begin_s,
+        free_s=free_s(experiment),
+        seed=experiment.trial.seed,
     )
 
 

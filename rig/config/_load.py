@@ -210,16 +210,16 @@ def _servo_keys_to_compute(preset: Table, table: Table) -> frozenset[str]:
     return frozenset({"stiffness", "damping", "effort", "slew", "tolerance_counts"} - given.keys())
 
 
-def _with_servo(x: Experiment, names: frozenset[str]) -> Experiment:
+def _with_servo(experiment: Experiment, names: frozenset[str]) -> Experiment:
     if not names:
-        return x
-    servo = asdict(homing.stable_servo(x))
-    slower = {key: value for key, value in x.realtime.items() if key.startswith("controller.")}
-    real = asdict(homing.stable_servo(override(x, slower, "[realtime]", check_rules=False)))
+        return experiment
+    servo = asdict(homing.stable_servo(experiment))
+    slower = {key: value for key, value in experiment.realtime.items() if key.startswith("controller.")}
+    real = asdict(homing.stable_servo(override(experiment, slower, "[realtime]", check_rules=False)))
     gains = {f"homing.{name}": real[name] for name in ("stiffness", "damping") if name in names}
     servo = {name: value for name, value in servo.items() if name in names}
-    realtime = {**gains, **x.realtime} if slower else x.realtime
-    return replace(x, homing=replace(x.homing, **servo), realtime=realtime)
+    realtime = {**gains, **experiment.realtime} if slower else experiment.realtime
+    return replace(experiment, homing=replace(experiment.homing, **servo), realtime=realtime)
 
 
 @contextmanager

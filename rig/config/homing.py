@@ -53,84 +53,88 @@ class Servo:
     tolerance_counts: float
 
 
-def holding_effort(x: Experiment) -> float:
+def holding_effort(experiment: Experiment) -> float:
     """Return the effort (N·m or N) up to which a handle may stay at rest: sum of friction, cogging and weight."""
-    mechanics = x.rig.mechanics
-    weight = 0.0 if x.trial.kind == "human" else abs(mechanics.gravity_effort)
-    return mechanics.motor_coulomb + mechanics.link_coulomb + x.rig.cogging.crest + weight
+    mechanics = experiment.rig.mechanics
+    weight = 0.0 if experiment.trial.kind == "human" else abs(mechanics.gravity_effort)
+    return mechanics.motor_coulomb + mechanics.link_coulomb + experiment.rig.cogging.crest + weight
 
 
-def resting_offset(x: Experiment) -> float:
+def resting_offset(experiment: Experiment) -> float:
     """Return the largest distance (rad or m) from the homing target at which friction can hold the handle at rest."""
-    return holding_effort(x) / x.homing.stiffness
+    return holding_effort(experiment) / experiment.homing.stiffness
 
 
-def home_tolerance(x: Experiment) -> float:
+def home_tolerance(experiment: Experiment) -> float:
     """Return the distance (rad or m) from the trial's start within which homing is complete.
 
     The distance is `homing.tolerance_counts`, or more if friction can hold the handle farther away.
     """
-    described = x.homing.tolerance_counts * x.rig.encoder.resolution
-    return max(described, ABOVE_FRICTION * resting_offset(x))
+    described = experiment.homing.tolerance_counts * experiment.rig.encoder.resolution
+    return max(described, ABOVE_FRICTION * resting_offset(experiment))
 
 
-def largest_offset(x: Experiment) -> float:
+def largest_offset(experiment: Experiment) -> float:
     """Return the largest accepted distance (rad or m) from the trial's start: a fixed share of the way to the wall."""
-    return LARGEST_SHARE * abs(x.wall.position - x.trial.start)
+    return LARGEST_SHARE * abs(experiment.wall.position - experiment.trial.start)
 
 
-def usual_offset(x: Experiment) -> float:
+def usual_offset(experiment: Experiment) -> float:
     """Return the distance from the start (rad or m) that a designed homing servo may leave: ¼ of that to the wall."""
-    return USUAL_SHARE * abs(x.wall.position - x.trial.start)
+    return USUAL_SHARE * abs(experiment.wall.position - experiment.trial.start)
 
 
-def nearest_tolerance(x: Experiment) -> float:
+def nearest_tolerance(experiment: Experiment) -> float:
     """Return a homing tolerance (encoder counts): ¼ of the way to the wall, but at least 1 and at most 4 counts."""
-    return max(1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(x) / x.rig.encoder.resolution)))
-
-
-def inertia(x: Experiment) -> float:
-    """Return the inertia of all moving parts of the rig (kg·m² or kg), without a hand."""
-    mechanics = x.rig.mechanics
-    return mechanics.motor_inertia + (
-        mechanics.link_inertia if x.trial.kind == "human" else mechanics.loaded_link_inertia
+    return max(
+        1.0, min(USUAL_TOLERANCE, math.floor(usual_offset(experiment) / experiment.rig.encoder.resolution))
     )
 
 
-def _cutoff_hz(x: Experiment) -> float:
-    cutoff = x.controller.parameters.get("cutoff_hz", 0.0)
-    usual = USUAL_CUTOFF * x.controller.velocity_rate
+def inertia(experiment: Experiment) -> float:
+    """Return the inertia of all moving parts of the rig (kg·m² or kg), without a hand."""
+    mechanics = experiment.rig.mechanics
+    return mechanics.motor_inertia + (
+        mechanics.link_inertia if experiment.trial.kind == "human" else mechanics.loaded_link_inertia
+    )
+
+
+def _cutoff_hz(experiment: Experiment) -> float:
+    cutoff = experiment.controller.parameters.get("cutoff_hz", 0.0)
+    usual = USUAL_CUTOFF * experiment.controller.velocity_rate
     return float(cutoff) if isinstance(cutoff, float | int) and cutoff > 0.0 else usual
 
 
-def _delays_s(x: Experiment, ticks: int) -> tuple[float, float]:
+def _delays_s(experiment: Experiment, ticks: int) -> tuple[float, float]:
     """Return the delay (s) from a position to its effort, and the additional delay (s) of the velocity.
 
     `ticks` is an additional delay of the loop; the lag of the amplifier is not included.
     """
-    c = x.controller
-    set_point = x.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
-    return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(x) + 1.0 / c.velocity_rate
+    c = experiment.controller
+    set_point = experiment.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
+    return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(
+        experiment
+    ) + 1.0 / c.velocity_rate
 
 
-def stiffest_for_counts(x: Experiment, effort: float, share: float) -> float:
+def stiffest_for_counts(experiment: Experiment, effort: float, share: float) -> float:
     """Return the servo stiffness (N·m/rad or N/m) for which one count changes the effort by the largest allowed step.
 
     This step is `share` times `effort`, the servo's largest effort, plus twice the effort of friction and weight (N·m
     or N).
     """
-    return (share * effort + 2.0 * holding_effort(x)) / x.rig.encoder.resolution
+    return (share * effort + 2.0 * holding_effort(experiment)) / experiment.rig.encoder.resolution
 
 
-def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) -> float:
+def phase_margin(experiment: Experiment, stiffness: float, damping: float, ticks: int) -> float:
     """Return the smallest phase margin of a homing servo (rad); negative if the servo is unstable.
 
     Motor and link are assumed to move together. `stiffness` and `damping` are the servo's gains (N·m/rad and N·m·s/rad,
     or N/m and N·s/m), `ticks` is the delay of the loop in addition to the set-point delay.
     """
-    delay_s, velocity_s = _delays_s(x, ticks)
-    lag_s, mass = x.rig.amplifier.lag_s, inertia(x)
-    mechanics = x.rig.mechanics
+    delay_s, velocity_s = _delays_s(experiment, ticks)
+    lag_s, mass = experiment.rig.amplifier.lag_s, inertia(experiment)
+    mechanics = experiment.rig.mechanics
     viscous = mechanics.motor_damping + mechanics.link_damping
     s = 1j * GRID / (delay_s + velocity_s)
     plant = 1.0 / ((mass * s + viscous) * s * (1.0 + s * lag_s))
@@ -142,23 +146,25 @@ def phase_margin(x: Experiment, stiffness: float, damping: float, ticks: int) ->
     return float(math.pi + np.unwrap(np.angle(loop))[strong].min())
 
 
-def stable_servo(x: Experiment, ticks: int = SPARE_TICKS) -> Servo:
+def stable_servo(experiment: Experiment, ticks: int = SPARE_TICKS) -> Servo:
     """Return the stiffest well damped homing servo that stays stable with the loop's delay plus `ticks` ticks."""
-    delay_s, velocity_s = _delays_s(x, ticks)
-    phase = CORNER_IN_HAND if x.trial.kind == "human" else CORNER
-    corner = phase / (delay_s + velocity_s + x.rig.amplifier.lag_s)
-    limits = x.rig.limits
-    effort = max(FRICTIONS * holding_effort(x), NOMINAL_SHARE * limits.nominal_effort)
+    delay_s, velocity_s = _delays_s(experiment, ticks)
+    phase = CORNER_IN_HAND if experiment.trial.kind == "human" else CORNER
+    corner = phase / (delay_s + velocity_s + experiment.rig.amplifier.lag_s)
+    limits = experiment.rig.limits
+    effort = max(FRICTIONS * holding_effort(experiment), NOMINAL_SHARE * limits.nominal_effort)
     effort = min(effort, limits.nominal_effort, limits.effort)
     # K = (B/I)²·I/(4ζ²) gives the damping ratio ζ for a damping of B = I·corner.
-    mass, softness = inertia(x), 4.0 * DAMPING_RATIO**2
-    corner = min(corner, math.sqrt(stiffest_for_counts(x, effort, USUAL_COUNT_SHARE) * softness / mass))
+    mass, softness = inertia(experiment), 4.0 * DAMPING_RATIO**2
+    corner = min(
+        corner, math.sqrt(stiffest_for_counts(experiment, effort, USUAL_COUNT_SHARE) * softness / mass)
+    )
     return Servo(
         stiffness=_round(mass * corner**2 / softness),
         damping=_round(mass * corner),
         effort=min(_round(effort), limits.nominal_effort, limits.effort),
         slew=_round(effort * corner / math.sqrt(softness) / USUAL_RISE),
-        tolerance_counts=nearest_tolerance(x),
+        tolerance_counts=nearest_tolerance(experiment),
     )
 
 

@@ -33,29 +33,31 @@ LEAST_CUTOFF, BISECTIONS = 1e-3, 14
 Settings = tuple[tuple[str, float | str], ...]
 
 
-def pulse_of_count(x: Experiment) -> NDArray[np.float64]:
+def pulse_of_count(experiment: Experiment) -> NDArray[np.float64]:
     """Return the estimated velocity (rad/s or m/s) in the velocity samples around a single encoder count."""
-    own = x.controller
-    return _pulse(own.estimator, _settings(x), own.velocity_rate, abs(x.rig.encoder.resolution))
+    own = experiment.controller
+    return _pulse(
+        own.estimator, _settings(experiment), own.velocity_rate, abs(experiment.rig.encoder.resolution)
+    )
 
 
-def highest_reading(x: Experiment, velocity: float = 0.0) -> float:
+def highest_reading(experiment: Experiment, velocity: float = 0.0) -> float:
     """Return the highest estimated speed (rad/s or m/s) while the handle moves at a steady velocity (rad/s or m/s).
 
     The result is at least the peak for a single count, however slowly the handle moves.
     """
-    own = x.controller
+    own = experiment.controller
     ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
-    resolution = abs(x.rig.encoder.resolution)
-    return _peak(own.estimator, _settings(x), own.velocity_rate, resolution, abs(velocity), ahead)
+    resolution = abs(experiment.rig.encoder.resolution)
+    return _peak(own.estimator, _settings(experiment), own.velocity_rate, resolution, abs(velocity), ahead)
 
 
-def quiet_cutoff(x: Experiment, most: float) -> float | None:
+def quiet_cutoff(experiment: Experiment, most: float) -> float | None:
     """Return the highest cut-off (Hz) at which one encoder count causes a velocity estimate of at most `most`.
 
     `most` is in rad/s or m/s. The result is not above the present cut-off, and None for an estimator without a cut-off.
     """
-    own = x.controller
+    own = experiment.controller
     cutoff = own.parameters.get(CUTOFF)
     if not isinstance(cutoff, float | int):
         return None
@@ -63,14 +65,14 @@ def quiet_cutoff(x: Experiment, most: float) -> float | None:
     for _ in range(BISECTIONS):
         middle = math.sqrt(low * high)
         filtered = replace(own, parameters={**own.parameters, CUTOFF: middle * cutoff})
-        quiet = highest_reading(replace(x, controller=filtered)) <= most
+        quiet = highest_reading(replace(experiment, controller=filtered)) <= most
         low, high = (middle, high) if quiet else (low, middle)
     return low * cutoff
 
 
-def _settings(x: Experiment) -> Settings:
-    own = x.controller
-    of_rig = estimators.get(own.estimator).settings_of(settings_of_rig(x))
+def _settings(experiment: Experiment) -> Settings:
+    own = experiment.controller
+    of_rig = estimators.get(own.estimator).settings_of(settings_of_rig(experiment))
     return tuple(sorted({**of_rig, **own.parameters}.items()))
 
 

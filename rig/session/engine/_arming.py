@@ -36,12 +36,14 @@ def walls_of(walls: Walls) -> Iterator[SessionWall]:
             stiffness = set(levels_of(protocol.search_of(condition)))
             if condition.name == practised and damping == condition.damping[0]:
                 stiffness |= set(protocol.practice.stiffness)
-            x = walls.at(condition, damping, max(stiffness))
+            stiffest = walls.at(condition, damping, max(stiffness))
             # A search for the limit asks for walls that do not hold, so on a real rig the gate refuses some of nearly
             # every study.
             for level in sorted(stiffness):
-                under = replace(x, wall=replace(x.wall, stiffness=level))
-                yield SessionWall(condition=condition.name, experiment=under, changes=own_rates(condition, x))
+                under = replace(stiffest, wall=replace(stiffest.wall, stiffness=level))
+                yield SessionWall(
+                    condition=condition.name, experiment=under, changes=own_rates(condition, stiffest)
+                )
 
 
 def refusals(
@@ -62,12 +64,12 @@ def refusals(
         return ()
     found = []
     for (condition, damping), experiments in under.items():
-        x = experiments[0]
-        measurement = gates.measured_once(device, x.host, x.controller.position_rate)
-        levels = gates.refused_among(x, measurement, [one.wall.stiffness for one in experiments])
+        softest = experiments[0]
+        measurement = gates.measured_once(device, softest.host, softest.controller.position_rate)
+        levels = gates.refused_among(softest, measurement, [one.wall.stiffness for one in experiments])
         if levels:
-            softest = replace(x, wall=replace(x.wall, stiffness=levels[0]))
-            text = gates.gate(softest, measurement).text
+            softest_refused = replace(softest, wall=replace(softest.wall, stiffness=levels[0]))
+            text = gates.gate(softest_refused, measurement).text
             found.append(
                 RefusedWalls(
                     condition=condition, damping=damping, stiffness=levels, walls=len(experiments), text=text

@@ -80,11 +80,11 @@ AS_DESCRIBED, NOT_AS_DESCRIBED = (
 )
 WAIT, STAY = "Wait for the signal; do not move yet.", "Stay there."
 REMEDY_OF_RIG = "release the handle; `rig device check` shows the details"
-_ALWAYS: tuple[Action, ...] = ("note", "abort")
-# After these the operator decides how to continue.
-_ASKED = (GuardError, LinkLostError, OverrunError, StoppedError)
+_ALWAYS_ALLOWED: tuple[Action, ...] = ("note", "abort")
+# After these errors the operator decides how to continue.
+_OPERATOR_DECIDES = (GuardError, LinkLostError, OverrunError, StoppedError)
 # Errors that a blinded operator may read: nothing in their texts comes from a wall.
-_PLAIN = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
+_WITHOUT_A_WALL = (DeviceNotFoundError, LinkLostError, OverrunError, RealtimeError, RecordingError)
 
 
 def first_wall(walls: Walls, blocks: Sequence[Block]) -> tuple[Experiment, Mapping[str, Any]]:
@@ -196,7 +196,7 @@ def conduct(
 
 def _hide_error(state: SessionState, error: Exception) -> RigError | None:
     """Return a substitute for an error that may describe a wall, if the operator must not know walls; else None."""
-    if state.protocol.study.blind not in BLINDED or isinstance(error, _PLAIN):
+    if state.protocol.study.blind not in BLINDED or isinstance(error, _WITHOUT_A_WALL):
         return None
     recording = getattr(error, "recording", None)
     if recording is not None:
@@ -217,7 +217,7 @@ def _remedy_of_pause(reason: str) -> str:
     return REMEDY_OF_RIG if reason.startswith(NOT_AS_DESCRIBED) else REMEDY_OF_COMPUTER
 
 
-class _Left(Exception):  # noqa: N818  (no error: the operator leaves)
+class _OperatorLeft(Exception):  # noqa: N818  (no error: the operator leaves)
     """Raised when the operator leaves the session, which is no error."""
 
 
@@ -283,21 +283,21 @@ class _Engine:
                 case DoRest(seconds, reason):
                     self._rest(seconds, reason)
                 case DoPause(reason):
-                    self._machine_pauses(reason)
+                    self._pause_for_repair(reason)
                 case DoBlock(block):
                     self.record("block", block=block.number)
                 case DoAsk():
-                    self._item(step)
+                    self._ask_item(step)
                 case DoDecide(run, last):
-                    self._decide(run, last)
+                    self._ask_try_again(run, last)
                 case DoEnd(reason):
-                    if self._state.ended is None and not self._may_end():
+                    if self._state.ended is None and not self._ask_end():
                         return True
                     if self._state.ended is None:
                         self.record("ended", reason=reason)
                     self._show("done", say="Thank you: that was the last one.")
                     return False
-        except _Left:
+        except _OperatorLeft:
             self.record("stopped", reason="the operator left")
             return False
         return True
@@ -311,16 +311,16 @@ class _Engine:
         again = "Again. " if presented.attempt > 1 else ""
         self._show("ready", presented, say=again + self._state.protocol.trial.say)
         actions: tuple[Action, ...] = ("go", "pause", "skip")
-        if self._redoable() is not None:
+        if self._find_repeatable() is not None:
             actions = (*actions, "redo")
-        reply = self._ask(Question(kind="ready", text="ready?", actions=(*actions, *_ALWAYS)))
+        reply = self._ask(Question(kind="ready", text="ready?", actions=(*actions, *_ALWAYS_ALLOWED)))
         match reply.action:
             case "pause":
                 self._pause(ASKED_FOR)
             case "skip":
                 self.record("skipped", run=presented.run)
             case "redo":
-                self._redo()
+                self._repeat_last()
             case "go":
                 self._hit(presented)
 
@@ -331,7 +331,7 @@ class _Engine:
         that the rig is in order.
         """
         self._show("hands off", presented, say="Let go of the handle.")
-        self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS)))
+        self._ask(Question(kind="ready", text=NO_HANDS, actions=("go", *_ALWAYS_ALLOWED)))
         wall = _wall(self._walls, presented.condition, presented.damping, presented.stiffness, presented.seed)
         found = self._runner.pulse(*wall, self._session.directory / TRIALS, f"pulse-{presented.trial:04d}")
         checks = [f"{check.name}: {check.text}" for check in found.checks]
@@ -347,38 +347,37 @@ class _Engine:
         if found.ok:
             self._pulsed = presented.block
         else:
-            self._machine_pauses(f"{summary}; {'; '.join(checks)}")
+            self._pause_for_repair(f"{summary}; {'; '.join(checks)}")
         return found.ok
 
     def _hit(self, presented: Presented) -> None:
-        state, wall = self._state, presented
-        if not self._runner.virtual:
-            presented = replace(presented, seed=state.seed)
-        experiment, changes = _wall(self._walls, wall.condition, wall.damping, wall.stiffness, presented.seed)
-        trials = self._session.directory / TRIALS
+        state = self._state
+        # In real time one device serves all trials, so that they share its seed.
+        logged = presented if self._runner.virtual else replace(presented, seed=state.seed)
+        experiment, changes = _wall(
+            self._walls, presented.condition, presented.damping, presented.stiffness, logged.seed
+        )
         if self._marks is not None:
             self._marks.push("begins", **presented.marked)
         try:
             done = self._runner.hit(
-                *(
-                    experiment,
-                    changes,
-                    trials,
-                    f"t{wall.trial:04d}",
-                    lambda x: self._watch(wall, x),
-                    state.heat,
-                ),
+                experiment,
+                changes,
+                self._session.directory / TRIALS,
+                f"t{presented.trial:04d}",
+                lambda in_effect: self._watch(presented, in_effect),
+                state.heat,
                 state.protocol.study.blind != "none",
             )
         except StoppedError as stop:
             if stop.recording is not None or stop.signal is not None or self._desk.who == "simulated":
                 raise
             # No trial had begun, so nothing is logged.
-            self._trouble("stopped before anything moved", presented)
+            self._ask_after_trouble("stopped before anything moved", presented)
             return
         self._session.clock.took(done.duration_s)
         hit = judge_bands(done.hit, state.protocol.trial, experiment.rig.motion)
-        self.record("trial", **event_of(presented, hit))
+        self.record("trial", **event_of(logged, hit))
         self._last = outcome(state.trials[-1], blind=self._blind)
         if done.hit.ended in IN_DOUBT:
             self._pulsed = None
@@ -388,7 +387,7 @@ class _Engine:
     def _after_early_end(self, done: TrialDone, presented: Presented) -> None:
         """Raise the error that ended a hit early, or ask the operator how to continue. The effort is zero."""
         error = done.error
-        if error is not None and not isinstance(error, _ASKED):
+        if error is not None and not isinstance(error, _OPERATOR_DECIDES):
             # The control law or the user interface is broken: the next hit would end in the same way.
             raise error
         if isinstance(error, StoppedError) and (error.signal is not None or self._desk.who == "simulated"):
@@ -407,16 +406,16 @@ class _Engine:
                 why = summarise_reasons(self._state.trials[-1].reasons, blind=True).removeprefix(
                     Opening.ENDED_EARLY
                 )
-            self._trouble(f"the hit ended early: {why}", presented)
+            self._ask_after_trouble(f"the hit ended early: {why}", presented)
 
-    def _trouble(self, text: str, presented: Presented) -> None:
+    def _ask_after_trouble(self, text: str, presented: Presented) -> None:
         self._show("stopped", presented)
-        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
+        actions: tuple[Action, ...] = ("go", "redo") if self._find_repeatable() is not None else ("go",)
         reply = self._ask(
-            Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS), trial=presented.trial)
+            Question(kind="trouble", text=text, actions=(*actions, *_ALWAYS_ALLOWED), trial=presented.trial)
         )
         if reply.action == "redo":
-            self._redo()
+            self._repeat_last()
 
     def _judge(self, trial: RecordedTrial) -> None:
         study = self._state.protocol.study
@@ -430,12 +429,12 @@ class _Engine:
             Question(
                 kind="verdict",
                 text="the verdict?",
-                actions=("judge", "redo", *_ALWAYS),
+                actions=("judge", "redo", *_ALWAYS_ALLOWED),
                 trial=trial.trial,
             )
         )
         if reply.action == "redo":
-            self._redo()
+            self._repeat_last()
         elif reply.value in VERDICTS:
             self._record_verdict(trial, reply.value, self._desk.who, reply.took_s)
 
@@ -448,44 +447,52 @@ class _Engine:
     def _rest(self, seconds: float, reason: str) -> None:
         words = "Let go of the handle and rest" + ("; the motor cools." if reason == "heat" else ".")
         self._show("rest", say=words)
-        actions: tuple[Action, ...] = ("go", "redo") if self._redoable() is not None else ("go",)
-        reply = self._ask(Question(kind="rest", text=words, actions=(*actions, *_ALWAYS), seconds=seconds))
+        actions: tuple[Action, ...] = ("go", "redo") if self._find_repeatable() is not None else ("go",)
+        reply = self._ask(
+            Question(kind="rest", text=words, actions=(*actions, *_ALWAYS_ALLOWED), seconds=seconds)
+        )
         if reply.action == "redo":
-            self._redo()
+            self._repeat_last()
             return
         self.record("rested", seconds=round(min(reply.took_s, seconds), 3), reason=reason)
 
-    def _item(self, step: DoAsk) -> None:
+    def _ask_item(self, step: DoAsk) -> None:
         item = step.item
         self._show("question", say=item.text)
         shown = describe_item(item)
-        actions: tuple[Action, ...] = ("answer", "redo") if self._redoable() is not None else ("answer",)
-        reply = self._ask(Question(kind="item", text=item.text, actions=(*actions, *_ALWAYS), item=shown))
+        actions: tuple[Action, ...] = (
+            ("answer", "redo") if self._find_repeatable() is not None else ("answer",)
+        )
+        reply = self._ask(
+            Question(kind="item", text=item.text, actions=(*actions, *_ALWAYS_ALLOWED), item=shown)
+        )
         if reply.action == "redo":
-            self._redo()
+            self._repeat_last()
         elif (answer := parse_answer(shown, reply.value)) is not None:
             self.record("answered", item=item.name, answer=answer, block=step.block)
 
-    def _decide(self, run: SearchRun, last: RecordedTrial) -> None:
+    def _ask_try_again(self, run: SearchRun, last: RecordedTrial) -> None:
         why = summarise_reasons(last.reasons, blind=self._blind)
         text = f"{self._state.protocol.trial.attempts} trials in a row were invalid: {why}; try again, or skip this run"
         self._show("trouble", last)
         reply = self._ask(
-            Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS), trial=last.trial)
+            Question(kind="trouble", text=text, actions=("go", "skip", *_ALWAYS_ALLOWED), trial=last.trial)
         )
         self.record("skipped" if reply.action == "skip" else "retried", run=run.number)
 
-    def _may_end(self) -> bool:
+    def _ask_end(self) -> bool:
         """Ask the operator whether to end the session or to repeat the last trial; return True to end the session."""
-        if self._redoable() is None:
+        if self._find_repeatable() is None:
             return True
         self._show("ready to end", say="That was the last one.")
-        reply = self._ask(Question(kind="ready", text="end the session?", actions=("go", "redo", *_ALWAYS)))
+        reply = self._ask(
+            Question(kind="ready", text="end the session?", actions=("go", "redo", *_ALWAYS_ALLOWED))
+        )
         if reply.action == "redo":
-            self._redo()
+            self._repeat_last()
         return reply.action == "go"
 
-    def _machine_pauses(self, reason: str) -> None:
+    def _pause_for_repair(self, reason: str) -> None:
         """Pause until a person has fixed the rig or the computer; with a simulated person, raise `OverrunError`."""
         if self._desk.who != "simulated":
             self._pause(reason)
@@ -503,17 +510,17 @@ class _Engine:
             else f"paused: {reason}; {_remedy_of_pause(reason)}, then continue"
         )
         self._show("paused", say="Let go of the handle.")
-        self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS)))
+        self._ask(Question(kind="paused", text=text, actions=("go", *_ALWAYS_ALLOWED)))
         self.record("continued")
 
-    def _redoable(self) -> RecordedTrial | None:
+    def _find_repeatable(self) -> RecordedTrial | None:
         """Return the newest valid trial of the current block, which the operator may repeat; None if there is none."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
 
-    def _redo(self) -> None:
-        trial = self._redoable()
+    def _repeat_last(self) -> None:
+        trial = self._find_repeatable()
         if trial is not None:
             self.record("redone", trial=trial.trial)
 
@@ -528,7 +535,7 @@ class _Engine:
                     self.record("note", text=reply.value.strip(), trial=self._state.newest)
                 continue
             if reply.action == "abort":
-                raise _Left
+                raise _OperatorLeft
             return reply
 
     # What is seen.
@@ -592,12 +599,12 @@ class _Engine:
         )
 
 
-def _scale(x: Experiment) -> dict[str, Any]:
-    limits, motion = x.rig.limits, x.rig.motion
+def _scale(experiment: Experiment) -> dict[str, Any]:
+    limits, motion = experiment.rig.limits, experiment.rig.motion
     return {
-        "start": x.trial.start,
-        "wall": x.wall.position,
-        "side": x.wall.side,
+        "start": experiment.trial.start,
+        "wall": experiment.wall.position,
+        "side": experiment.wall.side,
         "window": [limits.position_minimum, limits.position_maximum],
         "effort_limit": limits.effort,
         "speed_limit": limits.speed,

@@ -20,8 +20,8 @@ from rig.session.planning._schedule import levels_of
 def fit_checks(walls: Walls, runner: TrialRunner) -> list[Check]:
     """Check that device and link can run each condition at each damping; return the worst result of each check."""
     worst: dict[str, Check] = {}
-    for x, changes in _stiffest(walls):
-        for one in runner.fits(x, changes):
+    for experiment, changes in _stiffest(walls):
+        for one in runner.fits(experiment, changes):
             known = worst.get(one.name)
             if known is None or SEVERITY.index(one.outcome) > SEVERITY.index(known.outcome):
                 worst[one.name] = replace(one, remedy=_remedy(one, walls, runner))
@@ -37,8 +37,8 @@ def _stiffest(walls: Walls) -> Iterator[tuple[Experiment, Mapping[str, Any]]]:
     for condition in walls.protocol.condition:
         stiffest = levels_of(walls.protocol.search_of(condition))[-1]
         for damping in condition.damping:
-            x = walls.at(condition, damping, stiffest)
-            yield x, own_rates(condition, x)
+            experiment = walls.at(condition, damping, stiffest)
+            yield experiment, own_rates(condition, experiment)
 
 
 def _remedy(one: Check, walls: Walls, runner: TrialRunner) -> str:

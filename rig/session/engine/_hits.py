@@ -166,8 +166,8 @@ class DeviceRunner:
                 verified=self.verified,
                 reference_count=self._zero,
             )
-            x = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
-            under.setdefault((wall.condition, x.wall.damping), []).append(x)
+            effective = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
+            under.setdefault((wall.condition, effective.wall.damping), []).append(effective)
         self._refused = refusals(device, under)
         return self._refused
 
@@ -180,11 +180,13 @@ class DeviceRunner:
         device = self._device(experiment, changes)
         if device is None:
             return None
-        x = in_effect(experiment, device, changes)
-        run = prepared_on(device, x, verified=self.verified, reference_count=self._zero)
+        effective = in_effect(experiment, device, changes)
+        run = prepared_on(device, effective, verified=self.verified, reference_count=self._zero)
         # The device samples at this rate only after it was configured.
         device.configure(run.parameters)
-        self._pace = measured_pace(device, x.host, x.controller.position_rate, x.verdict)
+        self._pace = measured_pace(
+            device, effective.host, effective.controller.position_rate, effective.verdict
+        )
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
@@ -195,11 +197,11 @@ class DeviceRunner:
         device = self._device(experiment, changes)
         if device is not None:
             return _fits(in_effect(experiment, device, changes), device)
-        x = config.override(experiment, changes)
+        effective = config.override(experiment, changes)
         with devices.open_device(
-            devices.url_for(self.url or "sim://", x.controller.loop), config.rig_model(x)
+            devices.url_for(self.url or "sim://", effective.controller.loop), config.rig_model(effective)
         ) as device:
-            return _fits(x, device)
+            return _fits(effective, device)
 
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
         """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
@@ -300,14 +302,14 @@ class DeviceRunner:
                 self._open = self._stack.enter_context(devices.open_device(self.url or "", model))
                 self._zero = position_zero(self._open, experiment)
             return self._open
-        x = config.with_realtime(experiment, changes)
-        model = config.rig_model(x)
+        effective = config.with_realtime(experiment, changes)
+        model = config.rig_model(effective)
         if self._open is None or self._served != (model, self.hand):
             self.close()
             url = devices.url_for(self.url or "sim://", experiment.controller.loop)
             if self.hand is not None:
                 url += ("&" if "?" in url else "?") + f"hand={self.hand}"
-            seed, realtime = experiment.trial.seed, x.host.realtime
+            seed, realtime = experiment.trial.seed, effective.host.realtime
             self._open = self._stack.enter_context(
                 open_for_run(url, model, in_real_time=True, seed=seed, realtime=realtime)
             )
@@ -319,12 +321,12 @@ def _serial_number(link: Link) -> str | None:
     return getattr(getattr(link, "facts", link), "serial_number", None) or None
 
 
-def _fits(x: Experiment, device: FramedDevice) -> list[Check]:
+def _fits(effective: Experiment, device: FramedDevice) -> list[Check]:
     dictionary = device.dictionary
     return [
-        check_rig(config.rig_model(x), dictionary),
-        *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
-        *device_checks(prepared_on(device, x), dictionary),
+        check_rig(config.rig_model(effective), dictionary),
+        *link_checks(effective, dictionary.position_rate_maximum, device.link.bytes_per_second),
+        *device_checks(prepared_on(device, effective), dictionary),
     ]
 
 

@@ -34,11 +34,13 @@ def pace_checks(walls: Walls, runner: TrialRunner) -> Iterator[Check]:
     if runner.virtual:
         return
     under = [(walls.softest(one), one) for one in walls.protocol.condition]
-    by_host = [(x, condition) for x, condition in under if x.controller.loop != "device"]
+    by_host = [
+        (experiment, condition) for experiment, condition in under if experiment.controller.loop != "device"
+    ]
     if not by_host:
         return
-    x, condition = max(by_host, key=lambda one: one[0].controller.position_rate)
-    found = runner.pace(x, own_rates(condition, x))
+    experiment, condition = max(by_host, key=lambda one: one[0].controller.position_rate)
+    found = runner.pace(experiment, own_rates(condition, experiment))
     if found is None:
         return
     helps = remedy(found, simulated=runner.simulated)

@@ -81,9 +81,11 @@ def _words(band: Band) -> str:
     return " to ".join(f"{end:g}" for end in band)
 
 
-def pressing(x: Experiment, trial: Trial) -> dict[str, float]:
+def pressing(experiment: Experiment, trial: Trial) -> dict[str, float]:
     """Return ``operator.press`` of a simulated hand for the middle of the required range; {} without a range."""
-    return {"operator.press": max(0.0, config.press_for(x, middle(trial.press)))} if trial.press else {}
+    return (
+        {"operator.press": max(0.0, config.press_for(experiment, middle(trial.press)))} if trial.press else {}
+    )
 
 
 def middle(band: Band) -> float:

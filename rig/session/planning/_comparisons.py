@@ -41,9 +41,10 @@ def wall_checks(walls: Walls) -> list[Check]:
     """
     worst: dict[str, tuple[Check, str]] = {}
     number: dict[tuple[str, Outcome], int] = {}
-    for condition, x in walls:
-        where = f"{condition}, K = {x.wall.stiffness:g} {unit_of('stiffness', x.rig.motion)}, B = {x.wall.damping:g}"
-        for one in _checks_of(x):
+    for condition, experiment in walls:
+        wall, unit = experiment.wall, unit_of("stiffness", experiment.rig.motion)
+        where = f"{condition}, K = {wall.stiffness:g} {unit}, B = {wall.damping:g}"
+        for one in _checks_of(experiment):
             number[one.name, one.outcome] = number.get((one.name, one.outcome), 0) + 1
             if one.name not in worst or _severity(one) > _severity(worst[one.name][0]):
                 worst[one.name] = (one, where)
@@ -58,10 +59,10 @@ def wall_checks(walls: Walls) -> list[Check]:
     ]
 
 
-def _checks_of(x: Experiment) -> Sequence[Check]:
+def _checks_of(experiment: Experiment) -> Sequence[Check]:
     try:
         # The check of cut-off frequencies helps to compare single experiments; a protocol states its conditions itself.
-        return [check for check in make_plan(x).checks if check.name != CUTOFFS]
+        return [check for check in make_plan(experiment).checks if check.name != CUTOFFS]
     except RigError as error:
         return (Check("law", Outcome.REFUSED, error.message, error.remedy),)
 
@@ -183,7 +184,7 @@ def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]
 def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
     """Check that the simulated hand, on these walls, keeps the required ranges of impact speed and press."""
     bands = {name: band for name in BANDS if (band := getattr(trial, name))}
-    simulated = [simulate_hits(x) for x in walls] if bands else []
+    simulated = [simulate_hits(experiment) for experiment in walls] if bands else []
     for name, band in bands.items():
         quantity, _, words = BANDS[name]
         values, unit = (
@@ -203,8 +204,13 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 def cap_checks(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
     """Check that each limit in ``[caps]`` can act: one far above all possible values is probably a typing error."""
     caps, experiments = protocol.caps, [one for of in by_condition for one in of]
-    stiffest = max([x.wall.stiffness for x in experiments] + list(protocol.practice.stiffness))
-    most = max(x.rig.limits.effort * x.rig.limits.speed * x.trial.duration_s for x in experiments)
+    stiffest = max(
+        [experiment.wall.stiffness for experiment in experiments] + list(protocol.practice.stiffness)
+    )
+    most = max(
+        experiment.rig.limits.effort * experiment.rig.limits.speed * experiment.trial.duration_s
+        for experiment in experiments
+    )
     unit = unit_of("stiffness", experiments[0].rig.motion)
     remedy = "check the value for a wrong unit or power of ten, or omit the cap"
     if caps.stiffness is not None and caps.stiffness > FAR * stiffest:

@@ -21,10 +21,10 @@ TICK_BYTES = 35.0  # of a sealed recording: 30 to 40 were measured
 TRIAL_BYTES = 100e3  # of header, trailer and metadata of one recording
 
 
-def bytes_of_trial(x: Experiment, protocol: Protocol) -> float:
+def bytes_of_trial(experiment: Experiment, protocol: Protocol) -> float:
     """Return the expected size (bytes) of the recording of one trial."""
-    seconds = trial_times(x).recorded
-    return TRIAL_BYTES + TICK_BYTES * seconds * x.controller.position_rate
+    seconds = trial_times(experiment).recorded
+    return TRIAL_BYTES + TICK_BYTES * seconds * experiment.controller.position_rate
 
 
 def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
@@ -36,8 +36,8 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
     trials = likely_trials(protocol, schedule(protocol, row))
     needed = 0.0
     for condition in protocol.condition:
-        x = walls.softest(condition)
-        needed += trials[condition.name] * bytes_of_trial(x, protocol)
+        experiment = walls.softest(condition)
+        needed += trials[condition.name] * bytes_of_trial(experiment, protocol)
     here = next(one for one in (place, *place.absolute().parents) if one.exists())
     with plain_errors("read the free space of", here):
         free = shutil.disk_usage(here).free

@@ -20,11 +20,15 @@ HITS = 3  # simulated, each with another tremor and start
 HALVINGS = 8
 
 
-def reach_for(x: Experiment, speed: float) -> float:
+def reach_for(experiment: Experiment, speed: float) -> float:
     """Return how long (s) a simulated hand must move to the wall to hit it with `speed` (rad/s or m/s)."""
-    room = x.trial.duration_s - (0.0 if x.trial.hold_s else x.verdict.tail_s) - x.operator.begin_s
+    room = (
+        experiment.trial.duration_s
+        - (0.0 if experiment.trial.hold_s else experiment.verdict.tail_s)
+        - experiment.operator.begin_s
+    )
     quick, slow = math.log(QUICKEST_S), math.log(max(QUICKEST_S, room))
-    brief = replace(x, trial=replace(x.trial, hold_s=TOUCH_S))
+    brief = replace(experiment, trial=replace(experiment.trial, hold_s=TOUCH_S))
     for _ in range(HALVINGS):
         middle = 0.5 * (quick + slow)
         reaching = replace(brief, operator=replace(brief.operator, reach_s=math.exp(middle)))
@@ -35,15 +39,17 @@ def reach_for(x: Experiment, speed: float) -> float:
     return round(math.exp(quick), 3)
 
 
-def simulate_hits(x: Experiment) -> dict[str, list[float]]:
+def simulate_hits(experiment: Experiment) -> dict[str, list[float]]:
     """Return impact speeds (rad/s or m/s) and presses (N·m or N) of a simulated hand in some hits on a soft wall."""
     verdicts = [
-        HitSimulator(replace(x, trial=replace(x.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed)))
-        .hit(x.wall.stiffness, x.wall.damping)
+        HitSimulator(
+            replace(experiment, trial=replace(experiment.trial, baseline_s=0.0, foreperiod_s=0.0, seed=seed))
+        )
+        .hit(experiment.wall.stiffness, experiment.wall.damping)
         .recorded.verdict
         for seed in range(HITS)
     ]
     return {
         "impact_speed": [abs(one.impact_velocity or 0.0) for one in verdicts],
-        "press": [x.wall.stiffness * one.resting_penetration for one in verdicts],
+        "press": [experiment.wall.stiffness * one.resting_penetration for one in verdicts],
     }
