@@ -280,7 +280,7 @@ class SessionState:
                 trial.leave_out(RESTARTED)
         runs = {run.number for block in self.blocks if block.number == number for run in block.runs}
         self.skipped -= runs
-        self._owed = {run: number for run, number in self._owed.items() if run not in runs}
+        self._owed = {run: owed for run, owed in self._owed.items() if run not in runs}
         self.answered = {
             key: answer for key, answer in self.answered.items() if key[1] != number or number == 0
         }

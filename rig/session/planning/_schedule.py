@@ -23,6 +23,8 @@ from rig.session.search import Estimate, JudgedProbe, Probe
 PRACTICE = 0  # number of the block, and of the run, of the practice trials
 # JSON parsers of any language read whole numbers below 2^53 without loss.
 LARGEST_SEED = 2**53
+# A quotient of decimals, such as 0.3 / 0.1, may lie this far below a whole number of steps.
+ROUNDING = 1e-9
 
 T = TypeVar("T")
 
@@ -63,7 +65,7 @@ def schedule(protocol: Protocol, row: int) -> tuple[Block, ...]:
     """
     if row < 0:
         raise ValueError(f"row = {row} in the table of condition orders must not be below 0")
-    groups = _orders(protocol, row)
+    groups = _searches_by_block(protocol, row)
     blocks = list(_practice(protocol, row))
     number = 0
     for place, cells in enumerate(groups, start=1):
@@ -88,11 +90,11 @@ def rows_of(protocol: Protocol) -> int:
     if protocol.order.kind != "latin-square":
         return 1
     if protocol.order.blocks == "condition":
-        fits = _fits(protocol)
-        within = math.lcm(*(_rows(len(names)) for names in fits.values()))
+        conditions_by_fit = _group_by_fit(protocol)
+        within = math.lcm(*(_count_rows(len(names)) for names in conditions_by_fit.values()))
         dampings = [len(condition.damping) for condition in protocol.condition]
-        return math.lcm(_rows(len(fits)) * within, *map(_rows, dampings))
-    return _rows(len(cells_of(protocol)))
+        return math.lcm(_count_rows(len(conditions_by_fit)) * within, *map(_count_rows, dampings))
+    return _count_rows(len(cells_of(protocol)))
 
 
 def cells_of(protocol: Protocol) -> tuple[tuple[str, float], ...]:
@@ -149,7 +151,7 @@ def level_steps(wanted: Search) -> int:
         steps = (wanted.highest - wanted.lowest) / wanted.step
     else:
         steps = math.log(wanted.highest / wanted.lowest) / math.log(wanted.ratio or math.inf)
-    return math.floor(steps + 1e-9)
+    return math.floor(steps + ROUNDING)
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ class InOrder:
 def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
     """Return items in the order of a row of a Williams design, a balanced Latin square of n rows (2 n if n is odd)."""
     n = len(items)
-    row %= _rows(n)
+    row %= _count_rows(n)
     # Rows of the square and of its mirror image alternate, so that half a cycle is nearly balanced as well.
     mirrored = n % 2 == 1 and row % 2 == 1
     shift = row // 2 if n % 2 else row
@@ -181,34 +183,37 @@ def williams(items: Sequence[T], row: int) -> tuple[T, ...]:
     return order[::-1] if mirrored else order
 
 
-def _rows(n: int) -> int:
+def _count_rows(n: int) -> int:
     # An odd number of conditions needs a square and its mirror image.
     return 2 * n if n % 2 and n > 1 else n
 
 
-_Cell = tuple[tuple[str, float], int]  # condition and damping; repeat
+_Cell = tuple[tuple[str, float], int]  # (condition, damping) of a search, and number of its repeat from 1
 
 
-def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
+def _searches_by_block(protocol: Protocol, row: int) -> list[list[_Cell]]:
     """Return (condition, damping) and repeat number of the searches in each block, in the order of the session."""
     order, cells = protocol.order, cells_of(protocol)
     repeats = range(1, order.repeats + 1)
     if order.blocks == "condition":
-        fits = _fits(protocol)
+        conditions_by_fit = _group_by_fit(protocol)
         # Each order of conditions is combined with each order of the fitted parts.
         square = order.kind == "latin-square"
-        within = row // _rows(len(fits)) if square else row
+        within = row // _count_rows(len(conditions_by_fit)) if square else row
         names = [
             name
-            for fit in _order(protocol, "fits", list(fits), row)
-            for name in _order(protocol, f"conditions{fit}", fits[fit], within)
+            for fit in _arrange(protocol, "fits", list(conditions_by_fit), row)
+            for name in _arrange(protocol, f"conditions{fit}", conditions_by_fit[fit], within)
         ]
         return [
             [
                 (cell, repeat)
                 for repeat in repeats
-                for cell in _order(
-                    protocol, f"{name}/{repeat}", [c for c in cells if c[0] == name], row + repeat - 1
+                for cell in _arrange(
+                    protocol,
+                    f"{name}/{repeat}",
+                    [cell for cell in cells if cell[0] == name],
+                    row + repeat - 1,
                 )
             ]
             for name in names
@@ -218,13 +223,13 @@ def _orders(protocol: Protocol, row: int) -> list[list[_Cell]]:
         drawn = _draw(every, f"{protocol.study.seed}/{row}/all")
         return [_count_repeats(cell for cell, _ in drawn)]
     by_repeat = [
-        [(cell, repeat) for cell in _order(protocol, f"{repeat}", cells, row + repeat - 1)]
+        [(cell, repeat) for cell in _arrange(protocol, f"{repeat}", cells, row + repeat - 1)]
         for repeat in repeats
     ]
     return by_repeat if order.blocks == "repeat" else [[cell for block in by_repeat for cell in block]]
 
 
-def _fits(protocol: Protocol) -> dict[str, list[str]]:
+def _group_by_fit(protocol: Protocol) -> dict[str, list[str]]:
     """Return the names of conditions, grouped by the mechanical part that they need on the rig."""
     found: dict[str, list[str]] = {}
     for one in protocol.condition:
@@ -232,7 +237,7 @@ def _fits(protocol: Protocol) -> dict[str, list[str]]:
     return found
 
 
-def _order(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
+def _arrange(protocol: Protocol, what: str, items: Sequence[T], row: int) -> Sequence[T]:
     """Return items in the order that the protocol prescribes for a row: unchanged, random, or by a Latin square.
 
     `what` names the items and enters the seed, so that random orders are independent of each other.
