@@ -131,6 +131,8 @@ WALKING = ("ascending", "staircase", "interleaved")  # rules whose next wall fol
 
 END = -1  # block of a question that is asked at the end
 # Question about the part that the next block needs. A question of a protocol cannot have this name, with blanks.
+# Streams of random numbers of a participant; other numbers would change the walls of a session that is resumed.
+_SEARCH_STREAM, _TRIAL_STREAM = 1, 2
 FITTED = "fitted to the rig"
 AS_IT_IS = "the rig as it is"
 
@@ -427,31 +429,31 @@ class SessionState:
         counted = [trial for trial in self.trials if not trial.void]
         if counted and not counted[-1].verdict and not counted[-1].invalid:
             return DoJudge(counted[-1])
-        over = None if self._owes() else self._stop_rule()
-        step = None if over else self._in_blocks()
+        over = None if self._has_trial_to_repeat() else self._stop_rule()
+        step = None if over else self._next_in_blocks()
         if step is not None:
             return step
-        item = self._item("end", END)
+        item = self._find_open_question("end", END)
         return item or DoEnd(over or "complete")
 
-    def _in_blocks(self) -> Step | None:
-        item = self._item("start", 0)
+    def _next_in_blocks(self) -> Step | None:
+        item = self._find_open_question("start", 0)
         if item is not None:
             return item
         for block in self.blocks:
             waiting = [run for run in block.runs if self.asks(run) is not None]
             if waiting:
-                return self._in_block(block, waiting)
-            item = None if block.practice else self._item("block", block.number)
+                return self._next_in_block(block, waiting)
+            item = None if block.practice else self._find_open_question("block", block.number)
             if item is not None:
                 return item
         return None
 
-    def _in_block(self, block: Block, waiting: list[SearchRun]) -> Step:
-        first = self._before(block)
+    def _next_in_block(self, block: Block, waiting: list[SearchRun]) -> Step:
+        first = self._precede_trial(block)
         if first is not None:
             return first
-        spoiled = _count_in_a_row(trial.by_machine for trial in self.trials[self._continued :])
+        spoiled = _count_trailing(trial.by_machine for trial in self.trials[self._continued :])
         if spoiled >= self.protocol.stop.machine:
             # A blinded operator may read the log.
             why = summarise_reasons(self.trials[-1].reasons, blind=True)
@@ -463,15 +465,15 @@ class SessionState:
                 return DoDecide(run, last)
             attempt = last.attempt + 1
         else:
-            run, attempt = waiting[self._turn(block, len(waiting))], 1
-        due = self._rest_due()
+            run, attempt = waiting[self._choose_search(block, len(waiting))], 1
+        due = self._find_due_rest()
         if due is not None:
             return due
         probe = self.asks(run)
         assert probe is not None
         return DoTrial(self._present(block, run, probe, attempt))
 
-    def _before(self, block: Block) -> Step | None:
+    def _precede_trial(self, block: Block) -> Step | None:
         """Return the step that must precede the next trial of a block (rest, fitting a part, begin); None for none."""
         begun = block.number in self.begun
         between = self.protocol.rest.between_blocks_s if self.trials and not begun else 0.0
@@ -511,16 +513,18 @@ class SessionState:
             seed=self.seed_of(number),
         )
 
-    def _turn(self, block: Block, waiting: int) -> int:
+    def _choose_search(self, block: Block, waiting: int) -> int:
         """Return which of the `waiting` unfinished searches presents the next wall: the first, or a random one."""
         if not block.interleave:
             return 0
         done = sum(1 for t in self.trials if t.block == block.number and not t.void and not t.invalid)
-        return int(np.random.default_rng([self.seed, self.row, 1, block.number, done]).integers(waiting))
+        return int(
+            np.random.default_rng([self.seed, self.row, _SEARCH_STREAM, block.number, done]).integers(waiting)
+        )
 
     def seed_of(self, trial: int) -> int:
         """Return the random seed of a trial, for the simulation and the simulated person."""
-        return int(np.random.SeedSequence([self.seed, self.row, 2, trial]).generate_state(1)[0])
+        return int(np.random.SeedSequence([self.seed, self.row, _TRIAL_STREAM, trial]).generate_state(1)[0])
 
     def _invalid_in_a_row(self, run: SearchRun) -> int:
         """Return how many of a search's newest trials in a row are invalid, since the operator last continued.
@@ -535,7 +539,7 @@ class SessionState:
             count += not trial.by_machine
         return count
 
-    def _rest_due(self) -> DoRest | None:
+    def _find_due_rest(self) -> DoRest | None:
         rest = self.protocol.rest
         if self.heat > rest.heat:
             seconds = cooling_s(self.heat, rest.heat, self.thermal_time_constant_s)
@@ -545,13 +549,13 @@ class SessionState:
             return DoRest(rest.seconds, "every")
         return None
 
-    def _item(self, when: str, block: int) -> DoAsk | None:
+    def _find_open_question(self, when: str, block: int) -> DoAsk | None:
         for item in self.protocol.question:
             if item.when == when and (item.name, block) not in self.answered:
                 return DoAsk(item, block)
         return None
 
-    def _owes(self) -> bool:
+    def _has_trial_to_repeat(self) -> bool:
         # A discarded trial has to be repeated before the session may end.
         return any(
             self._owed.get(run.number) and self.asks(run) is not None
@@ -567,10 +571,10 @@ class SessionState:
         if stop.minutes is not None and self.active_s >= 60.0 * stop.minutes:
             return f"{stop.minutes:g} minutes"
         invalid = [one.invalid for one in self.trials if not one.by_machine]
-        if stop.invalid is not None and _count_in_a_row(invalid) >= stop.invalid:
+        if stop.invalid is not None and _count_trailing(invalid) >= stop.invalid:
             return f"{stop.invalid} invalid trials in a row"
         aborted = [one.aborted != "" for one in self.trials if not one.invalid]
-        if stop.aborts is not None and _count_in_a_row(aborted) >= stop.aborts:
+        if stop.aborts is not None and _count_trailing(aborted) >= stop.aborts:
             return f"{stop.aborts} hits in a row cut off for safety"
         return None
 
@@ -579,7 +583,7 @@ def _run_of(events: Sequence[Event], trial: int) -> int:
     return next(int(e.content["run"]) for e in events if e.kind == "trial" and e.content["trial"] == trial)
 
 
-def _count_in_a_row(found: Iterable[bool]) -> int:
+def _count_trailing(found: Iterable[bool]) -> int:
     count = 0
     for one in found:
         count = count + 1 if one else 0
