@@ -129,10 +129,10 @@ Step = DoTrial | DoJudge | DoAsk | DoBlock | DoRest | DoPause | DoDecide | DoEnd
 
 WALKING = ("ascending", "staircase", "interleaved")  # rules whose next wall follows from the walls before
 
-END = -1  # block of a question that is asked at the end
-# Question about the part that the next block needs. A question of a protocol cannot have this name, with blanks.
 # Streams of random numbers of a participant; other numbers would change the walls of a session that is resumed.
 _SEARCH_STREAM, _TRIAL_STREAM = 1, 2
+END = -1  # block of a question that is asked at the end
+# Question about the part that the next block needs. A question of a protocol cannot have this name, with blanks.
 FITTED = "fitted to the rig"
 AS_IT_IS = "the rig as it is"
 

@@ -18,7 +18,10 @@ from rig.core.operators import NO_OPERATOR
 from rig.doctor.late_loops import LateLoops
 from rig.session.planning._protocol import Protocol, Search
 from rig.session.planning._schedule import Block, asking, levels_of
+from rig.session.search._ascending import Ascending
+from rig.session.search._grid import LevelGrid
 from rig.session.search._observer import Observer, run
+from rig.session.search._psi import Psi
 
 # Largest ratio of the measured K_max of the papers' rigs to K_max of the linear loop (`rig.analysis.theory._loop`).
 FRICTION_RAISES = 2.5
@@ -29,6 +32,8 @@ USUALLY_RAISES = 1.2
 ENCODER_LEAVES = 0.35
 SPREAD = 0.05  # s / K50 of an observer: verdicts turn from stable to unstable within some 20 % of stiffness
 LAPSE_RATE = 0.02
+# Smallest threshold of a simulated observer over the lowest level, if theory expects no stable wall.
+LEAST_K50 = 1e-3
 # Number of simulated searches for each expected limit.
 OBSERVERS = 5
 # A simulated search ends after this number of trials, more than a participant can endure.
@@ -111,15 +116,16 @@ def expected_limits(
     found = {}
     for place, damping in enumerate(dampings):
         by_hand = {hand: min(curve[place].stiffness for curve in of) for hand, of in curves.items()}
-        meant = by_hand if experiment.trial.kind != "human" else _held(by_hand)
-        own = meant.get(NO_OPERATOR, meant.get(experiment.operator.grip, max(meant.values())))
+        # A motor's push meets the free handle too; a person's hand is always on it.
+        possible = by_hand if experiment.trial.kind != "human" else _held(by_hand)
+        own = possible.get(NO_OPERATOR, possible.get(experiment.operator.grip, max(possible.values())))
         damped = damping > 0.0
         # Linear theory has no Coulomb friction, which stabilises stiffer walls, and no encoder, whose noise under
         # damping takes most of a limit: so the range about theory's limit is wide.
         limit = ExpectedRange(
-            min(meant.values()) * (ENCODER_LEAVES if damped else 1.0),
+            min(possible.values()) * (ENCODER_LEAVES if damped else 1.0),
             own * (1.0 if damped else USUALLY_RAISES),
-            max(meant.values()) * FRICTION_RAISES,
+            max(possible.values()) * FRICTION_RAISES,
         )
         found[damping] = Expected(by_hand=by_hand, limit=limit, note=loops.stand_in)
     return found
@@ -156,20 +162,20 @@ def expected_trials(wanted: Search, limit: ExpectedRange) -> ExpectedTrials:
     levels, settings = levels_of(wanted), wanted.settings
     # Without `enough`, Psi always uses all hits, about half of them above K50.
     if wanted.rule == "psi" and not settings.get("enough"):
-        hits = float(settings.get("hits", 25))
+        hits = float(settings.get("hits", Psi.hits))
         return ExpectedTrials(
             count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(hits / 4, hits / 2, 3 * hits / 4)
         )
     if wanted.rule == "grid":
-        repeats = float(settings.get("repeats", 5))
+        repeats = float(settings.get("repeats", LevelGrid.repeats))
         above = sorted(repeats * sum(level > k50 for level in levels) for k50 in limit.values)
         hits = repeats * len(levels)
         return ExpectedTrials(count=ExpectedRange(hits, hits, hits), failures=ExpectedRange(*above))
     # All series are alike on average: one is simulated, and the result multiplied.
-    if wanted.rule == "ascending" and settings.get("repeats", 5) != 1:
+    if wanted.rule == "ascending" and (repeats := settings.get("repeats", Ascending.repeats)) != 1:
         series = replace(wanted, settings={**settings, "repeats": 1})
-        return expected_trials(series, limit) * float(settings.get("repeats", 5))
-    taken = {k50: _simulate_searches(wanted, max(k50, 1e-3 * levels[0])) for k50 in set(limit.values)}
+        return expected_trials(series, limit) * float(repeats)
+    taken = {k50: _simulate_searches(wanted, max(k50, LEAST_K50 * levels[0])) for k50 in set(limit.values)}
     count, failures, ended_by_most = zip(*(taken[k50] for k50 in limit.values), strict=True)
     return ExpectedTrials(
         count=ExpectedRange(min(count), count[1], max(count)),
