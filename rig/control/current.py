@@ -38,32 +38,36 @@ AGREES, DISAGREES = 1, 2
 
 _Places = namedtuple(
     "_Places",
-    # settings: shares of a lag in a tick (1/65536), quanta of back-EMF for a count in a tick (1/256), which way it
-    # acts; ticks of a window, and the sum in it that is noise; of what a lag's input changes by in a tick, how much
-    # comes late (1/65536); shares of half the lag and of twice the lag; ticks of a slot of the delay line, slots that
-    # half the delay, the delay and twice the delay reach back, ticks that twice the delay lasts
+    # Settings. decay, speed_decay: share of its input that a lag follows in a tick (1/65536). back_emf: current for one
+    # count a tick (1/256 quantum); sign: the direction in which it acts. ticks, noise: length of a window, and the sum
+    # of residuals in it that is noise. late: share of a linear change within a tick that a lag has not followed at its
+    # end (1/65536). quick_decay, slow_decay: decay for half and for twice the lag. stride: ticks of a slot of the delay
+    # line. first, middle, last: slots by which half the delay, the delay and twice the delay reach back. delayed: ticks
+    # that twice the delay lasts.
     "decay speed_decay back_emf sign ticks noise late quick_decay slow_decay stride first middle last delayed "
-    # memory: expected current, back-EMF apart, behind the lag; lowest and highest current of all delays behind half the
-    # lag and behind twice the lag (1/16384 quantum); last count, how many are known (0, 1 or more); newest slot of the
-    # delay line, ticks in it, ticks until the active current of each delay is known
+    # Memory (1/16384 quantum). expected: current behind the lag, without back-EMF. quick_low … slow_high: lowest and
+    # highest current of all delays, behind half the lag and behind twice the lag. count, known: last encoder count, and
+    # how many counts are known (0, 1 or more). newest, filled: newest slot of the delay line, and ticks in it. awaited:
+    # ticks until the active current of each delay is known.
     "expected quick_low quick_high slow_low slow_high count known newest filled awaited "
-    # with back-EMF: speed, and behind the lag (1/16384 count a tick); residual, smoothed and not; expected current,
-    # smoothed; differences of the four bounds from the expected current, smoothed
+    # Memory with back-EMF. speed, moved: speed, and the same behind the lag (1/16384 count a tick). left, before:
+    # residual, smoothed and not. smooth: expected current, smoothed. quick_low_left … slow_high_left: differences of
+    # the four bounds from the expected current, smoothed.
     "speed moved left before smooth quick_low_left quick_high_left slow_low_left slow_high_left "
-    # of this window: also what a dead motor would have left; the largest and most of the one before, where they still
-    # act
+    # Sums of this window (quanta). passed: its ticks so far. difference, dead: residuals, and those that a motor without
+    # current would have. largest, most: the largest residual and expected current; last_…: those of the window before.
     "passed difference largest sum most dead last_largest last_most "
-    # delay line: lowest and highest active current of each slot (quanta), `SLOTS` of each
+    # Delay line: lowest and highest active current of each slot (quanta), `SLOTS` of each.
     "lowest highest",
 )
 CURRENT: Any = _Places(*(*range(len(_Places._fields) - 1), len(_Places._fields) - 2 + SLOTS))
 WORDS = CURRENT.highest + SLOTS
 
 _HALF = 1 << 15  # of 65536
-_UNIT = 1 << 14
+_UNIT = 1 << 14  # units of a current in memory for one quantum
 _MOST = 32767 * _UNIT
-_COUNT = 1 << 14
-_MOST_COUNTS = 32767
+_COUNT = 1 << 14  # units of a speed in memory for one count a tick
+_MOST_COUNTS = 32767  # largest speed (counts a tick)
 _UNOBSERVED = 2**32 - 1
 
 
@@ -105,7 +109,7 @@ def _share_of(lag_s: float, rate: int) -> int:
 
 
 def _late_part(lag_s: float, rate: int) -> int:
-    """Return the part (in 1/65536) of a step to subtract, so that a lag ends a tick as after a ramp to that height."""
+    """Return the part (in 1/65536) of a linear change in a tick that a first-order lag does not follow by its end."""
     if lag_s <= 0.0:
         return 0
     ticks = lag_s * rate
