@@ -25,7 +25,7 @@ from rig.realtime.kernel import kernel
 
 NUMBERS = np.dtype(
     [
-        # the fields of rig.control.verdict.Verdict; NaN where that says None
+        # Fields of rig.control.verdict.Verdict, of which the tail is the last part of a trial; NaN stands for its None.
         ("felt", "<f8"),
         ("felt_floor", "<f8"),
         ("heard", "<f8"),
@@ -49,22 +49,22 @@ NUMBERS = np.dtype(
         ("late_fraction", "<f8"),
         ("current_observed", "<i8"),
         ("ticks", "<i8"),
-        # what else decides
+        # Further numbers that decide the outcome.
         ("current_differs", "<i8"),
         ("other_current_ticks", "<i8"),
         ("slew_bound_ticks", "<i8"),
         ("overruled_ticks", "<i8"),
         ("inside_ticks_in_tail", "<i8"),
-        # without a contact, changes of the count in a row between the same two neighbours; else 0
+        # Without a contact, changes of the count in a row between the same two neighbours; else 0.
         ("toggles", "<i8"),
-        # how long the stay in the wall was that ended once and for good, in the tail or before it; 0 without one, or a
-        # short one
+        # Length of the stay in the wall after which the handle stayed outside; 0 without such a stay, or if it was
+        # shorter than a period of the high pass.
         ("stay_ticks", "<i8"),
-        # in a tail that ends with that stay, up to a period of the high pass before its end
+        # Ripples up to one period of the high pass before the end of that stay.
         ("heard_in_stay", "<f8"),
         ("moved_in_stay", "<f8"),
         ("tail_begins_s", "<f8"),  # NaN for a trial too short to be measured
-        # how long settling lasted into the tail; 0 when it ended before or never
+        # How long settling lasted into the tail; 0 if it ended before the tail, or never.
         ("settling_in_tail_s", "<f8"),
     ],
     align=True,
@@ -91,14 +91,14 @@ UNITS = {
 SETTINGS = np.dtype(
     [
         ("tick_s", "<f8"),
-        ("resolution", "<f8"),  # of one count; 0 for truth
-        ("felt_velocity", "<f8"),  # a floor above it makes felt not measurable
+        ("resolution", "<f8"),  # travel of one count (rad or m); 0 for true signals
+        ("felt_velocity", "<f8"),  # threshold; felt is not measurable if one toggling count exceeds it
         ("highpass_hz", "<f8"),
         ("lowpass_hz", "<f8"),
         ("tail_ticks", "<i8"),
-        ("lead_ticks", "<i8"),  # filtered before the tail
-        ("pad_ticks", "<i8"),  # mirrored extension of the ends
-        ("impact_ticks", "<i8"),  # counts before contact from which the velocity at impact is estimated
+        ("lead_ticks", "<i8"),  # ticks before the tail that are filtered too, until old samples are forgotten
+        ("pad_ticks", "<i8"),  # ticks by which the velocity is mirrored beyond each end
+        ("impact_ticks", "<i8"),  # ticks before the contact from which the velocity at impact is estimated
     ],
     align=True,
 )
@@ -110,7 +110,7 @@ FEWEST_TICKS = 8
 OVERRULED = 1 << 32
 LOST_BITS = 33
 
-# plain integers, which compiled code can take as constants
+# Plain integers, which compiled code can use as constants.
 _SATURATED, _SLEW_BOUND = int(RowFlag.SATURATED), int(RowFlag.SLEW_BOUND)
 _LATE = int(RowFlag.LATE)
 _FOLLOWS, _DIFFERS, _OTHER = (

@@ -54,8 +54,8 @@ _Places = namedtuple(
     # residual, smoothed and not. smooth: expected current, smoothed. quick_low_left … slow_high_left: differences of
     # the four bounds from the expected current, smoothed.
     "speed moved left before smooth quick_low_left quick_high_left slow_low_left slow_high_left "
-    # Sums of this window (quanta). passed: its ticks so far. difference, dead: residuals, and those that a motor without
-    # current would have. largest, most: the largest residual and expected current; last_…: those of the window before.
+    # Sums of this window (quanta). passed: its ticks so far. difference, dead: residuals, and those of a motor without
+    # current. largest, most: the largest residual and expected current; last_…: those of the window before.
     "passed difference largest sum most dead last_largest last_most "
     # Delay line: lowest and highest active current of each slot (quanta), `SLOTS` of each.
     "lowest highest",

@@ -89,46 +89,50 @@ __all__ = [
 # Length-1 structured arrays and not dataclasses: fields have the same names in compiled code and in plain Python.
 CONTROL = np.dtype(
     [
-        ("resolution", "<f8"),  # travel for one count, signed as the encoder counts
+        # Travel for one count (rad or m), negative if counts fall with rising position.
+        ("resolution", "<f8"),
         ("reference_count", "<i8"),  # count at position zero
-        ("tick_s", "<f8"),  # T1
-        ("velocity_divider", "<i8"),  # N = T2/T1
+        ("tick_s", "<f8"),  # T1, time of one tick
+        ("velocity_divider", "<i8"),  # N = T2/T1, ticks of a velocity period
         ("extrapolate", "<i8"),  # 1: first-order prediction between velocity samples, 0: hold
         ("slow_multiple", "<i8"),  # velocity periods between samples of a slow handle; 1: always every period
-        ("slow_speed", "<f8"),  # what slow means
+        ("slow_speed", "<f8"),  # speed below which a handle is slow (rad/s or m/s)
         ("wall_position", "<f8"),
         ("wall_side", "<f8"),  # +1: the wall is entered with rising position
-        # place of the estimated position in the estimator's floats + 1; 0: position of the encoder
+        # 1 + index of the estimated position in the estimator's floats; 0: use the position of the encoder
         ("position_state", "<i8"),
         ("passive_damping", "<f8"),  # largest damping of the passivity controller; 0: none
-        ("effort_limit", "<f8"),
+        ("effort_limit", "<f8"),  # of all efforts together (N·m or N)
         ("effort_quantum", "<f8"),  # effort of one current quantum
         ("trial_slew", "<f8"),  # effort per tick in trial and release: binding spoils the trial
         ("homing_slew", "<f8"),  # effort per tick while homing
-        ("window_minimum", "<f8"),
+        ("window_minimum", "<f8"),  # a position outside of this window, or a higher speed, ends the run
         ("window_maximum", "<f8"),
         ("speed_limit", "<f8"),
-        ("home_target", "<f8"),
+        ("home_target", "<f8"),  # position at which a trial starts (rad or m)
         ("home_step", "<f8"),  # set-point travel per tick
         ("home_stiffness", "<f8"),
         ("home_damping", "<f8"),
-        ("home_effort", "<f8"),
-        ("home_tolerance", "<f8"),
-        ("settle_ticks", "<i8"),
+        ("home_effort", "<f8"),  # largest effort of the homing servo (N·m or N)
+        ("home_tolerance", "<f8"),  # distance from the target within which homing is complete (rad or m)
+        ("settle_ticks", "<i8"),  # that the handle must rest there
         ("home_timeout_ticks", "<i8"),
         ("free_ticks", "<i8"),  # of free space before the trial; 0: none
-        ("free_minimum", "<f8"),  # who leaves this meanwhile made a false start: no trial follows
+        # Leaving this range before the trial is a false start: the run ends without a trial.
+        ("free_minimum", "<f8"),
         ("free_maximum", "<f8"),
         ("constant_effort", "<f8"),
-        ("trial_ticks", "<i8"),  # of the trial, or of a trial without a contact
+        ("trial_ticks", "<i8"),  # length of a trial; with hold_ticks, only of a trial without a contact
         ("hold_ticks", "<i8"),  # from the first contact to the end; 0: contact or not, trial_ticks
         ("release_ticks", "<i8"),
         ("energy_limit", "<f8"),  # that the motor may give in a trial (J); 0: any
         ("oscillation_limit", "<i8"),  # oscillations of effort in a row that end the run; 0: any
         ("oscillation_ticks", "<i8"),  # within which the next one is in a row
-        ("oscillation_travel", "<f8"),  # of the handle; ignore oscillations below it
-        ("held_effort", "<f8"),  # that friction and weight hold without motion
-        ("impulse_limit", "<f8"),  # of the rest, without motion, above which the run ends; 0: any
+        # Travel of the handle below which an oscillation is ignored (rad or m).
+        ("oscillation_travel", "<f8"),
+        ("held_effort", "<f8"),  # largest effort that friction and weight hold without motion
+        # Impulse of larger efforts that, without motion, ends the run (N·m·s or N·s); 0: any.
+        ("impulse_limit", "<f8"),
     ],
     align=True,
 )
@@ -142,24 +146,24 @@ MEMORY = np.dtype(
         ("rest_ticks", "<i8"),  # ticks within the homing tolerance
         ("contact_ticks", "<i8"),  # ticks of the trial before the first contact; 0: none yet
         ("setpoint", "<f8"),  # of the homing servo
-        # what the law sees: held since the last velocity sample, or extrapolated from it
+        # input of the law: held since the last velocity sample, or extrapolated from it
         ("velocity", "<f8"),
         ("velocity_sampled", "<f8"),  # the estimate itself
         ("velocity_slope", "<f8"),  # its change per tick between the last two samples
         ("velocity_ticks", "<i8"),  # ticks since the last velocity sample
         ("active_sum", "<i8"),  # current active in each of these ticks, added up (quanta)
         ("window", "<i8"),  # velocity periods that the estimate spans
-        ("limited_effort", "<f8"),  # last effort before rounding, which the slew limit starts from
+        ("limited_effort", "<f8"),  # last effort before rounding, from which the slew limit starts
         ("energy", "<f8"),  # that the motor has given in the trial (J)
         ("wall_energy", "<f8"),  # of it what the wall gave (J)
         ("oscillations", "<i8"),  # of the effort, in a row
         ("oscillation_age", "<i8"),  # ticks since the last one
-        ("oscillation_armed", "<i8"),  # 1: the effort has been next to nothing since then
-        ("oscillation_lowest", "<f8"),  # position since then
+        ("oscillation_armed", "<i8"),  # 1: the effort has been next to zero since then
+        ("oscillation_lowest", "<f8"),  # extreme positions since then
         ("oscillation_highest", "<f8"),
         ("unmoved_low", "<i8"),  # the lower of the two counts on which the handle stands
-        ("impulse", "<f8"),  # that a free handle would have by now
-        # what the row shows of this tick
+        ("impulse", "<f8"),  # momentum that a free handle would have by now (N·m·s or N·s)
+        # values of this tick for the recorded row
         ("position", "<f8"),
         ("penetration", "<f8"),
         ("effort_wall", "<f8"),
