@@ -57,18 +57,18 @@ class Kind(StrEnum):
 class Thresholds:
     """Thresholds for judging a trial (SI units, at the link); `rig.config.verdict_thresholds` computes them."""
 
-    tail_s: float
-    highpass_hz: float
+    tail_s: float  # length of the tail, the last part of a trial
+    highpass_hz: float  # band of the rms velocity; effort and position have no upper edge
     lowpass_hz: float
     felt_velocity: float  # rms (rad/s or m/s)
     heard_effort: float  # rms (N·m or N)
     moved: float  # peak-to-peak (rad or m)
     growth: float  # rms of the second half of the tail over the first
-    late_fraction: float  # from the first contact on, as the next two
-    saturated_fraction: float
-    longest_gap: int  # samples lost in a row
-    lost_fraction: float
-    may_leave: bool = False  # a person hits, whose hand may leave the wall by itself
+    late_fraction: float  # of the ticks from the first contact on
+    saturated_fraction: float  # of the ticks in the tail
+    longest_gap: int  # samples lost in a row from the first contact on
+    lost_fraction: float  # of the samples from the first contact on
+    may_leave: bool = False  # True if a person hits, whose hand may leave the wall without being thrown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +148,7 @@ class Objection(IntFlag):
 
     TOO_SHORT = 1
     NEVER_TOUCHED = 2
-    GONE = 4  # it touched the wall and has left it for the whole tail
+    GONE = 4  # the handle touched the wall and was outside of it for the whole tail
     TOUCHED_LATE = 8
     GAPS = 16
     LATE = 32
@@ -163,7 +163,9 @@ class Objection(IntFlag):
     HEARD = 16384
     MOVED = 32768
     THROWN = 65536  # a person's hand left a wall that was not calm, before the tail, and stayed away
-    CURRENT = 262144  # the measured current did not follow the active one, or that not the commanded one
+    CURRENT = (
+        262144  # the measured current did not follow the active one, or the active one not the commanded one
+    )
     LEFT = 131072  # a person's hand left the calm wall and stayed away
 
 
@@ -174,7 +176,7 @@ INVALID = Objection(Objection.EXITS - 1) | Objection.LEFT | Objection.CURRENT  #
 KINDS = (Kind.STABLE, Kind.LIMIT_CYCLE, Kind.UNSTABLE, Kind.INVALID)  # by the codes of `kinds`
 # Changes of the count between two neighbours: a dead channel has hundreds in a reach, tremor some ten a second.
 TOGGLES = 64
-CRITERIA = ("felt", "heard", "any")  # what may end a Z-width, besides instability
+CRITERIA = ("felt", "heard", "any")  # ripples that, besides instability, put a wall outside of the Z-width
 _EXCEEDED_BY = dict(zip(CRITERIA, (Objection.FELT, Objection.HEARD, EXCEEDED), strict=True))
 
 
