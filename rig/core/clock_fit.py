@@ -57,10 +57,16 @@ CUT_NS = 31.25
 DRIFT_PRIOR_PPM = 100.0  # two ordinary crystals
 IMPOSSIBLE_PPM = 10_000.0  # the worst oscillator of a microcontroller is an RC one, 1 %
 SHARE_PRIOR = 0.29  # standard deviation of a share that lies evenly in −½ … ½
-SLOW = 10.0
-OFF_LINE = 6.0
-STRETCHES = 64
-ROUNDS = 5
+SLOW = 10.0  # an exchange with a larger excess, in medians of all, is rejected
+OFF_LINE = 6.0  # an exchange farther from a line, in uncertainties, is rejected
+STRETCHES = 64  # intervals of time of which the robust line uses the fastest exchange each
+ROUNDS = 5  # fits at most, each without the exchanges that the fit before rejected
+# Times the median of magnitudes: the standard deviation of a normal distribution.
+NORMAL_SD = 1.4826
+# Two exchanges closer than this fraction of the whole time can have any slope.
+FAR_APART = 0.25
+# Factor on the weight of the drift's prior, for a fit that shows a drift far beyond it.
+NEARLY_NO_PRIOR = 1e-8
 
 _NO_EXCHANGE = np.array((0, 0, -1, 0), EXCHANGE)  # the device's clock ran backwards: never possible
 
@@ -237,13 +243,15 @@ class _Points:
     trip: _Ints
 
     @classmethod
-    def of(cls, e: NDArray[np.void]) -> _Points:
-        out, back = e["host_sent"] - e["device_received"], e["host_received"] - e["device_sent"]
-        middle = e["device_received"] + (e["device_sent"] - e["device_received"]) // 2
-        time_origin, offset_origin = int(middle[len(e) // 2]), int(out[len(e) // 2])
+    def of(cls, exchanges: NDArray[np.void]) -> _Points:
+        out = exchanges["host_sent"] - exchanges["device_received"]
+        back = exchanges["host_received"] - exchanges["device_sent"]
+        middle = exchanges["device_received"] + (exchanges["device_sent"] - exchanges["device_received"]) // 2
+        time_origin, offset_origin = int(middle[len(exchanges) // 2]), int(out[len(exchanges) // 2])
         # Differences of whole numbers first: only they are small enough for floating point.
         doubled = (out - offset_origin) + (back - offset_origin)
-        time, host_time = (middle - time_origin) * 1e-9, (e["host_sent"] - e["host_sent"].min()) * 1e-9
+        host_time = (exchanges["host_sent"] - exchanges["host_sent"].min()) * 1e-9
+        time = (middle - time_origin) * 1e-9
         return cls(time_origin, offset_origin, time, host_time, doubled * 0.5, back - out)
 
     def excess(self, keep: _Mask) -> _Floats:
@@ -271,10 +279,11 @@ class _ClockLine:
         return np.asarray(points.offset - (offset + drift * points.time + share * excess), np.float64)
 
 
-def _find_possible(e: NDArray[np.void]) -> _Mask:
-    stamps = np.stack([e[name] for name in EXCHANGE.names or ()])
-    e = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), e, _NO_EXCHANGE)
-    on_device, away = e["device_sent"] - e["device_received"], e["host_received"] - e["host_sent"]
+def _find_possible(exchanges: NDArray[np.void]) -> _Mask:
+    stamps = np.stack([exchanges[name] for name in EXCHANGE.names or ()])
+    exchanges = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), exchanges, _NO_EXCHANGE)
+    on_device = exchanges["device_sent"] - exchanges["device_received"]
+    away = exchanges["host_received"] - exchanges["host_sent"]
     return np.asarray((on_device >= 0) & (away >= 0) & (away - on_device >= -STAMP_NS), bool)
 
 
@@ -309,8 +318,8 @@ def _median_line(points: _Points, keep: _Mask) -> tuple[float, float]:
     fastest = chosen[order[first]]
     time, offset = points.host_time[fastest], points.offset[fastest]
     rise, run = offset[:, None] - offset, time[:, None] - time
-    # Near neighbours have any slope. Of both orders of a pair only the one with positive run.
-    far = run > 0.25 * span
+    # Of both orders of a pair only the one with positive run.
+    far = run > FAR_APART * span
     slope = float(np.median(rise[far] / run[far])) if far.any() else 0.0
     return float(np.median(offset - slope * time)), slope
 
@@ -321,8 +330,7 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
     Near is `OFF_LINE` times the uncertainty, which is widened if the median residual is larger than it.
     """
     pull = np.abs(points.offset - height - slope * points.host_time) / _sigma(points, keep)
-    # 1.4826 times the median of magnitudes is the standard deviation of a normal distribution.
-    scale = max(1.0, 1.4826 * float(np.median(pull[keep])))
+    scale = max(1.0, NORMAL_SD * float(np.median(pull[keep])))
     near = keep & (pull <= OFF_LINE * scale)
     return near if near.any() else keep
 
@@ -337,13 +345,13 @@ def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
     normal = (columns * weight) @ columns.T
     right = (columns * weight) @ offset
     # Almost without the prior of the drift: one far beyond it must not look like a fault of the exchanges.
-    free = prior * np.array([0.0, 1e-8, 1.0])
+    free = prior * np.array([0.0, NEARLY_NO_PRIOR, 1.0])
     unbound, spread = _solve(normal, free, 1.0, right)
     residuals = offset - unbound @ columns
     chi2 = float(np.sum(weight * residuals**2))
     scale = 1.0
-    if len(time) > 3:
-        scale = max(1.0, np.sqrt(chi2 / (len(time) - 3)))
+    if len(time) > len(prior):
+        scale = max(1.0, np.sqrt(chi2 / (len(time) - len(prior))))
     values, covariance = _solve(normal, prior, scale, right)
     back = np.array([[1.0, -centre, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # from the centre to the origin
     rms = float(np.sqrt(chi2 / np.sum(weight)))
