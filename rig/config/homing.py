@@ -39,7 +39,7 @@ SLOWEST_RISE, USUAL_RISE = 2.0, 0.25
 # Effort that the spring may change by in one count, over the servo's effort less friction: beyond it, counts keep the
 # handle moving.
 COUNT_SHARE, USUAL_COUNT_SHARE = 0.5, 0.25
-GRID = np.logspace(-3.0, 3.0, 1201)  # frequencies, over 1/delay
+GRID = np.logspace(-3.0, 3.0, 1201)  # angular frequencies at which the margin is computed, times the delay
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def nearest_tolerance(experiment: Experiment) -> float:
 
 
 def inertia(experiment: Experiment) -> float:
-    """Return the inertia of all moving parts of the rig (kg·m² or kg), without a hand."""
+    """Return the inertia of all moving parts without a hand (kg·m² or kg); a person's trial has no end mass."""
     mechanics = experiment.rig.mechanics
     return mechanics.motor_inertia + (
         mechanics.link_inertia if experiment.trial.kind == "human" else mechanics.loaded_link_inertia
@@ -110,11 +110,11 @@ def _delays_s(experiment: Experiment, ticks: int) -> tuple[float, float]:
 
     `ticks` is an additional delay of the loop; the lag of the amplifier is not included.
     """
-    c = experiment.controller
-    set_point = experiment.rig.amplifier.set_point_ticks(1.0 / c.position_rate)
-    return (ticks + set_point + 0.5) / c.position_rate, FILTER_DELAY / _cutoff_hz(
-        experiment
-    ) + 1.0 / c.velocity_rate
+    rates = experiment.controller
+    set_point = experiment.rig.amplifier.set_point_ticks(1.0 / rates.position_rate)
+    # An effort is held for a tick, on average half a tick after it begins.
+    delay_s = (ticks + set_point + 0.5) / rates.position_rate
+    return delay_s, FILTER_DELAY / _cutoff_hz(experiment) + 1.0 / rates.velocity_rate
 
 
 def stiffest_for_counts(experiment: Experiment, effort: float, share: float) -> float:
@@ -156,9 +156,8 @@ def stable_servo(experiment: Experiment, ticks: int = SPARE_TICKS) -> Servo:
     effort = min(effort, limits.nominal_effort, limits.effort)
     # K = (B/I)²·I/(4ζ²) gives the damping ratio ζ for a damping of B = I·corner.
     mass, softness = inertia(experiment), 4.0 * DAMPING_RATIO**2
-    corner = min(
-        corner, math.sqrt(stiffest_for_counts(experiment, effort, USUAL_COUNT_SHARE) * softness / mass)
-    )
+    stiffest = stiffest_for_counts(experiment, effort, USUAL_COUNT_SHARE)
+    corner = min(corner, math.sqrt(stiffest * softness / mass))
     return Servo(
         stiffness=_round(mass * corner**2 / softness),
         damping=_round(mass * corner),
