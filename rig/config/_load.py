@@ -92,11 +92,11 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
 
 
 def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
-    """Return the experiment that `as_mapping` converted to `mapping`, without a check of the rules between keys."""
-    parsed = parse_table(EXPERIMENT, dict(mapping), None)
-    if parsed[0] is None:
-        raise config_error(parsed[1], "a checked experiment")
-    return parsed[0]
+    """Return the experiment from nested dicts that `as_mapping` made, without a check of the rules between keys."""
+    experiment, problems = parse_table(EXPERIMENT, dict(mapping), None)
+    if experiment is None:
+        raise config_error(problems, "the experiment in a file or log of this program")
+    return experiment
 
 
 def override(

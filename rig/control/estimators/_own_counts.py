@@ -86,7 +86,7 @@ def whole_numbers(values: ArrayLike, array_name: str, also: tuple[str, ...] = ()
     if array.dtype.kind in "iu":
         return array
     if array.dtype.kind != "f":
-        raise _type_error(array_name, array.dtype.kind, str(array.dtype))
+        raise _no_whole_numbers_error(array_name, array.dtype.kind, str(array.dtype))
     missing = np.flatnonzero(np.isnan(array))
     if len(missing):
         remedy = FROM_SECONDS if array_name == ELAPSED else _remove_missing(values, also)
@@ -218,12 +218,12 @@ def _floats_if_missing(values: ArrayLike, array_name: str) -> NDArray[Any]:
     present = [value for value in array if not _is_missing(value)]
     for value in present:
         if isinstance(value, bool | np.bool_):
-            raise _type_error(array_name, "b", "bool")
+            raise _no_whole_numbers_error(array_name, kind="b", type_name="bool")
         if isinstance(value, str | bytes):
-            raise _type_error(array_name, "U", "str")
+            raise _no_whole_numbers_error(array_name, kind="U", type_name="str")
         if not isinstance(value, numbers.Real):
             kind = np.asarray(value).dtype.kind
-            raise _type_error(array_name, kind, type(value).__name__)
+            raise _no_whole_numbers_error(array_name, kind, type(value).__name__)
     if len(present) == len(array) and all(isinstance(value, numbers.Integral) for value in present):
         try:
             return np.array([int(value) for value in array], np.int64)
@@ -246,14 +246,15 @@ def _is_missing(value: Any) -> bool:
         return True
 
 
-def _type_error(array_name: str, kind: str, name: str) -> ConfigError:
+def _no_whole_numbers_error(array_name: str, kind: str, type_name: str) -> ConfigError:
     if _KINDS.get(kind) == "text":
         convert = f"{array_name} = numpy.asarray({array_name}, dtype=float)"
         remedy = f"convert them: {convert}; give {array_name}={array_name}"
     else:
         remedy = _REMEDIES.get((array_name, kind), "give whole numbers, as integers or floats")
     return ConfigError(
-        f"{array_name} contains {_KINDS.get(kind, 'no numbers')} ({name}), not whole numbers", remedy=remedy
+        f"{array_name} contains {_KINDS.get(kind, 'no numbers')} ({type_name}), not whole numbers",
+        remedy=remedy,
     )
 
 

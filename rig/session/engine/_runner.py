@@ -121,7 +121,7 @@ class TrialRunner(Protocol):
     ) -> TrialDone:
         """Run one trial and return its result: the hit, the error that ended it early (or None), and its duration.
 
-        `DeviceRunner.hit` explains the parameters.
+        The parameters are those of `DeviceRunner.hit`: experiment, changed rates, name of the recording, and so on.
         """
         ...
 

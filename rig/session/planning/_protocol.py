@@ -177,7 +177,7 @@ class Condition:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """Course of a trial: who hits, instructions, durations, and required ranges of impact speed and press."""
+    """Section ``[trial]``: who hits, instructions, durations, and required ranges of impact speed and press."""
 
     kind: Annotated[
         Literal["human", "constant-effort"], Quantity("", "who hits: the participant, or the motor")
@@ -391,7 +391,7 @@ class Item:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Keys:
-    """Keys of the keyboard with which the operator controls a session; a foot pedal acts as one of these keys."""
+    """Section ``[keys]``: keys of the keyboard with which the operator controls a session, also for a foot pedal."""
 
     stable: Annotated[str, MinLen(1), Quantity("", "verdict: stable")] = "1"
     buzz: Annotated[str, MinLen(1), Quantity("", "verdict: buzz")] = "2"

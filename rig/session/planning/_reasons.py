@@ -43,7 +43,7 @@ _OUTSIDE = {
 
 
 def explain_outside(name: str, value: float, band: str, unit: str, *, above: bool) -> str:
-    """Return a text that impact speed or press of a trial (`name`) was below, or `above`, its required range."""
+    """Return a text: impact speed or press of a trial (`name`) was below, or `above`, its required range `band`."""
     return f"{_OUTSIDE[name][above]}{value:.3g} {unit} (required: {band} {unit})"
 
 

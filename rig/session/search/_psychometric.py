@@ -57,7 +57,7 @@ class PsychometricGrid:
 
     @cached_property
     def edges(self) -> Floats:
-        """Cell edges around the grid's K50 (stiffness with half of the verdicts stable), shape (thresholds + 1,)."""
+        """Edges of the cells around the grid's values of K50 (stiffness with half of the verdicts stable)."""
         # Flat over K50 where levels are a step apart, over log K50 where they are a ratio apart, from half a range
         # below them to half a range above: a limit is as likely between any two levels as between any other two.
         if _ratio_apart(self.levels):
@@ -71,10 +71,7 @@ class PsychometricGrid:
 
     @cached_property
     def spreads(self) -> Floats:
-        """The grid's values of the spread s (unit of stiffness), shape (spreads,).
-
-        The spread states how gradually verdicts change with stiffness.
-        """
+        """Spreads on the grid (how gradually verdicts change with stiffness, in units of it), shape (spreads,)."""
         # Flat over log s.
         least = LEAST_SPREAD * np.diff(self.levels).min()
         return np.geomspace(
