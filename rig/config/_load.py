@@ -95,7 +95,7 @@ def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
     """Return the experiment from nested dicts that `as_mapping` made, without a check of the rules between keys."""
     experiment, problems = parse_table(EXPERIMENT, dict(mapping), None)
     if experiment is None:
-        raise config_error(problems, "the experiment in a file or log of this program")
+        raise config_error(problems, "the saved experiment")
     return experiment
 
 
