@@ -1,25 +1,8 @@
 """Conditions that end a run: too much energy, a violent oscillation, or an effort that does not move the count.
 
 At the beginning of a tick `rig.control.step` evaluates the effort of the previous tick and the motion that followed.
-Energy and oscillation are checked in the trial and its release, standstill while the motor moves a free handle.
-
-**Energy.** The sum of effort times displacement is the energy that the motor has given to the handle (a passivity
-observer). A passive wall returns at most the energy that it took, so with a person at the handle the sum stays at or
-below zero; a motor that pushes adds the work of its push.
-
-**Violence.** An *oscillation* is the effort against the handle rising from next to zero (`LOW`) to its limit (`HIGH`)
-after the handle has moved by a quarter of the verdict's threshold *moved*, and by more than one toggling count. The
-defaults are in `rig.config._sections`; the simulations behind them are in `rig/session/README.md`.
-
-**Standstill.** A dead encoder, or one with a dead channel, shows at most two neighbouring counts. While the count stays
-on them, a free handle gathers the momentum p = ∫(effort − friction) dt; a handle that friction holds gathers none. If p
-exceeds the inertia times a share of the speed limit (`UNMOVED_SPEED`), the encoder is dead or the rig is blocked. Let
-v_b be that speed, and v_0 the speed of the handle when the encoder failed. A rig with at least the described friction
-and inertia, whatever its damping, is then never faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė = −b v −
-(F(v) − F(p/I)) with a friction F that rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows beyond the
-larger of v_0 and v_b. Standstill is checked where only friction may hold the handle: in homing, and in a trial's push
-outside of the wall, but not while the slew limit acts. Ticks with lost samples are not counted: if a share s is lost,
-v_b is larger by 1/(1 − s).
+Energy and oscillation are checked in the trial and its release, standstill while the motor moves a free handle. These
+functions are part of the compiled tick and must not allocate.
 
 Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfaces", for the observer. The rules about
 oscillations and standstill are defined by this project.
@@ -29,10 +12,11 @@ from __future__ import annotations
 
 from rig.realtime.kernel import kernel
 
-HIGH, LOW = 0.9, 0.1  # shares of the effort limit between which an oscillation goes
-UNMOVED_SPEED = 0.5  # share of the speed limit that a handle may reach without being seen
+HIGH, LOW = 0.9, 0.1  # shares of the effort limit between which an oscillation rises
+UNMOVED_SPEED = 0.5  # share of the speed limit that a handle may reach before a dead encoder is detected
 UNMOVED_COUNTS = 2.0  # that a handle may travel on two neighbouring counts
-TRAVEL, TRAVEL_COUNTS = 0.25, 1.5  # of the handle: share of what the verdict calls moved; counts at least
+# Travel required for an oscillation: a share of the verdict's threshold *moved*, and more than one toggling count.
+TRAVEL, TRAVEL_COUNTS = 0.25, 1.5
 
 
 @kernel("f8(f8, f8, f8, b1)", inline=True)
@@ -42,6 +26,8 @@ def add_energy(before: float, effort: float, travel: float, free: bool) -> float
     In free space (`free`) the result is at least 0: energy that damping has absorbed there is no credit for the next
     contact.
     """
+    # A passivity observer: a passive wall returns at most the energy that it took, so with a person at the handle the
+    # sum stays at or below zero; a motor that pushes adds the work of its push.
     # The effort is the one that was sent: where it acts d ticks later, the sum is off by effort times the travel in d
     # ticks. A sampled wall leaks: a count that is left and entered again gives stiffness times the count squared.
     given = before + effort * travel
@@ -49,6 +35,16 @@ def add_energy(before: float, effort: float, travel: float, free: bool) -> float
     return max(given, 0.0) if free else given
 
 
+# A dead encoder, or one with a dead channel, shows at most two neighbouring counts. While the count stays on them, a
+# free handle gathers the momentum p = ∫(effort − friction) dt; a handle that friction holds gathers none. If p exceeds
+# the inertia times a share of the speed limit (`UNMOVED_SPEED`), the encoder is dead or the rig is blocked.
+# Let v_b be that speed, and v_0 the speed of the handle when the encoder failed. A rig with at least the described
+# friction and inertia, whatever its damping, is then never faster than v_b + max(v_b, v_0). For e = v − p/I obeys I ė =
+# −b v − (F(v) − F(p/I)) with a friction F that rises with speed, hence e ė < 0 wherever |e| > |p|/I: |e| never grows
+# beyond the larger of v_0 and v_b.
+# Standstill is checked where only friction may hold the handle: in homing, and in a trial's push outside of the wall,
+# but not while the slew limit acts. Ticks with lost samples are not counted: if a share s is lost, v_b is larger by
+# 1/(1 − s).
 @kernel("f8(f8, f8, f8, f8)", inline=True)
 def free_impulse(before: float, effort: float, held: float, time_s: float) -> float:
     """Return the momentum (N·m·s or N·s) of a free handle: `before` plus effort times time, reduced by friction.
@@ -71,6 +67,9 @@ def extreme(reaction: float, limit: float, lowest: float, highest: float, travel
     lowest, highest, travel
         Extreme positions of the handle since the last oscillation, and the travel required between them (rad or m).
     """
+    # An oscillation is the effort against the handle rising from next to zero (`LOW`) to its limit (`HIGH`) after
+    # enough travel. The defaults are in `rig.config._sections`; the simulations behind them are in
+    # `rig/session/README.md`.
     # From next to zero to the limit: an impact is one oscillation and a bounce another, each smaller; a buzz does not
     # span the range. One count of a coarse encoder that makes the whole effort cannot be distinguished from a buzz.
     if reaction <= LOW * limit:

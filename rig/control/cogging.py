@@ -5,10 +5,6 @@
 F is the identified map of effort over position. The fade falls from one to zero at both ends of the range in which F
 was measured; outside of this range the compensation is zero.
 
-**It cannot drive the rig.** An effort that depends on position only gives no net energy on a closed path, even if the
-map is wrong. Only the delay can give energy, as in any wall: with the loop's delay τ a slope s of F adds damping s·τ
-where cogging stiffens, and removes s·τ where cogging softens; theory includes it (`rig.analysis.theory._loop`).
-
 The compensation acts whenever the wrapped law does: in trial and release, inside the wall and outside, not in homing.
 In a recording it is part of the law's effort. The name of the law contains it, and its parameters come before those of
 the wrapped law.
@@ -55,6 +51,10 @@ def effort_at(position: float, harmonics: Any) -> float:
     return effort
 
 
+# The compensation cannot drive the rig: an effort that depends on position only gives no net energy on a closed path,
+# even if the map is wrong. Only the delay can give energy, as in any wall: with the loop's delay τ a slope s of F adds
+# damping s·τ where cogging stiffens, and removes s·τ where cogging softens; theory includes it
+# (`rig.analysis.theory._loop`).
 @kernel("f8(f8, f8, f8, f8, f8[::1])", inline=True)
 def bounded_at(position: float, minimum: float, maximum: float, limit: float, harmonics: Any) -> float:
     """Return the cogging effort to compensate at a position (N·m or N), within ±limit.

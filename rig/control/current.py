@@ -7,9 +7,6 @@ compared with a threshold, the larger of `SIGMAS` of the sensor's noise and a te
 * above the threshold the currents *disagree*;
 * below it they *agree* if a motor without current would have exceeded it; otherwise the current was *not observed*.
 
-Lag and delay are known to a factor of two: the expected current is computed for half and twice of both, and only a
-residual that none of these currents explains counts. Under voltage drive it includes that of the back-EMF.
-
 The simulated device and the host's loops (simulated and real time) use it; firmware has the same in `core/current.c`.
 It must not use floating point or allocate in a tick. Change it only together with the firmware, so that both give the
 same results.
@@ -171,6 +168,8 @@ def compare(words: Ints, count: int, active: int, measured: int) -> int:
         words[CURRENT.awaited] -= 1
         _begin_at(words, measured)
         return 0
+    # Lag and delay are known to a factor of two: the expected current is computed for half and twice of both, and only
+    # a residual that none of these currents explains counts. Under voltage drive it includes that of the back-EMF.
     low, high, delayed = active * _UNIT, active * _UNIT, active * _UNIT
     if delays:
         low, high, delayed = _extremes(words)

@@ -6,13 +6,6 @@ The level is the friction in the direction of motion, up or down. Inside the dea
 zero, so that a handle at rest gets no effort. The dead band must be wider than the encoder's noise, which would cause
 chatter.
 
-**It cannot drive the rig.** The effort is at most share · level, and while the handle slides with velocity v, friction
-dissipates level · |v|. Whatever velocity the estimator returns, the power of compensation and friction together is at
-most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So the compensation adds no energy while the rig's true
-friction is at least share · level (by default 0.8 of the identified level); if it is lower by d, the added energy is at
-most d · |distance slid|. On a rig of two masses this holds for the mass that the motor drives and its friction: use
-levels of the motor side if the link has much friction.
-
 It acts only if a law is wrapped in it, and whenever that law does: in trial and release, inside the wall and outside.
 In a recording the name of the law contains it, and the first four parameters of the law belong to it.
 
@@ -42,6 +35,12 @@ DEFAULT_SHARE = 0.8
 INWARDS, OUTWARDS, DEAD_BAND, SHARE, OWN = range(5)  # parameters; the wrapped law's own begin at OWN
 
 
+# The compensation cannot drive the rig: it is at most share · level, and while the handle slides with velocity v,
+# friction dissipates level · |v|. Whatever velocity the estimator returns, the power of compensation and friction
+# together is at most −(1 − share) · level · |v| ≤ 0; at rest it is zero. So the compensation adds no energy while the
+# rig's true friction is at least share · level (by default 0.8 of the identified level); if it is lower by d, the added
+# energy is at most d · |distance slid|. On a rig of two masses this holds for the mass that the motor drives and its
+# friction: use levels of the motor side if the link has much friction.
 @kernel("f8(f8, f8, f8, f8, f8)", inline=True)
 def compensation(velocity: float, rising: float, falling: float, dead_band: float, share: float) -> float:
     """Return the effort (N·m or N) that compensates friction at a velocity (rad/s or m/s), in its direction.

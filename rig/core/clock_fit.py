@@ -3,28 +3,7 @@
 An exchange is host_sent → device_received → device_sent → host_received. Its offset, host clock − device clock, is the
 mean of host_sent − device_received and host_received − device_sent. Its round trip is (host_received − host_sent) −
 (device_sent − device_received). The offset is wrong by half the difference of the transit times in the two directions,
-which is at most half of the round trip. Exchanges with a short round trip have more weight:
-
-* the excess of an exchange is its round trip minus the least round trip. Its offset is uncertain by half the excess,
-  and by half of the time that the fastest exchange may itself have waited: this is taken as the excess of the √n-th
-  fastest of n exchanges, or as 1/n of the least round trip if that is more;
-* the model of the offset is a line in device time plus a fraction (the share) of the excess; if all delay is in one
-  direction, the share is ± ½;
-* the drift has a prior of 0 ± 100 ppm (two ordinary crystals), and the share has a prior of 0 ± 0.29 (uniform within ±
-  ½). After one exchange, or several at nearly the same time, the drift is still 0 ± 100 ppm; after exchanges over a
-  second the measurement dominates.
-
-An exchange is rejected when it is
-
-1. impossible: a clock ran backwards within it, its round trip is shorter than the stamps can resolve, or a stamp is
-   invalid (negative, or more than 18 years);
-2. slow: its excess is above `SLOW` times the median excess;
-3. off the line: its distance from a line is more than `OFF_LINE` times its uncertainty. The first line is a robust one,
-   with median slope and height of the fastest exchange in each interval of time; the next lines are the fits. This
-   detects stamps of two different exchanges, and a clock that was set.
-
-The two directions may differ: `asymmetry_bound_ns`, half of the least round trip, is a bound beside the standard
-uncertainties, not a part of them. Each trial has a fit of its own.
+which is at most half of the round trip. So exchanges with a short round trip have more weight. Each trial has its fit.
 
 References: D. L. Mills, RFC 5905 (minimum filter); P. K. Sen, J. Am. Stat. Assoc. 63 (1968) 1379 (median slope); R. T.
 Birge, Phys. Rev. 40 (1932) 207 (uncertainties from the residuals).
@@ -179,7 +158,7 @@ def as_exchanges(stamps: Iterable[Sequence[int]]) -> NDArray[np.void]:
 def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRIOR_PPM) -> ClockFit:
     """Fit a line to host clock minus device clock over device time, from exchanges of four time stamps.
 
-    Exchanges with a long round trip have less weight or are rejected; the head of this file describes the method.
+    Exchanges with a long round trip have less weight or are rejected.
 
     Parameters
     ----------
@@ -202,6 +181,7 @@ def fit_clock(exchanges: NDArray[np.void], *, drift_prior_ppm: float = DRIFT_PRI
         )
     points = _Points.of(usable)
     keep = _not_slow(points, np.ones(len(usable), bool))
+    # A robust line first, because stamps of two different exchanges, or a clock that was set, would bend a fit.
     keep &= _near_line(points, keep, *_median_line(points, keep))
     line = _fit(points, keep, drift_prior_ppm)
     if line.least_drift_ppm > IMPOSSIBLE_PPM:
@@ -279,6 +259,8 @@ class _ClockLine:
         return np.asarray(points.offset - (offset + drift * points.time + share * excess), np.float64)
 
 
+# Impossible is an exchange within which a clock ran backwards, whose round trip is shorter than the stamps can resolve,
+# or with an invalid stamp (negative, or more than 18 years).
 def _find_possible(exchanges: NDArray[np.void]) -> _Mask:
     stamps = np.stack([exchanges[name] for name in EXCHANGE.names or ()])
     exchanges = np.where(((stamps >= 0) & (stamps < LAST_NS)).all(axis=0), exchanges, _NO_EXCHANGE)
@@ -294,6 +276,9 @@ def _not_slow(points: _Points, keep: _Mask) -> _Mask:
 
 def _sigma(points: _Points, keep: _Mask) -> _Floats:
     """Return the standard uncertainty (ns) of each clock exchange's offset, which grows with its round trip."""
+    # The offset is uncertain by half the excess (round trip minus the least round trip), and by half of the time that
+    # the fastest exchange may itself have waited: this is taken as the excess of the √n-th fastest of n exchanges, or
+    # as 1/n of the least round trip if that is more.
     excess = points.excess(keep)
     fast = np.sort(excess[keep])
     number = len(fast)
@@ -335,6 +320,9 @@ def _near_line(points: _Points, keep: _Mask, height: float, slope: float) -> _Ma
     return near if near.any() else keep
 
 
+# The offset is a line in device time plus a share of the excess: ± ½ if all delay is in one direction, with a prior of
+# 0 ± 0.29 (uniform within ± ½). The drift has a prior of 0 ± 100 ppm: after one exchange, or several at nearly the same
+# time, it is still 0 ± 100 ppm; after exchanges over a second the measurement dominates.
 def _fit(points: _Points, keep: _Mask, drift_prior_ppm: float) -> _ClockLine:
     time, offset = points.time[keep], points.offset[keep]
     weight = _sigma(points, keep)[keep] ** -2
@@ -380,6 +368,7 @@ def _to_clock_fit(points: _Points, keep: _Mask, line: _ClockLine, total: int) ->
         drift_ppm=float(drift) * 1e-3,
         offset_sd_ns=float(np.sqrt(max(0.0, var - cross**2 / var_drift) + CUT_NS**2)),
         drift_sd_ppm=float(np.sqrt(var_drift)) * 1e-3,
+        # The two directions may differ: a bound beside the standard uncertainties, not a part of them.
         asymmetry_bound_ns=-(-least // 2),
         round_trip_ns=least,
         share=float(share),
