@@ -10,13 +10,6 @@ low pass of `double` is a second-order Butterworth filter with a lag of √2/ω0
 without lag, but has a peak near ω0. Set `bandwidth_hz` first; use q to copy the value of a paper, in position² per s⁵
 (s³ for `double`).
 
-
-Fading. If innovations are larger than the model explains, the propagated covariance is multiplied by
-λ = max(1, (Ĉ0 − r − Q11)/M11), M = A·P·Aᵀ. With one measured quantity the variants of the literature differ only in
-Ĉ0, the innovations' variance: the last innovation's square (`instant`), the mean of several squares (`window`), or the
-recursion Ĉ0 ← (ρ·Ĉ0 + ν²)/(1 + ρ) of the strong tracking filter (`stf`), which averages about two samples. The paper
-does not state which it used.
-
 Source: Chawda et al., section II.B, equations (2) to (4) and Q after them; Bélanger et al. 1998; Xia et al. 1994 for
 fading. Neither of the last two was available: the recursion is the standard form of the literature.
 """
@@ -113,6 +106,11 @@ def _start(velocity: float, state_f: Floats, state_i: Ints, parameters: Floats) 
     state_f[P22], state_f[P23], state_f[P33] = PRIOR, 0.0, parameters[PRIOR33]
 
 
+# Fading. If innovations are larger than the model explains, the propagated covariance is multiplied by λ = max(1, (Ĉ0 −
+# r − Q11)/M11), M = A·P·Aᵀ. With one measured quantity the variants of the literature differ only in Ĉ0, the
+# innovations' variance: the last innovation's square (`instant`), the mean of several squares (`window`), or the
+# recursion Ĉ0 ← (ρ·Ĉ0 + ν²)/(1 + ρ) of the strong tracking filter (`stf`), which averages about two samples. The paper
+# does not state which it used.
 @kernel("f8(f8, f8[::1], i8[::1], f8[::1])", inline=True, no_refcount=True)
 def _innovation_variance(innovation: float, state_f: Floats, state_i: Ints, parameters: Floats) -> float:
     """Return the variance of the innovations so far (counts²), by the configured kind of fading; 0 without fading."""

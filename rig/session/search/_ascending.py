@@ -30,7 +30,7 @@ from rig.session.search._rule import (
 
 @dataclass(frozen=True, slots=True)
 class AscendingSeries:
-    """Result of one ascent in stiffness until a wall was not stable: the last stable stiffness, as `limit`.
+    """Result of one ascending series (stiffer walls until one is not stable): the last stable stiffness, as `limit`.
 
     `censored` is "above" or "below" if all walls, or none, were stable.
     """
@@ -66,15 +66,15 @@ class Ascending:
         check_whole("repeats", self.repeats, 1, 1000)
 
     def next(self, answers: Sequence[JudgedProbe]) -> Probe | None:
-        """Return the next stiffer wall of the ascent, or the softest wall for a new ascent; None after the last."""
+        """Return the next stiffer wall of the ascending series, or the first wall of a new one; None after the last."""
         places, step = self._places(answers)
         return None if len(places) == self.repeats else Probe(self.levels[step], track=len(places))
 
     def estimate(self, answers: Sequence[JudgedProbe]) -> Estimate:
-        """Return the mean of the last stable levels of all finished ascents, with a 95 % interval (Student's t).
+        """Return the mean of the last stable levels of all finished series, with a 95 % interval (Student's t).
 
-        The interval is infinite for a single ascent, and for ascents that scatter no more than rounding to levels
-        explains. If such ascents end beyond the levels (censored), the last level bounds the interval on one side.
+        The interval is infinite for a single series, and for series that scatter no more than rounding to levels
+        explains. If such series end beyond the levels (censored), the last level bounds the interval on one side.
         """
         series = self.series(answers)
         if not series:
@@ -104,7 +104,7 @@ class Ascending:
         return mark_contradictions(estimate, verdicts_of(answers))
 
     def series(self, answers: Sequence[JudgedProbe]) -> tuple[AscendingSeries, ...]:
-        """Return the results of the finished ascents in stiffness, in the order in which they were presented."""
+        """Return the results of the finished ascending series, in the order in which they were presented."""
         return tuple(self._series(place) for place in self._places(answers)[0])
 
     def _series(self, place: int) -> AscendingSeries:
@@ -112,7 +112,7 @@ class Ascending:
         return AscendingSeries(self.levels[max(place - 1, 0)], side)
 
     def _places(self, answers: Sequence[JudgedProbe]) -> tuple[list[int], int]:
-        """Return the number of stable walls in each finished ascent, and the number in the unfinished one."""
+        """Return the number of stable walls in each finished ascending series, and the number in the unfinished one."""
         places: list[int] = []
         step = 0
         for _, stable in verdicts_of(answers):

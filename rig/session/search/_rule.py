@@ -21,7 +21,7 @@ Censored = Literal["", "above", "below"]
 class Probe:
     """A wall to be judged: its stiffness (`level`), and True if its correct verdict is known (`catch`).
 
-    `track` is the number of the ascent or staircase that chose the wall, from 0.
+    `track` is the number of the ascending series or staircase that chose the wall, from 0.
     """
 
     level: float
@@ -140,7 +140,7 @@ def contradiction(value: float, low: float, high: float, verdicts: Sequence[tupl
 def verdicts_of(answers: Sequence[JudgedProbe], track: int | None = None) -> list[tuple[float, bool]]:
     """Return stiffness and verdict (True: stable) of each judged wall, without catch trials and unsure verdicts.
 
-    With `track`, only walls that this ascent or staircase chose.
+    With `track`, only walls that this ascending series or staircase chose.
     """
     return [
         (answer.probe.level, answer.stable)
