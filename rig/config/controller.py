@@ -322,7 +322,7 @@ def device_parameters(
     rig, rates, human = experiment.rig, experiment.controller, experiment.trial.kind == "human"
     limits, delta = rig.limits, abs(rig.encoder.resolution)
     quantum = effort_quantum(experiment, current_quantum_a)
-    edges = sorted(
+    lowest, highest = sorted(
         round(position / resolution(experiment)) + reference_count
         for position in (limits.position_minimum, limits.position_maximum)
     )
@@ -337,8 +337,8 @@ def device_parameters(
         # Rounded up and one more: the device repeats the guard's limit, and must not cut what the guard lets through.
         "slew_limit": min(65_535, math.ceil(limits.slew / rates.position_rate / quantum) + 1),
         "speed_limit": math.ceil(limits.speed / delta),
-        "window_minimum": edges[0],
-        "window_maximum": edges[1],
+        "window_minimum": lowest,
+        "window_maximum": highest,
         "continuous_current": max(1, math.floor(limits.nominal_effort / quantum)),
         "thermal_time_constant": limits.thermal_time_constant_s,
         # A person can hold the handle still against any effort: with this the device does not take that for a stall.

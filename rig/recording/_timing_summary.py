@@ -115,10 +115,8 @@ class TimingSummary(TimingFacts):
                 if self.loop == "host":
                     rows.append((label(name), "0", "", "unknown", "", "", ""))
                 continue
-            ends = duration(stage.minimum), duration(stage.maximum)
-            rows.append(
-                (label(name), str(stage.ticks), ends[0], *map(_shown, stage.quantiles.values()), ends[1])
-            )
+            least, most = duration(stage.minimum), duration(stage.maximum)
+            rows.append((label(name), str(stage.ticks), least, *map(_shown, stage.quantiles.values()), most))
         return rows
 
     def _count_rows(self) -> list[Row]:

@@ -89,14 +89,18 @@ def check(
         protocol = replace(protocol, study=replace(protocol.study, participants=participants))
     base = base_of(protocol, folder)
     walls = Walls(protocol, base, reach_for)
-    under = [_experiments(walls, condition) for condition in protocol.condition]
-    cells = tuple(_cells(protocol, under))
+    by_condition = [_experiments(walls, condition) for condition in protocol.condition]
+    cells = tuple(_plan_searches(protocol, by_condition))
     searches = sum((cell.trials for cell in cells), NO_TRIALS) * protocol.order.repeats
     practice = len(protocol.practice.stiffness)
     trials = searches.count + ExpectedRange(practice, practice, practice)
-    stiffest = max((one for of in under for one in of), key=lambda one: one.wall.stiffness)
+    stiffest = max(
+        (one for experiments in by_condition for one in experiments), key=lambda one: one.wall.stiffness
+    )
     asks, people = protocol.study.judge == "person", protocol.trial
-    times = trial_times(under[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0)
+    times = trial_times(
+        by_condition[0][0], ready_s=people.ready_s, verdict_s=people.verdict_s if asks else 0.0
+    )
     took = None if study is None else find_taken(protocol, study)
     times = times if took is None else took.of_people(times)
     heat = heat_of(stiffest, times, math.ceil(trials.most), protocol.rest.heat)
@@ -105,12 +109,12 @@ def check(
     duration = dict(_durations(protocol, blocks, trials, times, stiffest, question_s))
     rows = rows_of(protocol)
     checks = [
-        *wall_checks([*_walls(protocol, under), *_practice(walls)]),
+        *wall_checks([*_list_walls(protocol, by_condition), *_list_practice_walls(walls)]),
         *level_checks(cells, base.rig.motion),
         *most_checks(cells),
-        *energy_check(protocol, under),
+        *energy_check(protocol, by_condition),
         *band_checks(protocol.trial, [walls.softest(one) for one in protocol.condition]),
-        *cap_checks(protocol, under),
+        *cap_checks(protocol, by_condition),
         heat_check(protocol, heat, trials.most),
         *order_checks(protocol, rows),
         *stop_checks(protocol, trials, sum(duration.values(), NOTHING)),
@@ -135,12 +139,14 @@ def check(
         trial=times,
         taken=took,
         duration_s=duration,
-        trial_bytes=max(bytes_of_trial(of[0], protocol) for of in under),
-        disk_bytes=_disk(protocol, cells, under),
-        rehearsal_s=_rehearsal(protocol, cells, under, times),
+        trial_bytes=max(bytes_of_trial(experiments[0]) for experiments in by_condition),
+        disk_bytes=_disk_bytes(protocol, cells, by_condition),
+        rehearsal_s=_rehearsal_s(protocol, cells, by_condition, times),
         heat=heat,
-        orders=tuple(_names(protocol, schedule(protocol, row)) for row in range(protocol.study.participants)),
-        hidden=tuple(_hidden(protocol)),
+        orders=tuple(
+            _name_searches(protocol, schedule(protocol, row)) for row in range(protocol.study.participants)
+        ),
+        hidden=tuple(_describe_hidden(protocol)),
         blinded=protocol.study.blind in ("both", "operator"),
         checks=tuple(checks),
     )
@@ -148,8 +154,8 @@ def check(
 
 def refuse_walls(study: Walls) -> None:
     """Raise `PlanError` if the study may present a wall, also in practice, that is not allowed on this rig."""
-    under = [_experiments(study, condition) for condition in study.protocol.condition]
-    walls = [*_walls(study.protocol, under), *_practice(study)]
+    by_condition = [_experiments(study, condition) for condition in study.protocol.condition]
+    walls = [*_list_walls(study.protocol, by_condition), *_list_practice_walls(study)]
     refuse(wall_checks(walls))
 
 
@@ -162,38 +168,40 @@ def _experiments(study: Walls, condition: Condition) -> list[Experiment]:
     return found
 
 
-def _walls(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[tuple[str, Experiment]]:
-    for condition, experiments in zip(protocol.condition, under, strict=True):
-        for x in experiments:
-            yield condition.name, x
+def _list_walls(
+    protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]
+) -> Iterator[tuple[str, Experiment]]:
+    for condition, experiments in zip(protocol.condition, by_condition, strict=True):
+        for experiment in experiments:
+            yield condition.name, experiment
 
 
-def _practice(study: Walls) -> Iterator[tuple[str, Experiment]]:
+def _list_practice_walls(study: Walls) -> Iterator[tuple[str, Experiment]]:
     protocol = study.protocol
     condition = protocol.condition_named(protocol.practice.condition or protocol.condition[0].name)
     for stiffness in protocol.practice.stiffness:
         yield "practice", study.at(condition, condition.damping[0], stiffness)
 
 
-def _cells(protocol: Protocol, under: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
+def _plan_searches(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[CellPlan]:
     known: dict[Any, ExpectedTrials] = {}
-    for condition, experiments in zip(protocol.condition, under, strict=True):
+    for condition, experiments in zip(protocol.condition, by_condition, strict=True):
         wanted = protocol.search_of(condition)
         levels = levels_of(wanted)
-        expected = expected_limits(experiments[0], condition.damping, wanted)
+        expected_by_damping = expected_limits(experiments[0], condition.damping, wanted)
         for damping in condition.damping:
-            here = expected[damping]
-            key = (repr(wanted), here.limit)
+            expected = expected_by_damping[damping]
+            key = (repr(wanted), expected.limit)
             if key not in known:
-                known[key] = expected_trials(wanted, here.limit)
-            free, held = here.free, here.in_hand
+                known[key] = expected_trials(wanted, expected.limit)
+            free, held = expected.free, expected.in_hand
             yield CellPlan(
                 condition=condition.name,
                 damping=damping,
                 scheme=Scheme.of(experiments[0]).label(experiments[0]),
                 rule=wanted.rule,
                 levels=levels,
-                expected=here,
+                expected=expected,
                 trials=known[key],
                 unstable_free=None if free is None else tuple(k for k in levels if k > free),
                 unstable_in_hand=None if held is None else tuple(k for k in levels if k > held[0]),
@@ -220,45 +228,50 @@ def _durations(
     counted = sum(not block.practice for block in blocks)
     yield (
         "between runs and blocks",
-        _same(
+        _certain(
             BETWEEN_RUNS_S * sum(len(block.runs) for block in blocks) + rest.between_blocks_s * (counted - 1)
         ),
     )
     often = {"start": 1, "block": counted, "end": 1}
     questions = sum(often[item.when] for item in protocol.question)
     if questions:
-        yield "questions", _same(question_s * questions)
+        yield "questions", _certain(question_s * questions)
     cooling = [heat_of(stiffest, times, math.ceil(number), rest.heat).cooling_s for number in trials.values]
     if cooling[-1] > 0.0:
         yield "cooling of the motor", ExpectedRange(*cooling)
 
 
-def _disk(
-    protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]]
+def _disk_bytes(
+    protocol: Protocol, cells: Sequence[CellPlan], by_condition: Sequence[Sequence[Experiment]]
 ) -> ExpectedRange:
     of_a_trial = {
-        one.name: bytes_of_trial(of[0], protocol) for one, of in zip(protocol.condition, under, strict=True)
+        condition.name: bytes_of_trial(experiments[0])
+        for condition, experiments in zip(protocol.condition, by_condition, strict=True)
     }
     searches = [cell.trials.count * of_a_trial[cell.condition] for cell in cells]
     return sum(searches, NOTHING) * protocol.order.repeats
 
 
-def _rehearsal(
-    protocol: Protocol, cells: Sequence[CellPlan], under: Sequence[Sequence[Experiment]], times: TrialTimes
+def _rehearsal_s(
+    protocol: Protocol,
+    cells: Sequence[CellPlan],
+    by_condition: Sequence[Sequence[Experiment]],
+    times: TrialTimes,
 ) -> ExpectedRange:
     rates = {
-        one.name: of[0].controller.position_rate for one, of in zip(protocol.condition, under, strict=True)
+        condition.name: experiments[0].controller.position_rate
+        for condition, experiments in zip(protocol.condition, by_condition, strict=True)
     }
     tick_s = times.recorded * REHEARSED_TICK_S
     searches = [cell.trials.count * (rates[cell.condition] * tick_s) for cell in cells]
     return sum(searches, NOTHING) * protocol.order.repeats
 
 
-def _same(value: float) -> ExpectedRange:
+def _certain(value: float) -> ExpectedRange:
     return ExpectedRange(value, value, value)
 
 
-def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
+def _name_searches(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...], ...]:
     several = {one.name for one in protocol.condition if len(one.damping) > 1}
     return tuple(
         tuple(
@@ -270,7 +283,7 @@ def _names(protocol: Protocol, blocks: Sequence[Block]) -> tuple[tuple[str, ...]
     )
 
 
-def _hidden(protocol: Protocol) -> Iterator[str]:
+def _describe_hidden(protocol: Protocol) -> Iterator[str]:
     blind = protocol.study.blind
     if blind in ("both", "operator"):
         yield "operator: the console shows no condition, stiffness or damping, and effort in words"

@@ -417,10 +417,11 @@ class SessionState:
         if run.number in self.skipped:
             return None
         answers = tuple(self.answers(run))
-        known = self._asked.get(run.number)
-        if known is None or known[0] != answers:
-            known = self._asked[run.number] = answers, asking_of(self.protocol, run).next(answers)
-        return known[1]
+        answered, probe = self._asked.get(run.number, (None, None))
+        if answered != answers:
+            probe = asking_of(self.protocol, run).next(answers)
+            self._asked[run.number] = answers, probe
+        return probe
 
     def next(self) -> Step:
         """Return the next step of the session, e.g. run a trial (`DoTrial`) or rest (`DoRest`)."""

@@ -21,7 +21,7 @@ TICK_BYTES = 35.0  # of a sealed recording: 30 to 40 were measured
 TRIAL_BYTES = 100e3  # of header, trailer and metadata of one recording
 
 
-def bytes_of_trial(experiment: Experiment, protocol: Protocol) -> float:
+def bytes_of_trial(experiment: Experiment) -> float:
     """Return the expected size (bytes) of the recording of one trial."""
     seconds = trial_times(experiment).recorded
     return TRIAL_BYTES + TICK_BYTES * seconds * experiment.controller.position_rate
@@ -37,7 +37,7 @@ def refuse_full_disk(walls: Walls, row: int, place: Path) -> None:
     needed = 0.0
     for condition in protocol.condition:
         experiment = walls.softest(condition)
-        needed += trials[condition.name] * bytes_of_trial(experiment, protocol)
+        needed += trials[condition.name] * bytes_of_trial(experiment)
     here = next(one for one in (place, *place.absolute().parents) if one.exists())
     with plain_errors("read the free space of", here):
         free = shutil.disk_usage(here).free

@@ -30,7 +30,9 @@ class HeldKeys:
         # A terminal reports no release: a key that is down arrives again and again, at first after the delay of its
         # repetition. Arrivals closer than `RELEASED_S` are one press, also those of a pedal that taps by itself.
         known = self._presses = {
-            name: times for name, times in self._presses.items() if now_s - times[1] < RELEASED_S
+            name: (began_s, last_s)
+            for name, (began_s, last_s) in self._presses.items()
+            if now_s - last_s < RELEASED_S
         }
         began_s, _ = known.get(key.lower(), (now_s, now_s))
         known[key.lower()] = began_s, now_s

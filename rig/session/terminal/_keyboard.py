@@ -12,6 +12,9 @@ import re
 
 # Longest escape sequence (bytes); more bytes without an end are noise on the line.
 MOST_SEQUENCE = 64
+_ESC = 0x1B  # begins a sequence: with "[" a control sequence (CSI), with "O" a single shift (SS3)
+_CSI, _SS3 = ord("["), ord("O")
+_BLANK, _DELETE = 0x20, 0x7F  # the ends of the printable ASCII characters, which lie between them
 
 
 _FINAL = {"A": "up", "B": "down", "C": "right", "D": "left", "H": "home", "F": "end"}
@@ -70,11 +73,11 @@ class Keyboard:
 
 def _first(data: bytes) -> tuple[int, str]:
     """Return length and name of the first key: length 0 if incomplete, name "" if the bytes are no character."""
-    if data[0] == 0x1B:
+    if data[0] == _ESC:
         return _escape(data)
     if data[0] in _CONTROL:
         return 1, _CONTROL[data[0]]
-    if data[0] < 0x20:
+    if data[0] < _BLANK:
         return 1, f"ctrl+{chr(data[0] + 0x60)}"
     return _character(data)
 
@@ -96,23 +99,23 @@ def _character(data: bytes) -> tuple[int, str]:
 def _escape(data: bytes) -> tuple[int, str]:
     if len(data) == 1:
         return 0, ""
-    if data[1] == 0x5B:
+    if data[1] == _CSI:
         return _control_sequence(data)
-    if data[1] == 0x4F:
+    if data[1] == _SS3:
         return _single_shift(data)
-    if data[1] == 0x1B:
+    if data[1] == _ESC:
         return 1, "escape"
     length, key = _first(data[1:])
     if key == "space":
         return 1, "escape"
-    name = f"alt+{chr(data[1])}" if 0x20 < data[1] < 0x7F else "unknown"
+    name = f"alt+{chr(data[1])}" if _BLANK < data[1] < _DELETE else "unknown"
     return (1 + length, name) if length else (0, "")
 
 
 def _single_shift(data: bytes) -> tuple[int, str]:
     if len(data) == 2:
         return 0, ""
-    if not 0x20 < data[2] < 0x7F:
+    if not _BLANK < data[2] < _DELETE:
         # The sequence was cut off by other bytes, which are the next key.
         return 2, "unknown"
     letter = chr(data[2])
@@ -123,7 +126,7 @@ def _control_sequence(data: bytes) -> tuple[int, str]:
     if data[2:3] == b"[":
         if len(data) == 3:
             return 0, ""
-        if not 0x20 < data[3] < 0x7F:
+        if not _BLANK < data[3] < _DELETE:
             return 3, "unknown"
         return 4, _LINUX.get(chr(data[3]), "unknown")
     for at in range(2, min(len(data), MOST_SEQUENCE)):

@@ -13,6 +13,8 @@ from rig.session.terminal._live import Snapshot
 from rig.session.terminal._pointer import CLOSE, HandKind
 
 HALF, NEAR = 0.4, 0.8  # fractions of the limit from which an effort is called "half", and "near the limit"
+LOW = 0.1  # length of the bar of an effort that is called "low"
+GAUGES = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
 MEANINGS: dict[str, str] = {
     "go": "continue (also enter)",
     "redo": "discard the last trial and repeat it",
@@ -85,29 +87,28 @@ def facts(view: DeskView) -> list[tuple[str, str]]:
 
 def gauges(view: DeskView, live: Snapshot | None) -> list[Gauge]:
     """Return the lines of the panel with live values; without a running control loop they contain dashes."""
-    names = ("phase", "depth", "velocity", "effort", "round trip", "late, lost")
     if live is None:
-        return [Gauge(name, None, "-") for name in names]
+        return [Gauge(name, None, "-") for name in GAUGES]
     scale = view.scale
     way = abs(float(scale.get("wall", 0.0)) - float(scale.get("start", 0.0))) or 1.0
     speed = abs(float(scale.get("speed_limit") or 0.0)) or 1.0
     position_unit, velocity_unit = scale.get("position_unit", ""), scale.get("velocity_unit", "")
     trip = "-" if live.round_trip_ns is None else f"{live.round_trip_ns * 1e-6:.2f} ms"
     return [
-        Gauge(names[0], None, live.phase),
-        Gauge(names[1], live.penetration / way, f"{live.penetration:+.4f} {position_unit}"),
-        Gauge(names[2], abs(live.velocity) / speed, f"{live.velocity:+.3f} {velocity_unit}"),
-        effort(view, live, names[3]),
-        Gauge(names[4], None, trip),
+        Gauge("phase", None, live.phase),
+        Gauge("depth", live.penetration / way, f"{live.penetration:+.4f} {position_unit}"),
+        Gauge("velocity", abs(live.velocity) / speed, f"{live.velocity:+.3f} {velocity_unit}"),
+        effort(view, live),
+        Gauge("round trip", None, trip),
         Gauge(
-            names[5],
+            "late, lost",
             None,
             f"{live.late}, {live.lost}" + (f" ({live.skipped} skipped)" if live.skipped else ""),
         ),
     ]
 
 
-def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
+def effort(view: DeskView, live: Snapshot) -> Gauge:
     """Return the panel's line about the effort (N·m or N): as a number, or in words if the operator is blinded."""
     limit = abs(float(view.scale.get("effort_limit") or 0.0))
     share = live.peak_effort / limit if limit else 0.0
@@ -115,14 +116,14 @@ def effort(view: DeskView, live: Snapshot, name: str = "effort") -> Gauge:
     # reveal the stiffness.
     if not view.blinded:
         text = f"{live.effort:+.3f} {view.scale.get('effort_unit', '')}"
-        return Gauge(name, share, text + (", saturated" if live.saturated else ""))
+        return Gauge("effort", share, text + (", saturated" if live.saturated else ""))
     if live.saturated:
-        return Gauge(name, 1.0, "saturated")
+        return Gauge("effort", 1.0, "saturated")
     if share >= NEAR:
-        return Gauge(name, NEAR, "near the limit")
+        return Gauge("effort", NEAR, "near the limit")
     if share >= HALF:
-        return Gauge(name, HALF, "half")
-    return Gauge(name, 0.1, "low")
+        return Gauge("effort", HALF, "half")
+    return Gauge("effort", LOW, "low")
 
 
 def question(talk: Conversation, now_s: float) -> str:
