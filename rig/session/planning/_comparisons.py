@@ -82,10 +82,12 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
     for cell in cells:
         limit, levels = cell.expected.limit, cell.levels
         if cell.expected.by_hand and limit.likely > levels[-1]:
-            beyond.append(f"{_cell(cell)}: expected {limit.likely:.3g}, highest level {levels[-1]:g} {unit}")
+            beyond.append(
+                f"{_describe_search(cell)}: expected {limit.likely:.3g}, highest level {levels[-1]:g} {unit}"
+            )
         elif cell.expected.by_hand and limit.likely < levels[0]:
             where = f"expected {limit.likely:.3g}" if limit.most else "no stable wall expected"
-            beyond.append(f"{_cell(cell)}: {where}, lowest level {levels[0]:g} {unit}")
+            beyond.append(f"{_describe_search(cell)}: {where}, lowest level {levels[0]:g} {unit}")
     yield Check(
         "expected limits",
         Outcome.WARNING if beyond else Outcome.OK,
@@ -100,16 +102,16 @@ def level_checks(cells: Sequence[CellPlan], motion: Motion) -> Iterator[Check]:
         yield Check(
             "linear theory",
             Outcome.WARNING,
-            f"gives no limit for {'; '.join(map(_cell, without_theory))}: {note}",
+            f"gives no limit for {'; '.join(map(_describe_search, without_theory))}: {note}",
             "numbers of trials and times are then estimated from the levels; set search.lowest to a wall that is "
             "certainly stable",
         )
-    coarse = [cell for cell in cells if _step_at(cell.levels, cell.expected.limit.likely) > COARSE]
+    coarse = [cell for cell in cells if _relative_step_at(cell.levels, cell.expected.limit.likely) > COARSE]
     if coarse:
         yield Check(
             "steps",
             Outcome.WARNING,
-            f"levels are more than a quarter of the expected limit apart: {'; '.join(map(_cell, coarse))}",
+            f"levels are more than a quarter of the expected limit apart: {'; '.join(map(_describe_search, coarse))}",
             "choose a smaller search.step or search.ratio",
         )
 
@@ -122,7 +124,8 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
     short = [cell for cell in cells if cell.trials.ended_by_most]
     if short:
         each = "; ".join(
-            f"{_cell(cell)}: {cell.trials.ended_by_most} of {cell.trials.simulated}" for cell in short
+            f"{_describe_search(cell)}: {cell.trials.ended_by_most} of {cell.trials.simulated}"
+            for cell in short
         )
         yield Check(
             "search.settings.most",
@@ -133,13 +136,12 @@ def most_checks(cells: Sequence[CellPlan]) -> Iterator[Check]:
         )
 
 
-def _step_at(levels: Sequence[float], stiffness: float) -> float:
-    return max((b - a for a, b in pairwise(levels) if a <= stiffness <= b), default=0.0) / max(
-        stiffness, levels[0]
-    )
+def _relative_step_at(levels: Sequence[float], stiffness: float) -> float:
+    around = (above - below for below, above in pairwise(levels) if below <= stiffness <= above)
+    return max(around, default=0.0) / max(stiffness, levels[0])
 
 
-def _cell(cell: CellPlan) -> str:
+def _describe_search(cell: CellPlan) -> str:
     return f"{cell.condition} at B = {cell.damping:g}"
 
 
@@ -168,7 +170,7 @@ def energy_check(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]
     """Check that the energy (J) is limited that the motor of an unstable wall may give to a hand in one hit."""
     if protocol.trial.kind != "human":
         return
-    limits = [one.rig.limits.energy for of in by_condition for one in of]
+    limits = [one.rig.limits.energy for experiments in by_condition for one in experiments]
     free = any(limit is None for limit in limits)
     most = max((limit for limit in limits if limit is not None), default=0.0)
     yield Check(
@@ -187,10 +189,8 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
     simulated = [simulate_hits(experiment) for experiment in walls] if bands else []
     for name, band in bands.items():
         quantity, _, words = BANDS[name]
-        values, unit = (
-            [one for hits in simulated for one in hits[name]],
-            unit_of(quantity, walls[0].rig.motion),
-        )
+        values = [one for hits in simulated for one in hits[name]]
+        unit = unit_of(quantity, walls[0].rig.motion)
         key = "operator.press" if name == "press" else "operator.reach_s"
         yield Check(
             f"trial.{name}",
@@ -203,7 +203,8 @@ def band_checks(trial: Trial, walls: Sequence[Experiment]) -> Iterator[Check]:
 
 def cap_checks(protocol: Protocol, by_condition: Sequence[Sequence[Experiment]]) -> Iterator[Check]:
     """Check that each limit in ``[caps]`` can act: one far above all possible values is probably a typing error."""
-    caps, experiments = protocol.caps, [one for of in by_condition for one in of]
+    caps = protocol.caps
+    experiments = [one for of_condition in by_condition for one in of_condition]
     stiffest = max(
         [experiment.wall.stiffness for experiment in experiments] + list(protocol.practice.stiffness)
     )

@@ -13,7 +13,6 @@ from rig.core.errors import ConfigError
 from rig.recording.files import plain_errors
 from rig.session.planning._conditions import Walls
 from rig.session.planning._expected import likely_trials
-from rig.session.planning._protocol import Protocol
 from rig.session.planning._schedule import schedule
 from rig.session.planning._times import trial_times
 
