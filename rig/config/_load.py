@@ -93,7 +93,8 @@ def experiment_from_mapping(mapping: Mapping[str, Any], source: str) -> Experime
 
 def restore_experiment(mapping: Mapping[str, Any]) -> Experiment:
     """Return the experiment from nested dicts that `as_mapping` made, without a check of the rules between keys."""
-    experiment, problems = parse_table(EXPERIMENT, dict(mapping), None)
+    parsed = parse_table(EXPERIMENT, dict(mapping), None)
+    experiment, problems = parsed
     if experiment is None:
         raise config_error(problems, "the saved experiment")
     return experiment
