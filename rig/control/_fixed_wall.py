@@ -159,7 +159,7 @@ def design_wall(
     for name, value in (*gains.items(), ("constant effort", abs(constant))):
         if not 0.0 <= value <= GAIN_GREATEST:
             raise ConfigError(
-                f"the {name} is {value:g} current quanta (smallest steps); allowed are 0 to {GAIN_GREATEST}",
+                f"the {name} is {value:g} quanta (smallest steps of the current); allowed are 0 to {GAIN_GREATEST}",
                 remedy="choose a softer wall",
             )
     shift = _greatest_shift(tuple(gains.values()), abs(constant) + added_effort / effort_quantum, velocity)

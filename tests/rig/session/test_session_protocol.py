@@ -188,7 +188,7 @@ def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_i
         ({"condition.1.damping": [0.0, "x"]}, 'condition 2.damping = [0.0, "x"]'),
         ({"condition.1.damping": [0.1, -0.1]}, "must not contain a damping below 0"),
         ({"condition.1.damping": [0.1, 0.1]}, "more than once"),
-        ({"condition.0.scheme": "dual:20k"}, "two rates, of position and velocity"),
+        ({"condition.0.scheme": "dual:20k"}, "sampling has two, for position and velocity"),
         ({"condition.0.scheme": "triple:20k"}, "condition 1.scheme"),
         ({"condition.1.search": {"lowest": 5}}, "condition 2.search.highest: is missing"),
         (
