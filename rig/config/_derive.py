@@ -206,7 +206,7 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
 
 
 def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return the estimator setting ``inertia``, by name: the rig's inertia in a trial without a hand (SI)."""
+    """Return the estimator setting ``inertia``, by name: the rig's inertia in a trial, without a hand (kg·m² or kg)."""
     return {"inertia": moved_mechanics(rig_model(experiment)).inertia}
 
 
