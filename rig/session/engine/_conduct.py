@@ -514,7 +514,7 @@ class _Engine:
         self.record("continued")
 
     def _find_repeatable(self) -> RecordedTrial | None:
-        """Return the newest valid trial of the current block, which the operator may repeat; None if there is none."""
+        """Return the newest valid trial of the current block, which the operator may repeat, or None."""
         counted = [trial for trial in self._state.trials if not trial.void and not trial.invalid]
         begun = self._state.begun[-1] if self._state.begun else None
         return counted[-1] if counted and counted[-1].block == begun else None
