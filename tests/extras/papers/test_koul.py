@@ -103,6 +103,25 @@ def test_a_claim_that_depends_on_what_the_paper_leaves_open_is_undecided() -> No
     assert judge({"a": True}).undecided().verdict == "reproduced"
 
 
+def test_a_lower_cutoff_counts_where_both_walls_are_stable() -> None:
+    def judged(*errors: float | None) -> ClaimStatus:
+        return koul_rules.sometimes_better({"a": errors, "b": (1.0, 0.95)}).status
+
+    assert judged(1.0, 2.0, 0.8) is ClaimStatus.REPRODUCED
+    assert judged(1.0, 2.0, None) is judged(None, 0.1) is judged(1.0, None) is ClaimStatus.NOT
+
+
+def test_the_best_estimator_of_a_rate_may_depend_on_the_resolution() -> None:
+    def judged(slow: float, other: float, fast: float) -> str:
+        errors = {("1 µm", 1000): (slow, 1.0), ("20 µm", 1000): (other, 1.0), ("1 µm", 20_000): (fast, 1.0)}
+        return str(koul_rules.best_below(errors).status)
+
+    assert judged(0.9, 0.9, 1.2) == "reproduced"
+    assert judged(0.9, 0.9, 0.9) == "reproduced in part:"
+    assert judged(1.0, 0.9, 0.9) == "undecided"
+    assert judged(1.0, 1.0, 0.9) == "not reproduced"
+
+
 def test_equal_ranges_are_equal_in_every_case() -> None:
     assert koul_rules.same({"a": 1.05}, {"a": 1.0}).status is ClaimStatus.REPRODUCED
     assert koul_rules.same({"a": 1.5, "b": 1.0}, {"a": 1.0}).failed == ["a"]

@@ -48,9 +48,7 @@ def rulings(koul: Koul) -> dict[str, Ruling]:
         ),
         "between": rules.between({name: of for name, of in panels.items() if name.startswith("10 kHz")}),
         "like-none": rules.like_none({FLOAT: panels[f"20 kHz, {FLOAT}"], **_peaks_by_word(koul)}),
-        "lower-cutoff": rules.sometimes_better(
-            {name: (own, min(lower)) for name, (own, *lower) in koul.lower_cutoffs.items()}
-        ),
+        "lower-cutoff": rules.sometimes_better(koul.lower_cutoffs),
         "best-below": rules.best_below({(name, rate): (f, d) for name, rate, f, d in koul.differentiators}),
         "filter-delay": rules.filter_delay(rules.FILTER_DELAYS_S),
         "noisier": rules.noisier(

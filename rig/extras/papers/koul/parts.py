@@ -349,12 +349,13 @@ def _noise(motion: _Motion, rate_hz: int, cutoff_hz: float) -> float:
 # --- other cut-offs and another estimator ------------------------------------------------------------------------
 
 
-def lower_cutoffs(payload: Mapping[str, Any]) -> dict[str, list[float]]:
+def lower_cutoffs(payload: Mapping[str, Any]) -> dict[str, list[float | None]]:
     """Return the rms velocity error (rad/s) in a hit of the preset's wall at 200 Hz, then at each of `rules.LOWER_HZ`.
 
-    The wall is dual-rate and in floating point; keys are rig and push.
+    The wall is dual-rate and in floating point; keys are rig and push. An error is None if the wall is not stable: it
+    would be that of another motion, an oscillation.
     """
-    found = {}
+    found: dict[str, list[float | None]] = {}
     for held in rigs.HELD:
         x, parameters = (
             held.experiment(),
@@ -362,7 +363,7 @@ def lower_cutoffs(payload: Mapping[str, Any]) -> dict[str, list[float]]:
         )
         schemes = [replace(rigs.SCHEMES[rigs.DUAL], parameters=one) for one in parameters]
         hits = [HitSimulator(one.applied(x)).hit(x.wall.stiffness, x.wall.damping) for one in schemes]
-        found[held.name] = [hit.rendering.velocity_error for hit in hits]
+        found[held.name] = [hit.rendering.velocity_error if hit.true.passes("any") else None for hit in hits]
     return found
 
 

@@ -97,7 +97,7 @@ class Koul:
     words: tuple[dict[str, Any], ...]
     figure_8: Profiles
     noise: Mapping[str, float]
-    lower_cutoffs: Mapping[str, list[float]]
+    lower_cutoffs: Mapping[str, list[float | None]]
     differentiators: list[tuple[str, int, float, float]]
     plants: tuple[dict[str, Any], ...]
     ideas: Mapping[str, Tried]

@@ -272,12 +272,16 @@ def filter_delay(paper: Mapping[float, float]) -> Ruling:
     return ruling.partly() if ruling.held and ruling.failed else ruling
 
 
-def sometimes_better(errors: Mapping[str, tuple[float, float]]) -> Ruling:
+def sometimes_better(errors: Mapping[str, Sequence[float | None]]) -> Ruling:
     """Judge the claim that a cut-off below 200 Hz may sometimes estimate better: by more than 10 % on some rig.
 
-    A value of `errors` has the rms errors (rad/s) at 200 Hz and with the best lower cut-off; the key is rig and push.
+    A value of `errors` has the rms errors (rad/s) at 200 Hz and at lower cut-offs, None if the wall is not stable; the
+    key is rig and push. Where the wall is not stable at 200 Hz, nothing is compared.
     """
-    ratios = {name: over(lower, own) for name, (own, lower) in errors.items()}
+    lower = {name: [one for one in of[1:] if one is not None] for name, of in errors.items()}
+    ratios = {
+        name: min(lower[name]) / of[0] for name, of in errors.items() if of[0] is not None and lower[name]
+    }
     return judge({"": any(ratio <= LESS for ratio in ratios.values())}, ratios=list(ratios.items()))
 
 
