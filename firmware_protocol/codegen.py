@@ -80,7 +80,7 @@ def messages() -> str:
 
 
 def batch_layouts() -> str:
-    """Return the Markdown table of the sample layouts of a BATCH: C type of each value, bytes of a sample."""
+    """Return the Markdown table of the layouts of a sample in a BATCH message: C type of each value, size (bytes)."""
     columns = ("count difference", "commanded current", "measured current")
     rows = []
     for key, ctypes in m.BATCH_LAYOUTS.items():
@@ -122,7 +122,7 @@ def picture() -> str:
 
 
 def states() -> str:
-    """Return the Markdown table of the next state by message and state, and of messages sent without a request."""
+    """Return the Markdown table of the state after each message in each state; last row: messages without a request."""
     requests = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(type_id) is m.Role.HOST]
     rows: list[Sequence[object]] = [
         (f"`{title(cls)}`", *(row[cls].name if cls in row else "–" for row in TRANSITIONS.values()))
@@ -155,7 +155,7 @@ def faults_of_a_rig() -> str:
 
 
 def duties_of_a_port() -> str:
-    """Return the Markdown table of functions (duties) that a board port must provide, and how each is tested."""
+    """Return the Markdown table of the functions that a board's firmware must provide, and how each is tested."""
     rows = (
         (f"`{one.call}`" if one.call.isidentifier() else one.call, one.duty, one.seen) for one in duties()
     )
@@ -174,7 +174,7 @@ def _describe_part(row: dict[str, Any]) -> str:
 
 
 def version() -> str:
-    """Return the sentence with the protocol's version and the sizes of COMMAND and STATE (bytes)."""
+    """Return the sentence with the protocol's version and the encoded sizes (bytes) of messages COMMAND and STATE."""
     command, state = (HEADER_BYTES + record_struct(cls).size + CRC_BYTES + 2 for cls in (m.Command, m.State))
     sizes = f"a `COMMAND` takes {command} bytes and a `STATE` {state}"
     return f"Version {m.MAJOR}.{m.MINOR}. On the wire, stuffing and delimiter included, {sizes}."
@@ -201,7 +201,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 
 def render(text: str) -> str:
-    """Return a page's text with all sections between its markers generated again; raise KeyError for an unknown one."""
+    """Generate the sections ``<!-- generated: NAME -->`` of a page again; raise KeyError for an unknown NAME."""
     return _SECTION.sub(
         lambda match: f"<!-- generated: {match[1]} -->\n{SECTIONS[match[1]]()}\n<!-- end -->", text
     )

@@ -124,7 +124,7 @@ _STATES: dict[int, State] = {int(state): state for state in State}
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Event: a message arrived that the state allows; `session` and `sequence` are fields of its header."""
+    """Event: a message arrived that the device's state allows; `session` and `sequence` are fields of its header."""
 
     message: Message
     session: int
@@ -137,19 +137,19 @@ class Received:
 
     @property
     def nonce(self) -> int:
-        """Return the nonce of a received transaction; raise AttributeError for a stream message, which has no nonce."""
+        """Return the number (nonce) of a received transaction; raise AttributeError for a message without a nonce."""
         return self.message.nonce  # type: ignore[attr-defined, no-any-return]
 
     def ack(
         self, status: Status = Status.OK, *, detail: int = 0, sample_index: int = 0, crc: int = 0
     ) -> m.Ack:
-        """Return the ACK that answers this request, with the given fields."""
+        """Return the ACK of this request: status with detail, tick at which it took effect, CRC of the parameters."""
         return m.Ack(self.nonce, self.request, int(status), detail, sample_index, crc)
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Event: a request that the device must reject by sending `ack()`, unless it is a repeat (`Replies.remembers`)."""
+    """Event: a request that the device must reject with `ack()`, unless it repeats the last one: resend that reply."""
 
     request: int  # type id, possibly one that we do not know
     nonce: int
@@ -158,7 +158,7 @@ class Refused:
     detail: int
 
     def ack(self) -> m.Ack:
-        """Return the ACK that rejects this request, with status and detail of the reason."""
+        """Return the ACK that rejects this request: status, and as detail the parameter, state or fault concerned."""
         return m.Ack(self.nonce, self.request, int(self.status), self.detail, 0, 0)
 
 
@@ -303,7 +303,7 @@ class Connection:
         return event
 
     def _find_objection(self, event: Received) -> tuple[Status, int] | None:
-        """Return status and detail of the rejection if the state or another rule forbids a request, else None."""
+        """Return the status, and its detail, with which the device must reject a request now; None if it is allowed."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
         message = event.message
@@ -381,10 +381,10 @@ class Connection:
         return frame
 
     def begin(self, *requests: Message, session: int | None = None) -> None:
-        """Host: begin a transaction of one request, or of all messages of `transfer.set_parameters`.
+        """Host: begin a transaction: one request, or the messages of a parameter update (`transfer.set_parameters`).
 
-        Call `say` next to get the frames to send. `session` is the number of the new session for ARM, else None. An
-        unfinished transaction is abandoned.
+        Call `say` repeatedly to get the frames to send. `session` is the number of the new session for ARM, else None.
+        An unfinished transaction is abandoned.
         """
         self._require_role(Role.HOST, "begin")
         self._requests, self._session_to_open = requests, session
@@ -395,7 +395,8 @@ class Connection:
     def say(self, time_ns: int) -> bytes:
         """Host: return the transaction's frame that must be sent at `time_ns`, or b"" if nothing must be sent now.
 
-        `time_ns` is the time of any monotonic clock (ns). Raise `LocalProtocolError` for the same reasons as `send`.
+        `time_ns` is any monotonic clock's time (ns). Raise `LocalProtocolError` if the device's state forbids the
+        request.
         """
         before = self.transaction
         self.transaction = after_time(before, time_ns, MOST_TRIES)
@@ -412,9 +413,9 @@ class Connection:
         return self._requests[0 if t.step == type_id_of(type(self._requests[0])) else -1]
 
     def _as_ack(self, reply: Message) -> tuple[int, int, int]:
-        """Return type id of the request, status and detail, as if every reply were an ACK.
+        """Return type id of the request, status and detail of a reply; a reply that is not an ACK counts as an ACK.
 
-        The status of another reply is OK if it is the reply of the present request, else UNSUPPORTED.
+        Its status is then OK if it is the reply of the present request, else UNSUPPORTED.
         """
         if isinstance(reply, m.Ack):
             return reply.request, reply.status, reply.detail
@@ -475,7 +476,7 @@ class Connection:
         self._enter_state(after)
 
     def _adopt_state(self, reply: Message) -> None:
-        """Host: adopt the device's state from an IDENTITY or BAD_STATE reply: after a restart the ends disagree."""
+        """Host: take over the device's state from an IDENTITY or BAD_STATE reply, because it may have restarted."""
         if isinstance(reply, m.Identity):
             self._enter_state(_STATES.get(reply.state, self.state))
         elif isinstance(reply, m.Ack) and reply.status == Status.BAD_STATE:
@@ -520,12 +521,12 @@ class Connection:
         self._splitter.reset()
 
     def sequence_to_send(self, cls: type[Message]) -> int:
-        """Return the sequence number of the next frame of class `cls`; a compiled loop continues with this number."""
+        """Return the number of the next frame of message class `cls`, from which a compiled loop continues to count."""
         return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
 
     @property
     def answered(self) -> int:
-        """Host: return the newest STATE message's sequence number (0 before), which the next COMMAND contains."""
+        """Host: return the sequence number of the newest STATE message, 0 without one; the next COMMAND repeats it."""
         self._require_role(Role.HOST, "answered")
         return self._received.get(_STATE, 0)
 

@@ -53,7 +53,7 @@ class ConstantInfo:
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """A build setting of the firmware (a pin, a scale or an option), by its name in the board's configuration."""
+    """A build setting of the firmware (pin, scale or option): its name in the board's configuration, and its value."""
 
     name: str
     value: SettingValue
@@ -104,11 +104,11 @@ class Dictionary:
         return next((info for info in self.parameters if info.name == name), None)
 
     def explain_fault(self, code: int) -> CodeInfo:
-        """Return name, text and remedy of a fault code: from the device, else from this package, else "unknown"."""
+        """Return a fault code's name, text and remedy, from the device, else from this package, else as unknown."""
         return _explain(self.faults, Fault, code)
 
     def explain_status(self, code: int) -> CodeInfo:
-        """Return name, text and remedy of a status code: from the device, else from this package, else "unknown"."""
+        """Return a status code's name, text and remedy, from the device, else from this package, else as unknown."""
         return explain_status(code, self.statuses)
 
 
@@ -188,7 +188,7 @@ def decode(packed: bytes) -> Dictionary:
         # Python's parser would accept NaN and Infinity, which JSON does not have.
         content = json.loads(_inflate(packed), parse_constant=_reject_constant)
         if not isinstance(content, dict):
-            raise TypeError(f"expected a JSON object, got {content!r}")
+            raise TypeError(f"the device's dictionary must be a JSON object, not {content!r}")
         return _dictionary(content)
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError, zlib.error) as error:
         raise RemoteProtocolError(
@@ -268,7 +268,7 @@ def _code(item: Any) -> CodeInfo:
 def _typed(item: Any, key: str, kind: type) -> Any:
     value = item[key]
     if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
-        raise TypeError(f"the key {key} must be of type {kind.__name__}, not {value!r}")
+        raise TypeError(f"the dictionary's key {key} must be of type {kind.__name__}, not {value!r}")
     return value
 
 
@@ -279,21 +279,21 @@ def _text(item: Any, key: str) -> str:
 def _number(item: Any, key: str) -> Value:
     value: Value = item[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TypeError(f"the key {key} must be a finite number, not {value!r}")
+        raise TypeError(f"the dictionary's key {key} must be a finite number, not {value!r}")
     return value
 
 
 def _positive(item: Any, key: str) -> float:
     value = float(_number(item, key))
     if value <= 0.0:
-        raise ValueError(f"the key {key} must be above 0, not {value}")
+        raise ValueError(f"the dictionary's key {key} must be above 0, not {value}")
     return value
 
 
 def _integer_in_range(item: Any, key: str, minimum: int, maximum: int) -> int:
     value = int(_typed(item, key, int))
     if not minimum <= value <= maximum:
-        raise ValueError(f"the key {key} must be {minimum} … {maximum}, not {value}")
+        raise ValueError(f"the dictionary's key {key} must be {minimum} … {maximum}, not {value}")
     return value
 
 

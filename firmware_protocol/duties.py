@@ -1,4 +1,4 @@
-"""Read what a board's firmware must guarantee to the portable core (`firmware/duties.toml`), and how that is tested.
+"""Read `firmware/duties.toml`: the functions that a board's firmware must provide to the portable core, with tests.
 
 `firmware_protocol.codegen` and `rig firmware check-port` use this list.
 """
@@ -14,7 +14,7 @@ PORTING = Path(__file__).with_name("firmware") / "PORTING.md"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Duty:
-    """A function (duty) that a board port must provide to the portable core; `duties.toml` explains the fields."""
+    """A function that a board's firmware must provide to the portable core: its call, requirement, test and remedy."""
 
     name: str
     call: str
@@ -25,6 +25,6 @@ class Duty:
 
 
 def duties() -> tuple[Duty, ...]:
-    """Return the functions (duties) that a board port must provide, in the order of `firmware/duties.toml`."""
+    """Return the functions that a board's firmware must provide, in the order of `firmware/duties.toml`."""
     content = tomllib.loads(PORTING.with_name("duties.toml").read_text(encoding="utf-8"))
     return tuple(Duty(**row) for row in content["duty"])

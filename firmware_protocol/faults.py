@@ -10,7 +10,7 @@ from enum import IntEnum, IntFlag
 
 
 class Described(IntEnum):
-    """A number with a meaning (`text`) and what to do about it (`remedy`): a fault code, for example."""
+    """Code with its meaning (`text`) and what to do about it (`remedy`); base of fault codes and request statuses."""
 
     text: str
     remedy: str
@@ -25,7 +25,7 @@ class Described(IntEnum):
 
 
 class DescribedFlag(IntFlag):
-    """A bit with a meaning (`text`) and what to do about it (`remedy`): a limit that acted, for example."""
+    """Bit of a field with its meaning (`text`) and what to do about it (`remedy`); base of limits and of inputs."""
 
     text: str
     remedy: str
@@ -44,7 +44,7 @@ class DescribedFlag(IntFlag):
 
 
 class Fault(Described):
-    """Reason for which the device latched FAULT: the first fault; later faults set the bit ``1 << code`` of a mask."""
+    """Code of a fault: the device latches the first; each later one sets bit ``1 << code`` in a FAULT_LOG message."""
 
     NONE = 0, "no fault", ""
     LINK_LOST = (
@@ -139,7 +139,7 @@ OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_S
 
 
 class LimitFlag(DescribedFlag):
-    """Limit that changed the effort in a tick, or a warning. A limit is not a fault: the device continues."""
+    """Bit of STATE.limits: a limit that changed the effort, or a value near its limit. It is not a fault."""
 
     CURRENT = 1, "current clipped to current_limit", "command less effort"
     SLEW = 2, "change of current clipped to slew_limit", "a trial with this flag is invalid; raise slew_limit"
@@ -264,7 +264,7 @@ class Status(Described):
 
 
 class Input(DescribedFlag):
-    """Bits of STATE.inputs, 1: the pin is active. `SYNC_TRIAL` and `SYNC_INSIDE` are outputs of the device."""
+    """Bit of the field `inputs` of a STATE message, 1: the pin is active. `SYNC_TRIAL`, `SYNC_INSIDE` are outputs."""
 
     EMERGENCY_STOP = 1, "the wired emergency stop is pressed", "release it when the rig is safe"
     HOLD_TO_RUN = 2, "the hold-to-run switch is held", ""

@@ -26,7 +26,7 @@ _CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code by
 
 
 class Defect(IntEnum):
-    """Reason why received bytes are not a frame; the compiled codec returns the negative number."""
+    """Reason why received bytes are not a frame; the compiled decoder (`rig.realtime.codec`) returns it negated."""
 
     COBS = 1
     CRC = 2

@@ -18,7 +18,7 @@ _Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
 def _rows() -> list[_Row]:
-    """Return name, C type, unit, range, default, meaning and `live` of each parameter of the law, in order of id."""
+    """Return (name, C type, unit, range, default, meaning, may change while armed) of each law parameter by id."""
     fixed = False
     rows: list[_Row] = [
         ("law", "u8", "", (0, 3), 0,
@@ -79,7 +79,7 @@ def _rows() -> list[_Row]:
 
 
 def _wall_rows() -> list[_Row]:
-    """Return the last rows of `_rows`: parameters of walls, of the excitation, and of later versions."""
+    """Return the end of `_rows`: parameters of walls and excitation, and those that later protocol versions added."""
     fixed, live = False, True
     return [
         ("float_surface", "i32", "count", _I32, 0, "position from the reference; rounded down", live),

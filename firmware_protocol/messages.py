@@ -70,7 +70,7 @@ class Sync(IntFlag):
 
 
 class DisarmFlag(IntFlag):
-    """Flags of a DISARM message."""
+    """Flag bits of a DISARM message: CLEAR_FAULT also leaves the state FAULT, unless the cause is still present."""
 
     CLEAR_FAULT = 1  # also leave FAULT; refused while the cause is present
 
@@ -170,7 +170,7 @@ class Parameters(Message):
 
 @dataclass(frozen=True, slots=True)
 class Arm(Message):
-    """Begin a session, whose number is in the header; dictionary hash and CRC must equal those of the device."""
+    """Begin a session with the number in the header; dictionary hash and parameter CRC must equal the device's."""
 
     nonce: Nonce
     dictionary_hash: Annotated[int, Wire("u64", "", "hash from IDENTITY")]
@@ -187,7 +187,7 @@ class Disarm(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetTime(Message):
-    """Begin a clock exchange: the request contains the host's time at sending."""
+    """Request time stamps that relate the clocks of host and device; it contains the host's time at sending."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "host clock at sending; echoed")]
@@ -195,7 +195,7 @@ class GetTime(Message):
 
 @dataclass(frozen=True, slots=True)
 class Time(Message):
-    """Reply of a clock exchange: the device's times at receipt and at sending; the host adds its time at receipt."""
+    """Reply to GET_TIME: the device's times at receipt and at sending; the host compares them with its own times."""
 
     nonce: Nonce
     host_sent: Annotated[int, Wire("u64", "ns", "copied from the request")]
@@ -205,7 +205,7 @@ class Time(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetFaultLog(Message):
-    """Request the latched fault and some of the ticks before it."""
+    """Request the latched fault and a page of the device's log of the ticks before it."""
 
     nonce: Nonce
     first: Annotated[int, Wire("u16", "", "first requested entry; 0 is the oldest")]
@@ -213,7 +213,7 @@ class GetFaultLog(Message):
 
 @dataclass(frozen=True, slots=True)
 class FaultLog(Message):
-    """The latched fault and some of the last 256 ticks before it, as FAULT_ENTRYs."""
+    """The latched fault and some of the last 256 ticks before it, one FAULT_ENTRY record each."""
 
     nonce: Nonce
     fault: Annotated[int, Wire("u16", "", "Fault that came first")]
@@ -255,14 +255,14 @@ class Statistics(Message):
 
 @dataclass(frozen=True, slots=True)
 class GetReference(Message):
-    """Request the origin of position zero, and the count at which the device detected its encoder's index."""
+    """Request how position zero was set, and the encoder count at which the device detected the encoder's index."""
 
     nonce: Nonce
 
 
 @dataclass(frozen=True, slots=True)
 class Reference(Message):
-    """Origin of position zero, and the encoder's index pulses that the device has detected since it started."""
+    """How position zero was set, if it was, and the encoder's index pulses that the device has detected so far."""
 
     nonce: Nonce
     zero: Annotated[
@@ -342,7 +342,7 @@ class State(Message):
 
 @dataclass(frozen=True, slots=True)
 class Batch(Message):
-    """Consecutive ticks of the law on the device, packed with the C types of `layout` in BATCH_LAYOUTS."""
+    """Consecutive samples of the law on the device; `layout` selects the C types of their values (BATCH_LAYOUTS)."""
 
     first_index: Annotated[int, Wire("u32", "tick", "sample index of the first sample")]
     device_time: Annotated[int, Wire("u32", "1/16 µs", "device time of the first sample")]
@@ -355,7 +355,7 @@ class Batch(Message):
 
 @dataclass(frozen=True, slots=True)
 class FaultEntry:
-    """One tick in the device's fault log, a ring buffer (FAULT_ENTRY)."""
+    """One tick in the device's fault log (a ring buffer), as the record FAULT_ENTRY."""
 
     sample_index: Annotated[int, Wire("u32", "tick", "number of the tick")]
     count: Annotated[int, Wire("i32", "count", "encoder count")]

@@ -241,7 +241,8 @@ def decode_block(block: bytes) -> dict[str, Value]:
         (number,) = struct.unpack_from("<H", block, start)
         parameter = BY_ID.get(number)
         if parameter is None:
-            raise ParameterError(Status.UNKNOWN_PARAMETER, f"unknown parameter id {number}", detail=number)
+            text = f"unknown parameter id {number}; PROTOCOL.md lists all"
+            raise ParameterError(Status.UNKNOWN_PARAMETER, text, detail=number)
         if number <= previous:
             raise ParameterError(
                 Status.BAD_ORDER,
@@ -257,7 +258,7 @@ def decode_block(block: bytes) -> dict[str, Value]:
 
 
 def block_crc(block: bytes) -> int:
-    """Return the CRC-32 of a parameter block; the device sends it in the ACK of COMMIT, the host in ARM."""
+    """Return the CRC-32 of a parameter block; the device reports it after a change, and ARM repeats it."""
     return crc32(block)
 
 

@@ -54,7 +54,7 @@ class Transaction(NamedTuple):
 
 
 def after_time(t: Transaction, time_ns: int, most_tries: int) -> Transaction:
-    """Return the transaction at the host time `time_ns` (ns), with one more try if its request must be sent now.
+    """Return the transaction at the host time `time_ns` (ns): with one more try if its request is due to be sent.
 
     If `tries` of the result is larger, the caller must send the request. After `most_tries` the result is UNANSWERED.
     """

@@ -74,7 +74,7 @@ def page(content: bytes, offset: int, size: int) -> bytes:
 
 
 class PageReader:
-    """Host side of a reply in several pages: request the page at `offset` and `add` it, until `complete`.
+    """Host side of a reply in several pages: request the page at `offset`, pass it to `add`, repeat until `complete`.
 
     The whole reply has at most `limit` bytes.
     """
@@ -117,6 +117,6 @@ class PageReader:
             return
         if offset > self.offset or not data or self.offset + len(data) > total:
             raise RemoteProtocolError(
-                f"received a page of {len(data)} bytes at {offset}; expected a page at {self.offset} of {total} bytes"
+                f"received {len(data)} bytes at {offset} of the reply; expected the page at {self.offset} of {total}"
             )
         self._content += data

@@ -24,7 +24,7 @@ FORMATS = {
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """Description of a message's field: C type (a key of FORMATS, or "bytes": the rest of the frame), unit, meaning."""
+    """Description of a message's field: C type (``u16``, …; "bytes" is the rest of the frame), unit and meaning."""
 
     ctype: str
     unit: str
@@ -32,7 +32,7 @@ class Wire:
 
 
 def wire_fields(cls: type) -> dict[str, Wire]:
-    """Return the `Wire` of each field by name, in order of the bytes; a class annotates ``Annotated[int, Wire(…)]``."""
+    """Return the `Wire` (C type, unit, meaning) of each field of a message class by name, in order of the bytes."""
     return _wire_fields(cls)
 
 
@@ -42,7 +42,7 @@ def _wire_fields(cls: type) -> dict[str, Wire]:
 
 
 def fixed_fields(cls: type) -> dict[str, Wire]:
-    """Return the `Wire` of each field of a class by name, except a field of variable length ("bytes")."""
+    """Return the `Wire` (C type, unit, meaning) of each field of a class by name, except fields of variable length."""
     return {name: wire for name, wire in wire_fields(cls).items() if wire.ctype != "bytes"}
 
 

@@ -1,8 +1,8 @@
 """Real-time control of 1-DOF haptic rigs: dual-rate virtual walls, velocity estimators, wall-hit experiments.
 
-What is public and stable is what ``__all__`` has: the list stands in ``__init__.pyi`` beside this file, for a type
-checker, an editor and this module alike, and each name is loaded on first use, so that ``import rig`` costs nothing.
-`rig.testing` has what tests of a lab's own laws and estimators call. Everything else may change with any version.
+``__all__`` lists the public names, which stay stable; everything else may change with any version. The list is in
+``__init__.pyi`` beside this file, and each name is loaded on first use, so that ``import rig`` is fast. `rig.testing`
+contains checks for tests of a lab's own laws and estimators.
 """
 
 from __future__ import annotations

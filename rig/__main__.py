@@ -10,7 +10,7 @@ from rig.realtime import memories
 
 
 def main() -> None:
-    """Entry point of the console command, and of the script by which a shell completes it."""
+    """Run the command line of ``rig``, or print completions for the shell that completes such a command line."""
     if "_RIG_COMPLETE" in os.environ:
         from rig.cli import complete  # noqa: PLC0415
 
@@ -26,7 +26,7 @@ def main() -> None:
 
 
 def asked_to_stop(arguments: list[str]) -> list[memories.LoopMemory] | None:
-    """Request the stop at once if the command is ``rig stop``, and return its loops; None for another command."""
+    """Request running loops to stop at once if the command is ``rig stop``, and return them; else return None."""
     if arguments[:1] != ["stop"]:
         return None
     process = [word for word in arguments[1:] if word not in ("--json", "-q", "--quiet")]

@@ -49,7 +49,7 @@ DISTRIBUTION = "haptic-rig"
 
 @dataclass(frozen=True, slots=True)
 class Backend:
-    """Backend of a URL scheme: its function as ``module:function``, and the distribution that provides it."""
+    """Backend of a URL scheme: its opening function (``module:function``), and the installed package that has it."""
 
     scheme: str
     target: str
@@ -81,7 +81,7 @@ def broken(scheme: str) -> str:
 
 
 def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
-    """Import a URL's backend and return its function that opens a link; `ConfigError` for an unknown URL scheme."""
+    """Import a URL's backend and return its function ``open_link(url, model)``; `ConfigError` for an unknown scheme."""
     scheme = DeviceUrl.parse(url).scheme
     if scheme in BUILT_IN:
         opener = loaded(BUILT_IN[scheme], scheme)
@@ -98,7 +98,7 @@ def load_backend(url: str) -> Callable[[DeviceUrl, RigModel | None], Link]:
 
 
 def _row_of_extra(scheme: str) -> extras.ExtraRow | None:
-    """Return the table row of the extra that adds a URL scheme, else None; raise `ConfigError` if it is missing."""
+    """Return the table row of the optional package that adds a URL scheme, else None; `ConfigError` if missing."""
     if scheme in RESERVED or scheme in extras.added("schemes"):
         return extras.find("schemes", scheme, RESERVED.get(scheme, ""))
     return None
@@ -172,7 +172,7 @@ def simulated_model(url: DeviceUrl, model: RigModel | None) -> RigModel | None:
 
 
 def is_made_for_a_rig(url: str) -> bool:
-    """Return True if the backend of a device URL builds the device from the experiment's rig, as a simulation does."""
+    """Return True if the backend at a URL needs the model of a rig, because it simulates the rig or is built for it."""
     scheme = url.partition(":")[0]
     if scheme in BUILT_IN:
         return scheme == "sim"
@@ -181,27 +181,27 @@ def is_made_for_a_rig(url: str) -> bool:
 
 
 def url_for(url: str, loop: str) -> str:
-    """Return the URL of the device to open; for a law on a simulated device (`loop` is "device") add ``firmware=1``."""
+    """Return the device's URL, with ``firmware=1`` if a simulated one must run the law itself (`loop` "device")."""
     if loop != "device" or not url.startswith("sim:") or FIRMWARE in DeviceUrl.parse(url).options:
         return url
     return f"{url}{'&' if '?' in url else '?'}{FIRMWARE}=1"
 
 
 def simulated_rig() -> OpenRig:
-    """Return the function that creates rigs for fast simulated hits; `DeviceNotFoundError` without a simulator."""
+    """Return the function that creates simulated rigs for fast wall hits; `DeviceNotFoundError` without a simulator."""
     return cast("OpenRig", loaded(HITS))
 
 
 def excited_simulation() -> OpenExcitedSimulation:
-    """Return the function that creates rigs with two actuators; `DeviceNotFoundError` without a simulator."""
+    """Return the function that creates rigs with a second, exciting actuator; `DeviceNotFoundError` if missing."""
     return cast("OpenExcitedSimulation", loaded(EXCITED))
 
 
 def simulated_trial() -> tuple[Any, Any]:
-    """Return functions that build a simulated plant and run a trial on it; `DeviceNotFoundError` without simulator."""
+    """Return two functions: build a simulated plant, run a trial on it; `DeviceNotFoundError` without a simulator."""
     return loaded(PLANT).build, loaded(TRIAL)
 
 
 def open_device(url: str, model: RigModel | None = None) -> FramedDevice:
-    """Open a device for requests of the protocol; raise `ConfigError` or `DeviceNotFoundError` as `open_link`."""
+    """Open a device for requests; `ConfigError` for a wrong URL, `DeviceNotFoundError` if it is missing or in use."""
     return FramedDevice(open_link(url, model))

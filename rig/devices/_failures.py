@@ -79,7 +79,7 @@ _OF_DESCRIPTORS = FAILURES | dict.fromkeys((errno.EIO, errno.EPIPE, errno.ECONNR
 
 
 def failure(number: int, url: str) -> Failure:
-    """Return error class, cause (or the system's text) and remedy for a positive errno of the link at a URL."""
+    """Return error class, cause and remedy for a failed call on the link at a URL, by its errno (0: unknown)."""
     table = _OF_DESCRIPTORS if url.startswith(_DESCRIPTORS) else FAILURES
     found = table.get(number)
     if found is not None:
@@ -89,7 +89,7 @@ def failure(number: int, url: str) -> Failure:
 
 
 def link_error(number: int, url: str, place: str = "") -> LinkLostError:
-    """Return the exception for a failed call on a link, from its errno; the message names `place` or the URL."""
+    """Return the exception for a failed call on a link, from its errno; the text begins with `place`, else the URL."""
     found = failure(number, url)
     why = f" ({os.strerror(number)})" if number else ""
     return found.kind(f"{place or url} {found.cause}{why}", remedy=found.remedy)

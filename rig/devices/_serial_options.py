@@ -16,7 +16,7 @@ OPTIONS = ("baud", "dtr")
 
 @dataclass(frozen=True, slots=True)
 class SerialOptions:
-    """Baud rate of a serial port (bits per second); `dtr` is True if DTR and RTS are to be asserted."""
+    """Baud rate of a serial port (bits per second); `dtr` is True if DTR and RTS must be asserted when it is opened."""
 
     baud: int
     dtr: bool

@@ -21,7 +21,7 @@ PENDING_BYTES = 65536
 class ThreadedLine:
     """Base of links that a Python thread reads; a subclass implements `receive` and `send`, and calls `start`.
 
-    Errors are `OSError` with the numbers of `rig.devices._failures`.
+    A failure is an `OSError` with an errno, which `rig.devices._failures` explains.
     """
 
     def __init__(self) -> None:
@@ -37,11 +37,11 @@ class ThreadedLine:
         self._reader.start()
 
     def receive(self) -> bytes:
-        """Return the bytes that have arrived at the port, after at most `WAIT_S`; raise `OSError` on failure."""
+        """Return the bytes that have arrived at the port; wait at most `WAIT_S` (50 ms). Raise `OSError` on failure."""
         raise NotImplementedError
 
     def send(self, data: bytes) -> int:
-        """Write to the port once; return the number of accepted bytes. Raise `OSError` if none is accepted for long."""
+        """Write to the port once; return the number of accepted bytes. Raise `OSError` after a write timeout."""
         raise NotImplementedError
 
     def _fetch(self) -> None:
@@ -64,7 +64,7 @@ class ThreadedLine:
                 return
 
     def _ready(self, timeout_s: float) -> bool:
-        """Wait at most `timeout_s` (s) for bytes; return True if there are some. Then raise the reader's `OSError`."""
+        """Return True if bytes arrive within `timeout_s` (s); if the reader has failed and none are left, raise."""
         with self._changed:
             self._changed.wait_for(lambda: self._pending or self._error, max(0.0, timeout_s))
             if self._error and not self._pending:
@@ -89,7 +89,7 @@ class ThreadedLine:
             data = data[self.send(data) :]
 
     def plugs(self) -> CallbackPlugs:
-        """Return the read, write and wait functions for the loop, and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the read, write and wait functions by which the compiled loop uses this line."""
         if self._plugs is None:
             self._plugs = callback_plugs(read=self._read_now, write=self.send, wait=self._wait)
         return self._plugs

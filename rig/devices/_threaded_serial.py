@@ -64,9 +64,9 @@ class ThreadedSerialLink(RealLink):
     Attributes
     ----------
     facts
-        Facts about the port.
+        Driver, USB adapter and settings of the port.
     messages
-        Settings of the port that could not be set; always empty.
+        Always empty: warnings about settings that were not accepted, on other links.
     """
 
     messages: tuple[str, ...] = ()
@@ -139,7 +139,6 @@ class _Line(ThreadedLine):
             raise OSError(getattr(error, "errno", None) or errno.ENODEV, os.strerror(errno.ENODEV)) from None
 
     def close(self) -> None:
-        """End the reader thread, then close the serial port."""
         super().close()
         try:
             self._port.close()

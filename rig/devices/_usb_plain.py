@@ -31,17 +31,14 @@ class PlainTransfers(ThreadedLine):
         self.start()
 
     def receive(self) -> bytes:
-        """Return one packet of the USB device; empty if none arrives within `WAIT_S`."""
+        """Return one packet of the USB device; empty if none arrives within `WAIT_S` (50 ms)."""
         try:
             return bytes(self._device.read(self._in, self._packet, round(WAIT_S * 1e3)))
         except usb.core.USBTimeoutError:
             return b""
 
     def send(self, data: bytes) -> int:
-        """Write to the USB device once; return the number of accepted bytes.
-
-        Raise `OSError` (ETIMEDOUT) if the device has accepted nothing for `OUT_LIMIT_S`.
-        """
+        """Write once; return the number of accepted bytes. `OSError` if none for 0.5 s, or only a part of a packet."""
         try:
             sent = int(self._device.write(self._out, data, WRITE_TIMEOUT_MS))
         except usb.core.USBTimeoutError:

@@ -28,7 +28,7 @@ _BULK = 2
 
 
 class QueuedTransfers:
-    """The two bulk endpoints of a USB interface by queued libusb transfers; errors are `OSError` (see `_failures`)."""
+    """The two bulk endpoints of a USB interface by queued libusb transfers; a failure raises `OSError` with errno."""
 
     note = ""
 
@@ -102,7 +102,7 @@ class QueuedTransfers:
         return self._read_buffer[:ready].tobytes()
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; wait while no transfer is free, and raise `OSError` if this takes too long."""
+        """Send all of `data`; wait while no transfer is free. `OSError` if the device accepts nothing for 0.5 s."""
         left = np.frombuffer(data, np.uint8)
         while len(left):
             taken = compiled.usb_write(self._address, left.ctypes.data, len(left))
@@ -113,7 +113,7 @@ class QueuedTransfers:
                 compiled.flush(self._address, time.monotonic_ns() + round(_SLICE_S * 1e9), 0)
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return the read, write and wait functions for the loop, and their handle (`rig.devices.port.LoopPort`)."""
+        """Return the read, write and wait functions for the compiled loop, and the address to pass as argument."""
         return compiled.usb_read, compiled.usb_write, compiled.usb_wait, self._address
 
     def close(self) -> None:

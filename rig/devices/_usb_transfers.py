@@ -289,10 +289,7 @@ def usb_write(block: int, address: int, size: int) -> int:
 
 @kernel(_i64(_i64, _i64))
 def _sleep_until_event(block: int, deadline_ns: int) -> int:
-    """Wait by ppoll(2) for an event of libusb, at most until `deadline_ns`; return 1 after the wait.
-
-    Return 0 without waiting if the deadline has passed, or a negative errno.
-    """
+    """Wait for an event of libusb until `deadline_ns` (ns); return 1, 0 if the deadline is in the past, or -errno."""
     timespec = _two_words()
     remaining = deadline_ns - monotonic_now(0)
     if remaining <= 0:

@@ -29,7 +29,7 @@ CLOSED = -1
 
 
 class DescriptorLink(RealLink):
-    """Base of links over a non-blocking descriptor, which a subclass opens and sets to `CLOSED` at the end."""
+    """Base of links over a non-blocking file descriptor, which a subclass opens, closes and then sets to `CLOSED`."""
 
     def __init__(self, url: DeviceUrl, descriptor: int) -> None:
         self.url = url
@@ -56,7 +56,7 @@ class DescriptorLink(RealLink):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`; raise `LinkLostError` if the device is gone or accepts no byte for `WRITE_TIMEOUT_S`."""
+        """Send all of `data`; raise `LinkLostError` if the device is gone, or has not accepted all within 0.5 s."""
         deadline = time.monotonic() + WRITE_TIMEOUT_S
         view = memoryview(data)
         while view:

@@ -84,7 +84,7 @@ class DeviceUrl:
             )
         if wrong := _NO_ESCAPE.search(rest):
             raise ConfigError(
-                f"device URL {text!r} contains {rest[wrong.start() :][:3]!r}, which is not a byte of a name",
+                f"device URL {text!r} contains {rest[wrong.start() :][:3]!r}, which is not an escape for a byte",
                 remedy="write %25 for the sign % itself, or % and two hexadecimal digits, not 00, for a byte",
             )
         # Not by `urllib`, which would drop what follows a #, and line ends.
@@ -158,7 +158,7 @@ class Link(Protocol):
         ...
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return the simulation's true signals by sample index (`rig.core.sample.TRUTH`); None on a real device."""
+        """Return the simulation's exact positions, velocities and efforts (`rig.core.sample.TRUTH`), else None."""
         ...
 
     def close(self) -> None:
@@ -167,12 +167,12 @@ class Link(Protocol):
 
 
 class RealLink:
-    """Mixin for a `Link` to a device outside of this process: its exceptions and true signals are unknown."""
+    """Mixin for a `Link` to a device outside of this process, whose Python exceptions and exact signals are unknown."""
 
     def failure(self) -> BaseException | None:
         """Return None: a device outside of this process reports no Python exception."""
         return None
 
     def truth(self) -> NDArray[np.void] | None:
-        """Return None: the true signals of a device outside of this process are unknown."""
+        """Return None: the exact positions and efforts of a device outside of this process are unknown."""
         return None

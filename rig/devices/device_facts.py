@@ -56,7 +56,7 @@ class FirmwareFacts:
     settings: Mapping[str, SettingValue]
 
     def rows(self) -> list[Row]:
-        """Return the facts about the firmware as rows to print."""
+        """Return the facts about the firmware as rows (label, value, unit, note) to print."""
         kind = "simulated" if self.simulated else ""
         law = {0: "none: the law runs on the host", 1: "in integers", 2: "in integers and in float32"}
         return [
@@ -180,7 +180,7 @@ class DeviceFacts(FirmwareFacts):
         )
 
     def rows(self) -> list[Row]:
-        """Return the facts about the open device as rows to print."""
+        """Return the facts about the open device as rows (label, value, unit, note) to print."""
         return [
             Row("url", self.url),
             *super().rows(),

@@ -136,7 +136,7 @@ class FramedDevice:
         with self._translate_errors():
             if dictionaries.dictionary_hash(reader.content) != self._dictionary_hash:
                 raise RemoteProtocolError(
-                    "the device's dictionary (its list of messages and parameters) was not received correctly: its "
+                    "the device's dictionary (its description of itself) was not received correctly: its "
                     "hash differs from the hash that the device reported; connect again"
                 )
             read = dictionaries.decode(reader.content)
@@ -185,7 +185,7 @@ class FramedDevice:
         return Echo(dict(active), ack.crc, ack.sample_index)
 
     def _expected_block(self, values: Mapping[str, Value]) -> bytes | None:
-        """Return the bytes of all parameters that the device should have after `values` are set; None if unknown."""
+        """Return the bytes of all parameters after `values` are set; None if the device has unknown parameters."""
         known = self._known or {info.name: info.default for info in self.dictionary.parameters}
         try:
             return encode_block({**known, "verified": 0, **values})
@@ -198,19 +198,19 @@ class FramedDevice:
         # IDENTIFY reports the state, and takes the device out of BOOT.
         about = self._ask(m.Identify(self._next_nonce(), 0), m.Identity)
         if met_real and self._has_forgotten(about):
-            raise self._lost_zero_error("has restarted")
+            raise self._lost_zero_error("the device has restarted")
         if self._dictionary is None or about.dictionary_hash != self._dictionary_hash:
             self._dictionary = self.identify()
         if self.connection.state == State.FAULT:
             self.cleared_fault = self.fault_report()
             if met_real and self._crc is not None and self.cleared_fault.has(Fault.ENCODER):
-                raise self._lost_zero_error("has lost counts")
+                raise self._lost_zero_error("the device has lost counts of its encoder")
         if self.connection.state >= State.ARMED:
             self.disarm(clear_fault=True)
 
-    def _lost_zero_error(self, how: str) -> DeviceRefusedError:
+    def _lost_zero_error(self, what_happened: str) -> DeviceRefusedError:
         return DeviceRefusedError(
-            f"the device at {self.link.url.text} {how} during the session: its position zero is no longer valid",
+            f"{what_happened} during the session ({self.link.url.text}): its position zero is no longer valid",
             remedy="check its power and cables, put the handle at position zero, and start the command again",
             status=Status.NOT_HOMED,
         )
@@ -232,10 +232,7 @@ class FramedDevice:
         )
 
     def count(self) -> int:
-        """Return the present encoder count, from the STATE messages that an unarmed device sends on its own.
-
-        Raise `DeviceRefusedError` if no STATE arrives within `COUNT_TIMEOUT_S`.
-        """
+        """Return the present encoder count, which an unarmed device sends by itself; wait at most 0.5 s for it."""
         self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         for event in self._events(COUNT_TIMEOUT_S):
             if isinstance(event.message, m.State):
@@ -264,7 +261,7 @@ class FramedDevice:
         with self._translate_errors():
             if reply.offset != reader.offset:
                 raise RemoteProtocolError(
-                    f"the device sent the page from byte {reply.offset} on; requested was byte {reader.offset}"
+                    f"the device sent its reply from byte {reply.offset} on, not from byte {reader.offset} as requested"
                 )
             reader.add(total=reply.total, fingerprint=fingerprint, offset=reply.offset, data=reply.data)
 
@@ -273,9 +270,9 @@ class FramedDevice:
     def arm(self) -> int:
         """Arm the device and return the number of the new session; it then sends STATE messages, with zero effort.
 
-        ARM is repeated for at most `READY_S` while the device computes its excitation or switches its amplifier on.
-        Raise `DeviceRefusedError` if the device is not homed or not verified, its parameters are not those of this
-        host, or it detects a fault.
+        ARM is repeated for at most `READY_S` (60 s) while the device computes its excitation or switches its amplifier
+        on. Raise `DeviceRefusedError` if position zero is not set, the signs of motor and encoder are not verified, the
+        parameters are not those of this host, or the device detects a fault.
         """
         # From the nonce, which begins with the clock, so that a restarted host seldom takes the number of the run
         # before: the device refuses that one (STALE_SESSION).
@@ -309,7 +306,7 @@ class FramedDevice:
 
     @property
     def nonce(self) -> int:
-        """Return the number of the last transaction, from which the compiled loop continues for its clock exchanges."""
+        """Return the number of the last transaction with the device; the compiled loop continues to count from it."""
         return self._nonce
 
     def take_back(
@@ -367,10 +364,10 @@ class FramedDevice:
     # ------------------------------------------------------------------ clock and reports
 
     def exchange_clock(self, exchanges: int = EXCHANGES, *, over_s: float = 0.0) -> NDArray[np.void]:
-        """Exchange time stamps with the device; return four stamps (ns) per exchange (`rig.core.clock_fit.EXCHANGE`).
+        """Exchange time stamps with the device; return four (ns) per exchange: sent and received by host and by device.
 
-        The exchanges follow each other at once, or at irregular intervals over `over_s` (s). Raise `LinkLostError` if
-        the device does not reply.
+        The exchanges (dtype `rig.core.clock_fit.EXCHANGE`) follow each other at once, or irregularly over `over_s` (s).
+        Raise `LinkLostError` if the device does not reply.
         """
         stamps = np.zeros(exchanges, EXCHANGE)
         tick_ps = round(self.dictionary.time_unit_ns * 1000)
@@ -386,7 +383,7 @@ class FramedDevice:
         return stamps
 
     def _counted_ns(self, stamp: int, tick_ps: int) -> int:
-        """Convert a time stamp of the device to ns; raise `IncompatibleDeviceError` above `MOST_NS`."""
+        """Convert a device time stamp in units of `tick_ps` (ps) to ns; `IncompatibleDeviceError` above 292 years."""
         time_ns = stamp * tick_ps // 1000
         with self._translate_errors():
             if time_ns > MOST_NS:
@@ -410,7 +407,7 @@ class FramedDevice:
         return reply
 
     def reference(self) -> m.Reference:
-        """Return how position zero was set, and the device's measurement of the encoder's index."""
+        """Return the REFERENCE message: how position zero was set, and the count at the encoder's last index pulse."""
         reply: m.Reference = self._ask(m.GetReference(self._next_nonce()), m.Reference)
         return reply
 
@@ -422,8 +419,8 @@ class FramedDevice:
     def status_of(self, request: m.Message, *, session: int | None = None) -> Status:
         """Send a request of the caller with a new number (nonce) and return the status of the device's reply.
 
-        It is for requests that the device must refuse; the caller must undo an accepted one. Raise `DeviceRefusedError`
-        for a status that is not in `Status`.
+        It is for requests that the device must refuse; if it accepts the request, the caller must undo that. Raise
+        `DeviceRefusedError` for a status that is not in `Status`.
         """
         answer = self._transact(replace(request, nonce=self._next_nonce()), session=session)  # type: ignore[type-var]
         if not isinstance(answer, m.Ack):
@@ -447,7 +444,7 @@ class FramedDevice:
     def fault_report(self) -> FaultReport:
         """Read the fault that the device has stored, and its log of the ticks before the fault.
 
-        Reading stops after `FAULT_LOG_S`; the report then contains the ticks that were read.
+        Reading stops after `FAULT_LOG_S` (2 s); the report then contains the ticks that were read.
         """
         # The ring takes eighty requests: on a busy computer, the cause of many faults, longer than a person waits.
         entries: list[dict[str, int]] = []
@@ -497,7 +494,7 @@ class FramedDevice:
         return self._nonce
 
     def _ask(self, question: m.Message, reply: type[Any]) -> Any:
-        """Send a request and return the device's reply of type `reply`; raise `DeviceRefusedError` for another."""
+        """Send a request and return the reply of type `reply`; raise `DeviceRefusedError` for any other reply."""
         answer = self._transact(question)
         if isinstance(answer, reply):
             return answer
@@ -570,7 +567,7 @@ class FramedDevice:
         )
 
     def _detail(self, ack: m.Ack) -> str:
-        """Return the detail of a refusal as text: a parameter with its range, a state, or a fault."""
+        """Return why a request was refused, in parentheses: parameter and range, state, or fault; else ""."""
         if ack.status == Status.BAD_STATE:
             return f" ({State(ack.detail).name if ack.detail in set(State) else f'state {ack.detail}'})"
         if self._dictionary is not None and ack.status == Status.FAULT_PRESENT:

@@ -1,7 +1,7 @@
 """Run a simulated device in its own process, for a run in real time on this computer.
 
-The process communicates through a socket (`rig.devices._local_socket`); everything above the link is as with a real
-rig. `rig serve rig` communicates through a pseudo-terminal, which exercises pyserial too.
+The process communicates through a socket (`rig.devices._local_socket`), so that the host runs the same code as with a
+real rig. `rig serve rig` communicates through a pseudo-terminal, which exercises pyserial too.
 
 `rig serve rig`, hits, trials, identification, `rig.doctor`, sessions and `rig.testing` use it. It must not request
 real-time scheduling for the process before the device has been compiled.
@@ -39,12 +39,12 @@ def serve(
     announce: Callable[[str], None] = print,
     **options: Any,
 ) -> None:
-    """Serve a simulated rig in this process until it is stopped (see `sim_backend.ends.pty.serve`).
+    """Serve a simulated rig in this process, in real time and behind a port, until it is stopped.
 
     When the device is ready, the calling thread gets real-time scheduling and processor `cpu` if the system grants them
-    (``realtime="off"``: no request); then `scheduled` is called with the result, and `announce` with the path of the
-    port. `options` are those of the server. Raise `DeviceNotFoundError` if the simulation is not installed, and
-    `PlanError` if the system is not Linux.
+    (``realtime="off"``: no request); then `scheduled` is called with what was granted, and `announce` with the path of
+    the port. `options` are arguments of `sim_backend.ends.pty.serve`. Raise `DeviceNotFoundError` if the simulation is
+    not installed, and `PlanError` if the system is not Linux.
     """
     refuse_real_time("a simulated rig", IN_VIRTUAL_TIME)
     server = devices.loaded(devices.SERVER)
@@ -64,7 +64,7 @@ def serve(
 
 
 def host_beside(host: Host, link: Link) -> Host:
-    """Return the loop's scheduling request, with the processor of a device that runs as a program on this computer.
+    """Return `host`, the loop's scheduling request, with the processor of the device if it runs as a program here.
 
     A processor that the user names has precedence. If loop and device share a processor, a pause of this processor (of
     a virtual machine, by another program) stops both at once, and no sample is lost.
@@ -172,7 +172,7 @@ def _served_options(url: DeviceUrl) -> dict[str, Any]:
 
 
 def _check_hand_file(path: str, model: RigModel | None) -> None:
-    """Raise `ConfigError` if the file at `path` cannot drive a hand, because the device process cannot report it."""
+    """Raise `ConfigError`, which the device's process cannot report, if the file is wrong or no hand holds the rig."""
     SharedHand.open(path).close()
     if model is None or model.operator is None:
         raise ConfigError(

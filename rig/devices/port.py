@@ -15,7 +15,7 @@ from rig.realtime.plugs import NowPlug, TransferPlug, WaitPlug
 
 @group
 class LoopPort(NamedTuple):
-    """The compiled functions of a link and of its clock, as one argument of the loop (`rig.realtime.plugs`).
+    """Compiled functions of a link (`read`, `write`, `wait`) and of its clock (`now`, `sleep`), as one argument.
 
     `handle` is the first argument of `read`, `write` and `wait`, `clock_handle` that of `now` and `sleep`.
     """

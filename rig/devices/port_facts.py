@@ -68,7 +68,7 @@ class PortFacts:
     dtr: bool | None = None
 
     def problems(self) -> list[Check]:
-        """Return a failed check for each port setting that delays bytes or is unsafe, with a command to correct it."""
+        """Return a failed check for each setting of the port that is slow or unsafe, with a command to correct it."""
         found = []
         if self.latency_timer_ms is not None and self.latency_timer_ms > LONGEST_LATENCY_MS:
             found.append(

@@ -1,7 +1,7 @@
-"""Interfaces that the simulation offers in addition to a link.
+"""Interfaces of the simulation in addition to a link.
 
-They are: a rig for thousands of hits a minute without a link, a rig with a second actuator that excites it, and a link
-in virtual time with scripted faults, whose device can be inspected.
+They are: a rig for thousands of hits on a wall in a minute, without a link; a rig with a second actuator that excites
+it; and a link in virtual time with scripted faults, whose device can be inspected.
 
 `sim_backend` implements them; `rig.devices`, hits of `rig.experiments` and `rig.testing` use them. This file must not
 import `sim_backend`.
@@ -25,15 +25,16 @@ from rig.devices.fault_script import Direction, Faults
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
-    """Wall that was rendered in the trial phase of a hit, and the error of the estimated velocity in it.
+    """Wall that a hit rendered in its trial phase, and the error of the estimated velocity in that phase.
 
     Attributes
     ----------
     stiffness, damping
-        Least-squares fit of the wall's sent effort, without a constant push, to the true penetration and its rate, over
-        the ticks with a true penetration above zero (N·m/rad or N/m; N·m·s/rad or N·s/m). NaN if they determine none.
+        Least-squares fit of the commanded effort without its constant part to the true penetration and its rate, over
+        the ticks with a true penetration above zero (N·m/rad or N/m; N·m·s/rad or N·s/m). NaN if penetration and rate
+        are proportional.
     velocity_error
-        Estimated minus true velocity at the encoder (rad/s or m/s), rms.
+        Root mean square of estimated minus true velocity at the encoder (rad/s or m/s).
     """
 
     stiffness: float
@@ -43,7 +44,7 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedHit:
-    """Result of one simulated hit, measured twice: from signals as a rig records them, and from the true signals."""
+    """Result of one simulated hit on a wall, measured from the signals that a rig records and from exact signals."""
 
     recorded: Measured
     true: Measured
@@ -52,24 +53,24 @@ class SimulatedHit:
 
 
 class SimulatedRig(Protocol):
-    """Simulated rig that runs hits one after another, each from rest. Use one object per thread."""
+    """Simulated rig that hits a wall again and again, each time from rest. Use one object per thread."""
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Simulate one trial from rest at position `start` (rad or m) with a new controller; use the controller once.
+        """Simulate one hit from rest at position `start` (rad or m) with a new controller, which cannot be used again.
 
-        The controller may have another effort constant or encoder resolution than the rig: it is then wrong by these.
-        Raise `rig.core.errors.LawError` if estimator or law return a value that is not finite.
+        The controller may assume another effort constant or encoder resolution than the rig has, to simulate such
+        errors. Raise `rig.core.errors.LawError` if estimator or law return a value that is not finite.
         """
         ...
 
 
 class OpenRig(Protocol):
-    """Function of the simulation that creates rigs for hits with one tick length and one kind of trial."""
+    """Function of the simulation that creates rigs for hits on a wall, with one tick length for all hits."""
 
     def __call__(
         self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int
     ) -> SimulatedRig:
-        """Create a simulated rig whose trials end after `most_ticks` ticks of `tick_s` (s) at the latest.
+        """Create a simulated rig whose hits take at most `most_ticks` ticks of `tick_s` (s), judged with `thresholds`.
 
         Raise `ConfigError` if the simulation cannot use this `tick_s`.
         """
@@ -78,7 +79,7 @@ class OpenRig(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcitedMotion:
-    """Result of a simulated excitation: counts, positions and velocities, and how the guard changed the effort.
+    """Result of a simulated excitation: counts, positions and velocities, and how the safety limits changed the effort.
 
     Attributes
     ----------
@@ -89,9 +90,9 @@ class ExcitedMotion:
         Sent effort minus wanted effort in each tick of the law (N·m or N), by rounding to the current quantum and by
         clipping.
     saturated
-        Number of ticks in which the guard clipped the effort or limited its slew rate.
+        Number of ticks in which a safety limit clipped the effort or its slew rate.
     ticks
-        Number of executed ticks of the law; fewer than requested if the guard ended the run.
+        Number of executed ticks of the law; fewer than requested if a safety limit ended the run.
     acquisition_s
         Time between two positions (s).
     """
@@ -178,5 +179,5 @@ class OpenWatchedLink(Protocol):
     """Function of the simulation that opens links with a script of faults."""
 
     def __call__(self, url: DeviceUrl, model: RigModel | None, faults: Faults | None) -> WatchedLink:
-        """Open a link with the scripted `faults`; None: it never fails. An invalid URL raises `ConfigError`."""
+        """Open a link to a simulated rig with scripted `faults` (None: no faults); `ConfigError` for an invalid URL."""
         ...

@@ -249,7 +249,6 @@ def _claim(device: Any, pipes: _Pipes, url: DeviceUrl) -> bool:
 
 
 def _release(device: Any, pipes: _Pipes, detached: bool) -> None:
-    """Release the USB interface, and attach the kernel driver again if it was detached."""
     with suppress(usb.core.USBError, NotImplementedError):
         usb.util.release_interface(device, pipes.interface)
         if detached:
@@ -276,7 +275,7 @@ def _opening_error(error: Exception, device: Any, url: DeviceUrl) -> RigError:
 
 
 class Transfers(Protocol):
-    """Interface to the two bulk endpoints of a claimed USB interface; `note` is a warning for the user, or ""."""
+    """Interface to the two bulk endpoints of a claimed USB interface; `note` is a warning about delays, or ""."""
 
     note: str
 
@@ -289,7 +288,7 @@ class Transfers(Protocol):
         ...
 
     def plugs(self) -> tuple[Any, Any, Any, int]:
-        """Return the read, write and wait functions for the compiled loop, and the handle that they get."""
+        """Return the read, write and wait functions for the compiled loop, and the handle to pass as first argument."""
         ...
 
     def close(self) -> None:

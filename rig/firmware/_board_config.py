@@ -1,7 +1,7 @@
-"""Generate the C files that describe a rig, and the pins and scales of its board, to the firmware's core.
+"""Generate the C files that describe a rig, and the pins and scales of its board, to the portable core of the firmware.
 
-`board_config.h` has the board's settings as preprocessor macros and declares two constants: `board_config` (struct
-board of the core) and `image_record` (`rig.firmware._record`), which contains the device's dictionary.
+`board_config.h` has the board's settings as preprocessor macros and declares two constants: `board_config` (rig and
+limits, the core's struct board) and `image_record` (`rig.firmware._record`), which contains the device's dictionary.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def configure(
 
 
 def _with_current_sensor(model: RigModel, settings: dict[str, SettingValue]) -> RigModel:
-    """Return the rig with the board's current sensor: none, or with the noise of the board's converter steps added."""
+    """Return the rig without current sensor if the board has none; with an A/D converter, with its steps as noise."""
     amplifier, monitor = model.amplifier, settings.get("current_monitor")
     if monitor == "none":
         amplifier = replace(amplifier, current_monitor=False)

@@ -33,9 +33,9 @@ BOARD_FILE = "board.toml"
 class BoardSetting:
     """A setting of a board (pin, scale or choice), which the C sources read as the macro ``BOARD_NAME``.
 
-    The type of the default is the type of the value: integer, float, or a text that is one of `choices`. A setting with
-    `pins` is the first of that many consecutive pins, which no other setting may use; this holds only if the settings
-    in `where` have the given values.
+    The type of the default is the type of the value: integer, float, or a text that is one of `choices`. `pins` above
+    0: the value is a pin, the first of so many consecutive ones, which no other setting may use while the settings in
+    `where` have the given values.
     """
 
     name: str
@@ -82,7 +82,7 @@ class BoardFile:
     law_maximum
         Highest value of the parameter ``law``: 0 no law on the board, 1 in integers, 2 also in float32.
     excitation_ticks
-        Longest period of an excitation (ticks); 0 if the board cannot play an excitation.
+        Longest period of an excitation signal (ticks); 0 if the board cannot play one.
     flash, ram
         Memory regions for program and data.
     uf2_family
@@ -90,8 +90,8 @@ class BoardFile:
     drive
         Board-ID of the boot ROM's drive, as in its INFO_UF2.TXT.
     sealed_behind
-        Number of bytes at the start of the image that its checksum leaves out. The image's last word is the CRC-32 of
-        all bytes after these; left out: the image has no checksum.
+        Number of bytes at the start of the image that its checksum (CRC-32 in the last word) leaves out; left out: the
+        image has no checksum.
     settings
         Settings by name; see `BoardSetting`.
     reserved_pins
@@ -137,7 +137,7 @@ class Board(BoardFile):
     processor: tuple[str, ...]
 
     def items(self) -> list[Item]:
-        """Return the board and its settings as rows to print."""
+        """Return the board's description and a row (name with default, meaning) for each of its settings, to print."""
         named = [
             Row(f"{name} = {one.default}", f"{one.meaning}{f' ({one.unit})' if one.unit else ''}")
             for name, one in self.settings.items()
@@ -153,7 +153,7 @@ class Board(BoardFile):
 
 
 def names() -> list[str]:
-    """Return the names of all boards of this package; one with several processors has a name for each of them, too."""
+    """Return the names of all boards of this package; a board with several processors has also ``board-processor``."""
     found = []
     for path in sorted(BOARDS.glob("*/board.toml")):
         found.append(path.parent.name)
@@ -164,7 +164,7 @@ def names() -> list[str]:
 
 
 def load(name: str) -> Board:
-    """Return the board with a name of `names`, or the board whose ``board.toml`` is in the directory `name`.
+    """Return a board of this package by its name, or the board whose ``board.toml`` is in the directory `name`.
 
     Raises
     ------
@@ -229,7 +229,6 @@ def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingVal
 
 
 def _check_pins(board: Board, values: Mapping[str, SettingValue]) -> None:
-    """Raise `ConfigError` if two settings use the same pin."""
     used = dict(board.reserved_pins)
     for name, setting in board.settings.items():
         if not setting.pins or any(values[other] != value for other, value in setting.where.items()):

@@ -74,9 +74,9 @@ class BuildRequest:
     output
         Directory for the files.
     settings
-        Pins and scales that replace those of the rig (`RigModel.board`) and the board's defaults.
+        Pins and scales that replace those in the rig's description (`RigModel.board`) and the board's defaults.
     application
-        Program to build: a name of `Board.applications`, or `PORT_CHECK`.
+        Program to build: one of the board's programs (``device`` is the firmware), or the test program `PORT_CHECK`.
     controller
         Rates and estimator of the rig's experiment; if the law runs on the device, its time per tick is checked.
     """
@@ -96,12 +96,12 @@ class BuildResult:
     Attributes
     ----------
     elf, bin, uf2, facts
-        Files: for a debugger, as plain bytes, for the boot ROM's drive (None if the board accepts no UF2), and this
-        result as JSON.
+        Paths of the image for a debugger, as plain bytes, for the boot ROM's drive (None if the board accepts no UF2),
+        and of this result as JSON.
     firmware
         Version text that the device will report.
     dictionary_hash
-        Hash of the device's dictionary, as in IDENTITY and ARM.
+        Hash of the device's dictionary (description of itself), as in its messages.
     quantum_a, set_point_step_a
         Resolution of the rig's commands, and of the board's output at the amplifier (A); None without such an output.
     flash_bytes, ram_bytes
@@ -137,7 +137,7 @@ class BuildResult:
     warnings: tuple[str, ...] = ()
 
     def rows(self) -> list[Row]:
-        """Return the result of the build as rows to print."""
+        """Return the result of the build as rows (label, value, unit, note) to print."""
         return [
             Row("firmware", self.firmware),
             Row("rig", self.rig),
@@ -163,7 +163,7 @@ def _percent_of(taken: int, room: int) -> str:
 
 
 def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
-    """Return warnings if the law is too slow for the experiment's rate, or the output too coarse for its commands."""
+    """Return warnings if the law is slower than the experiment's tick rate, or the output coarser than a command."""
     found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
     if budget is not None and own is not None and own.loop == "device":
         most = budget.rate_maximum(own.estimator)
@@ -195,7 +195,7 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _percent_
     Raises
     ------
     ConfigError
-        The board is unknown, it does not have a setting or the program, or its scales do not fit the rig.
+        The board, one of its settings or the program is unknown, or a scale (A at full output) does not fit the rig.
     ToolchainError
         The compiler is missing or rejects the sources, or the image is too large.
     RecordingError

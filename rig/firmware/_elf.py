@@ -32,7 +32,8 @@ class Segment:
 def seal(content: bytes, behind: int) -> bytes:
     """Return the program with its last loaded word set to the CRC-32 of the image.
 
-    `content` are the bytes of the ELF file. The CRC covers the image from byte number `behind` to the last word.
+    `content` are the bytes of the ELF file. The CRC leaves out the first `behind` bytes of the image, and the last
+    word.
     """
     segments = read_segments(content, "the new program")
     image = flat(tuple(segment.load for segment in segments if segment.load.data))
@@ -68,7 +69,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
 
 
 def flat(pieces: tuple[Piece, ...]) -> bytes:
-    """Return all pieces as one block of bytes from first to last address; gaps are 0xFF, like erased flash."""
+    """Return the pieces of a program as one block of bytes, first to last address; gaps are 0xFF, like erased flash."""
     if not pieces:
         return b""
     first = min(piece.address for piece in pieces)

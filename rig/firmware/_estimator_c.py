@@ -27,7 +27,7 @@ FIXED = "fdm-butterworth-fixed"
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """The C parts of an estimator: source file, names of its two structs, call, names of the functions to export."""
+    """The C code of an estimator: source file, struct types (numbers, memory), call, functions to export."""
 
     source: str
     numbers: str
@@ -100,7 +100,7 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
     Raises
     ------
     ConfigError
-        The firmware does not have the estimator, or not with these settings; the message says why.
+        The firmware has no such estimator, or does not support these settings of it; the message gives the reason.
     """
     name = prepared.estimator.name
     try:
@@ -124,7 +124,7 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
 
 
 def _prefix_names(text: str, prefix: str) -> str:
-    """Return the C text with the firmware's names (``law_…``, ``NUMBERS``) replaced by the names of the excerpt."""
+    """Return the C text with `prefix` in place of ``law_`` in the firmware's names, and of ``NUMBERS``."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
     )

@@ -31,7 +31,7 @@ VANISH_S = 20.0  # from the last byte to the drive's end; a Pico takes less than
 APPEAR_S = 20.0  # from the request to a drive that is mounted
 _LOOK_S = 0.05
 _CHUNK = 64 * 1024
-HOLD = "hold BOOTSEL while the board is plugged in, wait for its drive to appear, and start the command again"
+HOLD_BOOTSEL = "hold BOOTSEL while plugging the board in, wait for its drive, and start the command again"
 
 Progress = Callable[[str, float], None]
 
@@ -139,13 +139,12 @@ def drive_at(path: Path) -> BootDrive:
     drive = _read_drive(path)
     if drive is None:
         raise DeviceNotFoundError(
-            f"{path} is not the drive of a boot ROM: {INFO_FILE} is missing", remedy=HOLD
+            f"{path} is not the drive of a boot ROM: {INFO_FILE} is missing", remedy=HOLD_BOOTSEL
         )
     return drive
 
 
 def _mount_points() -> list[Path]:
-    """Return the existing paths at which operating systems mount a USB drive."""
     if sys.platform == "win32":
         return [Path(f"{letter}:\\") for letter in string.ascii_uppercase]
     else:
@@ -179,7 +178,7 @@ def _choose_drive(drives: list[BootDrive]) -> BootDrive:
             f"a board's boot drive is not mounted: {unmounted}",
             remedy=f"mount it: udisksctl mount -b {unmounted}",
         )
-    raise DeviceNotFoundError("no boot drive of a board found", remedy=HOLD)
+    raise DeviceNotFoundError("no boot drive of a board found", remedy=HOLD_BOOTSEL)
 
 
 def _find_unmounted() -> Path | None:
@@ -239,7 +238,7 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
         if gone:
             raise LinkLostError(
                 f"the board at {drive.path} disappeared while copying, after {at} of {len(content)} bytes",
-                remedy=HOLD,
+                remedy=HOLD_BOOTSEL,
             ) from None
         raise LinkLostError(
             f"the image cannot be written to {drive.path}: {error.strerror or error}",
@@ -248,7 +247,6 @@ def _copy(content: bytes, drive: BootDrive, name: str, on_progress: Progress) ->
 
 
 def _is_there(drive: BootDrive) -> bool:
-    """Return True if the drive is still mounted, so that its INFO_UF2.TXT can be read."""
     # A stale mount gives an error: the drive is gone.
     try:
         return (drive.path / INFO_FILE).exists()
@@ -257,7 +255,7 @@ def _is_there(drive: BootDrive) -> bool:
 
 
 def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
-    """Wait until the system has mounted the drive (None: any boot drive), at most `APPEAR_S` (s); raise nothing."""
+    """Wait until the system has mounted the drive (None: any boot drive), at most `APPEAR_S` (20 s); raise nothing."""
     deadline = time.monotonic() + APPEAR_S
     while not (find_drives() if drive is None else _read_drive(drive)) and time.monotonic() < deadline:
         on_progress("waiting for the board's drive", 1.0 - (deadline - time.monotonic()) / APPEAR_S)
@@ -267,7 +265,7 @@ def _wait_for_drive(drive: Path | None, on_progress: Progress) -> None:
 def _wait_until_gone(drive: BootDrive, on_progress: Progress) -> None:
     """Wait until the drive disappears, the only sign that the board has accepted the image and restarts.
 
-    Raise `LinkLostError` if the drive is still present after `VANISH_S` (s).
+    Raise `LinkLostError` if the drive is still present after `VANISH_S` (20 s).
     """
     deadline = time.monotonic() + VANISH_S
     while _is_there(drive):

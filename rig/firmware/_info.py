@@ -29,9 +29,10 @@ class FirmwareInfo(FirmwareFacts):
     source
         Path of the image file, or URL of the device.
     facts
-        Facts of the build; None for a connected device, which does not report them.
+        Facts from the build (package, sources, board, rig, settings); None for a device, which does not report them.
     checks
-        One check for each difference from this package; if one is refused, this package cannot run the firmware.
+        One check for each difference from this package; with the outcome "refused", this package cannot run the
+        firmware.
     """
 
     source: str
@@ -44,7 +45,7 @@ class FirmwareInfo(FirmwareFacts):
         return not refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return the facts and checks of the firmware as items to print."""
+        """Return the facts about the firmware as rows, and the checks, for printing."""
         board = [Row("board", self.facts.board)] if self.facts else []
         return [*board, *self.rows(), Row("compatible", self.compatible), *self.checks]
 
@@ -69,7 +70,7 @@ def info(source: str) -> FirmwareInfo:
 def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | None) -> FirmwareInfo:
     """Return the facts about the firmware with the given dictionary and hash, compared with this package.
 
-    `facts` are those of the build, None for a connected device.
+    `facts` is known from the build of an image (board, rig, settings); None for a connected device.
     """
     checks = tuple(compatibility(dictionary))
     return FirmwareInfo(**stated(dictionary, hash_), source=source, facts=facts, checks=checks)
@@ -78,7 +79,7 @@ def about(source: str, dictionary: Dictionary, hash_: int, facts: ImageFacts | N
 def compatibility(dictionary: Dictionary) -> Iterator[Check]:
     """Yield a check for each difference between a firmware and this package.
 
-    The check is refused if this package cannot use the firmware because of the difference; otherwise it is a warning.
+    Its outcome is "refused" if this package cannot use the firmware because of the difference, else "warning".
     """
     theirs, ours = f"{dictionary.major}.{dictionary.minor}", f"{MAJOR}.{MINOR}"
     versions = f"the firmware uses protocol {theirs}, this package {ours}"

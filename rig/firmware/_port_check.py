@@ -60,7 +60,7 @@ Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence;
 
 
 class PortProbe(IntEnum):
-    """Number of a request to the test program on the board; port_check.c has the same numbers."""
+    """Number by which the host requests one test from the program on the board; port_check.c has the same numbers."""
 
     BOARD = 0
     TIME = 1
@@ -118,7 +118,7 @@ class PortCheckRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortCheck:
-    """Result of a port check: a check for each function (duty) that a board port must provide, in their order."""
+    """Result of a port check: a check for each function that a board port must provide, in order of duties.toml."""
 
     url: str
     checks: tuple[Check, ...]
@@ -199,7 +199,7 @@ class BoardUnderTest:
         return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
 
     def meet(self) -> tuple[int, ...]:
-        """Return the numbers with which the board describes itself; repeat the request until the board replies.
+        """Return the board's properties (reply to `PortProbe.BOARD`); repeat the request until the board replies.
 
         Raise `NoAnswerError` if it never does.
         """
@@ -217,7 +217,7 @@ class BoardUnderTest:
         return True
 
     def meet_again(self) -> tuple[int, ...]:
-        """Return the numbers with which the board describes itself after a reset; reopen the link if it was closed.
+        """Return the board's properties after a reset (reply to `PortProbe.BOARD`); reopen the link if it was closed.
 
         Raise `NoAnswerError` if the board does not reply.
         """
@@ -241,7 +241,7 @@ class BoardUnderTest:
 
 @dataclass
 class PortTrial:
-    """A running check of a board's own code (port): the board with its properties, parameters, and results so far."""
+    """A running check of a board's own code (port): the board, its properties, the request, and the results so far."""
 
     board: BoardUnderTest
     request: PortCheckRequest
@@ -272,7 +272,7 @@ class PortTrial:
         return cls(board, request, rate, maximum, law, bool(senses), lag, noise, bool(bootloader))
 
     def distrust(self) -> None:
-        """Replace results that depend on the board's clock by "not judged" if that clock is wrong."""
+        """Replace results that depend on the board's clock by "not judged" if the test of this clock has failed."""
         if any(isinstance(self.verdicts[name], Mapping) for name in TIME):
             wrong = [name for name in BY_TIME if isinstance(self.verdicts[name], Mapping)]
             self.verdicts |= dict.fromkeys(wrong, "not judged: the board's time, which this needs, is wrong")
@@ -405,9 +405,10 @@ def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
-    """Set the tick rate `rate` (Hz; 0: keep the present one) and count ticks, at `expected` Hz.
+    """Set the tick rate `rate` (Hz; 0: keep the present one), then count ticks, of which `expected` are due per second.
 
-    Return the measured rate (Hz, by corrected device time), True if the board accepted `rate`, and the jitter (s).
+    Return the measured rate (Hz; an error of the board's clock is corrected), True if the board accepted `rate`, and
+    the jitter (s).
     """
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)

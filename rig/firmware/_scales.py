@@ -1,7 +1,7 @@
 """Check that the scales of a board's current output and sensor fit the rig and its amplifier.
 
-The checks reject saturation, limits that cannot act, and coarse steps. A device reports the commanded current; it
-equals the real current only while the board's output can deliver it.
+The checks reject an output that saturates below the peak current, a sensor that saturates below the over-current limit,
+and coarse steps. A device reports the commanded current, which is the real one only if the output can deliver it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _has_pulse_width(settings: Mapping[str, SettingValue]) -> bool:
 
 
 def _step_of_full_scale(settings: Mapping[str, SettingValue]) -> float | None:
-    """Return one step of the board's current output as a share of full scale; None if the settings do not give it."""
+    """Return one step of the board's current output as a share of full scale; None if settings for it are missing."""
     if not settings.keys() >= SCALES:
         return None
     if not _has_pulse_width(settings):
@@ -53,7 +53,8 @@ def _step_of_full_scale(settings: Mapping[str, SettingValue]) -> float | None:
 def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
     """Return one step of the current set-point (A): the coarser of the board's output step and the amplifier's.
 
-    Return None for a board without such an output. If the clock is not given in MHz, only the amplifier's step counts.
+    Return None for a board without an output for set-points. If its clock is not given in MHz, the amplifier's step
+    counts.
     """
     if (sent := _step_of_full_scale(settings)) is None:
         return None
@@ -117,7 +118,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
 
 
 def _check_frequency(frequency: float, profile: AmplifierProfile, delay_s: float, refuse: _Refusal) -> None:
-    """Raise `ConfigError` if the amplifier rejects the PWM frequency (Hz) or a period is longer than `delay_s` (s)."""
+    """Raise `ConfigError` if the amplifier rejects the PWM frequency (Hz), or its period exceeds `delay_s` (s)."""
     least, most = profile.pwm_frequency or (0.0, inf)
     if not least <= frequency <= most:
         raise refuse(

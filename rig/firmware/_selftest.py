@@ -52,7 +52,8 @@ class SelfTestRequest:
     Attributes
     ----------
     experiment
-        Experiment with the rig that the image should be for, and with the law for `stream`; None to skip both.
+        Experiment with the rig for which the image should be built, and with the law to run for `stream`; None to skip
+        the tests that need them.
     rate
         Tick rate at which ticks are counted (Hz); None for the device's maximum.
     """
@@ -91,7 +92,7 @@ class SelfTest:
         return not check.refused(self.checks)
 
     def items(self) -> list[Item]:
-        """Return the device and its checks as items to print."""
+        """Return a line with name and firmware of the device, then its checks, for printing."""
         return [f"{self.device}, firmware {self.firmware}", *self.checks]
 
 

@@ -17,7 +17,7 @@ LOAD_LIMIT = 0.8
 def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary: Dictionary) -> Check:
     """Return a check of the messages that a device sent in `ticks` ticks while it ran the law without any current.
 
-    `rate` is the tick rate (Hz). The check refuses faults, currents, wrong counts, lost samples and too long ticks.
+    `rate` is the tick rate (Hz). The check fails on faults, currents, wrong counts, lost samples and too long ticks.
     """
     batches = [message for message in received if isinstance(message, m.Batch)]
     states = {message.sample_index: message for message in received if isinstance(message, m.State)}
@@ -45,7 +45,7 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
 
 
 def _collect_samples(batches: list[m.Batch]) -> tuple[dict[int, tuple[int, int]], int]:
-    """Return (encoder count, current in quanta) by sample index, and the number of gaps between successive BATCHes."""
+    """Return (encoder count, current in quanta) by sample index, and the number of gaps between BATCH messages."""
     rows: dict[int, tuple[int, int]] = {}
     gaps = 0
     for number, batch in enumerate(batches):

@@ -102,7 +102,7 @@ def read_uf2(content: bytes, name: str) -> Uf2:
 
 
 def _read_block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
-    """Return number, total number of blocks, family and data of a UF2 block; data is None for a block not for flash."""
+    """Return number, number of blocks in the file, processor family and data (None if not for flash) of a UF2 block."""
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):

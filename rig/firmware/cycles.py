@@ -60,11 +60,11 @@ def cost_of(
     elapsed: Ints,
     on_progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[Cost, ...]:
-    """Return the cost of an estimator on each core in `REPORTED`, from a simulated run.
+    """Return the cost of an estimator on each core in `REPORTED` (M0+, M4F, M33F), from a simulated run.
 
-    `counts` are the encoder counts of successive samples, `elapsed` the velocity periods (times between two velocity
-    samples) since the sample before. `on_progress` gets the name of the step and the completed share. Raise
-    `ToolchainError` if the cross compiler or the simulator is not installed.
+    `counts` are encoder counts at successive velocity samples, `elapsed` the number of velocity periods between each
+    sample and the one before. `on_progress` gets the name of the step and the completed share. Raise `ToolchainError`
+    if the cross compiler or the simulator is not installed.
     """
     costs = []
     for number, name in enumerate(REPORTED):

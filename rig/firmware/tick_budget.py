@@ -65,7 +65,7 @@ class TickBudget:
     clock_hz: float
 
     def call_cycles(self, estimator: str) -> int | None:
-        """Return the largest number of cycles of one call of this estimator; None if no board can run it."""
+        """Return the largest number of cycles of one call of an estimator; None if it was not counted on this core."""
         return CALLS[self.core.name].get(estimator)
 
     def rate_maximum(self, estimator: str) -> float:

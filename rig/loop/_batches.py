@@ -55,7 +55,7 @@ def has_room(supervision: Any) -> bool:
 def _take_batch(
     settings: Any, buffers: Buffers, supervised: SupervisionBuffers, count: int, words: int
 ) -> int:
-    """Queue the new samples of the received BATCH message; return their number (of `count` in all)."""
+    """Queue those of the `count` samples in the received BATCH message that are new, and return their number."""
     v, s, progress = supervised.supervision[0], settings[0], buffers.progress
     header, batch, decoded = buffers.header, supervised.batch, supervised.decoded
     first, time = batch[BATCH.first_index], batch[BATCH.device_time]
@@ -102,7 +102,7 @@ def _take_batch(
 
 @kernel(types.void(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> None:
-    """Store the received STATE message as newest and queue it, if it is newer and consistent; count an older one."""
+    """Queue the received STATE message and make it the newest; only count a repeated or older one; drop a false one."""
     v, p = supervised.supervision[0], buffers.progress[0]
     header, candidate = buffers.header, buffers.candidate
     states, newest = supervised.states, supervised.newest
@@ -135,7 +135,7 @@ def _take_state(settings: Any, buffers: Buffers, supervised: SupervisionBuffers,
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, types.uintp))
 def take_frames(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, words: int) -> int:
-    """Move samples and STATEs from the receive buffer to their queues; return the number of new samples.
+    """Move the samples and STATE messages in the receive buffer to their queues; return the number of new samples.
 
     Also process replies to a clock exchange and to a parameter update. The queue must have room (`has_room`).
     """

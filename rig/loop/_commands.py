@@ -25,7 +25,7 @@ _PHASE_TRIAL, _FLAG_INSIDE = int(Phase.TRIAL), int(RowFlag.INSIDE)
 
 @kernel(types.int64(MEMORY_TYPE), inline=True)
 def sync_of(memory: Any) -> int:
-    """Return the levels of the sync outputs (bits of `Sync`) by phase and flags of the law's state `memory`."""
+    """Return the levels of the sync outputs (bits of `Sync`) by the law: trial in progress, handle in the wall."""
     bits = NO_SYNC
     if memory[0]["phase"] == _PHASE_TRIAL:
         bits |= _TRIAL
@@ -40,7 +40,8 @@ def sync_of(memory: Any) -> int:
 def send_command(port: LoopPort, settings: Any, buffers: Buffers, mode: int, current: int, sync: int) -> int:
     """Send a COMMAND message; return 1 if the link accepted all of it, else 0, or the broken link's negative errno.
 
-    `mode` is a `Mode`, `current` the motor current (quanta), `sync` the levels of the sync outputs (bits of `Sync`).
+    `mode` says who computes the current (`Mode`), `current` is the motor current (quanta), `sync` contains the levels
+    of the sync outputs (bits of `Sync`).
     """
     p, command, transmit = buffers.progress[0], buffers.command, buffers.transmit
     command[COMMAND.state_sequence] = p["answers"]

@@ -62,7 +62,7 @@ def time_of(settings: Any, samples: int) -> int:
 def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
     """Return how far the device's clock is ahead of its sample index (units of the device's clock).
 
-    `error` is the previous result; since that sample, `samples` samples and the device time `time` have passed.
+    `error` is the result at an earlier sample; since then, `samples` samples and the device time `time` have passed.
     """
     # A share of the elapsed time is forgotten: a timer that cannot have the exact rate drifts and is no contradiction.
     expected = time_of(settings, samples)
@@ -73,7 +73,7 @@ def clock_error(settings: Any, error: int, samples: int, time: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, types.int64, types.int64))
 def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
-    """Return the number of the `Contradiction` between sample index and clock of a device, 0 if they agree.
+    """Return a `Contradiction` if the device has restarted, or its clock disagrees with its sample index; else 0.
 
     `samples` counts from the last STATE to this one, negative if the index jumped back; `error` is the `clock_error`.
     """
@@ -84,7 +84,7 @@ def find_clock_contradiction(settings: Any, samples: int, error: int) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, PROGRESS_TYPE, INTS))
 def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
-    """Return the `Contradiction`'s number in a STATE message, or with the sent COMMAND messages; 0 without one."""
+    """Return a `Contradiction` if a STATE's last edge is too old, or its active command not sent recently; else 0."""
     s, age = settings[0], state[STATE.command_age]
     if (state[STATE.device_time] - state[STATE.edge_time]) % WRAP > _OLDEST_EDGE:
         return _EDGE
@@ -96,7 +96,7 @@ def _find_own_contradiction(settings: Any, progress: Any, state: Any) -> int:
 
 @kernel(types.UniTuple(types.int64, 2)(SETTINGS_TYPE, PROGRESS_TYPE, INTS, INTS, types.boolean))
 def take_news(settings: Any, progress: Any, state: Any, before: Any, first: bool) -> tuple[int, int]:
-    """Return how many samples a STATE message is newer than the last one (`before`), and 1 if accepted, else 0.
+    """Return by how many samples a STATE message is newer than the last one, `before`; and 1 if accepted, else 0.
 
     A STATE with a contradiction is rejected, and the contradiction is stored in `progress`. A STATE that reports a
     fault is always accepted, because it ends the run anyway.

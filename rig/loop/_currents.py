@@ -1,8 +1,8 @@
 """Check in every tick that commanded, active and measured current agree.
 
-The active current in a STATE message must be that of the COMMAND that the STATE names as active, unless a limit acted.
-`rig.control.current` compares the measured current with the active one. The results are flags of the recorded row
-(`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
+A STATE message contains the active current and the number of the COMMAND that set it; the two must agree unless a limit
+acted. `rig.control.current` compares the measured current with the active one. The results are flags of the recorded
+row (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _was_sent(sent: Any, sequence: int, current: int) -> bool:
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE))
 def compare_command(buffers: Buffers, memory: Any) -> None:
-    """Set the row flag OTHER_CURRENT if the active current is not the commanded one although no limit acted."""
+    """Mark the recorded row (OTHER_CURRENT) if the active current was not commanded although no limit acted."""
     state, sent = buffers.state, buffers.sent
     if state[STATE.state] != _RUNNING or state[STATE.command_age] == _NONE_YET or state[STATE.fault] != 0:
         return
@@ -70,9 +70,9 @@ def compare_command(buffers: Buffers, memory: Any) -> None:
 
 @kernel(types.void(BUFFERS_TYPE, MEMORY_TYPE, types.int64))
 def compare_measured(buffers: Buffers, memory: Any, elapsed: int) -> None:
-    """Set the row flag CURRENT_FOLLOWS or CURRENT_DIFFERS at the end of each comparison of measured and active current.
+    """Compare measured and active current, and mark the row (CURRENT_FOLLOWS, CURRENT_DIFFERS) after each comparison.
 
-    `elapsed` is the number of ticks since the last sample; above 1, the comparison starts again.
+    A comparison takes several ticks. `elapsed` is the number of ticks since the last sample; above 1, it starts again.
     """
     words, state = buffers.currents, buffers.state
     # A rig without a current sensor, or without an expected current: nothing was configured.

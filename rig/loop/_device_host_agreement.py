@@ -35,7 +35,8 @@ FORGET_PERIODS, FORGET_NS = 50, 20_000_000  # velocity periods, and time, whiche
 def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied: int) -> None:
     """Compare the device's active current `applied` (quanta) with the host law's current at the sample before.
 
-    `elapsed` is the number of ticks since that sample; above 1, the comparison pauses. `settle` counts the result.
+    `elapsed` is the number of ticks since that sample; above 1, samples are excluded for a while. The differences count
+    only after the next STATE message (`settle`).
     """
     v, s = supervision[0], settings[0]
     if v["comparable"] == 0:
@@ -58,7 +59,7 @@ def compare(supervision: Any, settings: Any, control: Any, elapsed: int, applied
 
 @kernel(types.void(SUPERVISION_TYPE, INTS))
 def settle(supervision: Any, state: Any) -> None:
-    """Count current differences since the last STATE message; exclude them if the new one reports an active limit."""
+    """Count the comparisons since the last STATE message, or exclude them if the new STATE reports an active limit."""
     # A STATE reports the limits that acted before it, so the samples up to it can be counted only now.
     v = supervision[0]
     limits = state[STATE.limits] & _ACTING

@@ -76,7 +76,7 @@ def reason_by_switch(state: Any, settings: Any, progress: Any) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, types.uintp))
 def reason_by_request(port: LoopPort, settings: Any, words: int) -> int:
-    """Return the end reason for a stop request or a missing heartbeat in the control `words`, 0 to continue."""
+    """Return the end reason for a stop request or a missing heartbeat of the supervising thread, 0 to continue."""
     requests = settings[0]["stop_requests"]
     # The request is copied to the stop word of this run, so that `rig stop --list` shows that it is stopping.
     if requests != 0 and load_word(requests) != settings[0]["stop_requests_before"]:

@@ -31,7 +31,7 @@ def device_ns(ticks: int, device_tick_ps: int) -> int:
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE))
 def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
-    """Send a GET_TIME if one is due, and ignore an unanswered one; return 0, or the negative errno of a broken link."""
+    """Send a GET_TIME if one is due, even if the last had no reply; return 0, or -errno if the link is broken."""
     s, p = settings[0], buffers.progress[0]
     asked_at = port.now(port.clock_handle)
     if s["exchange_every_ns"] == 0 or asked_at - p["asked_at"] < s["exchange_every_ns"]:
@@ -51,7 +51,7 @@ def ask_time(port: LoopPort, settings: Any, buffers: Buffers) -> int:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, types.int64, types.uintp))
 def take_time(settings: Any, buffers: Buffers, length: int, words: int) -> int:
-    """If the `length` bytes in `buffers.raw` are the TIME message requested last, store its times; return 1 or 0."""
+    """If the `length` bytes in `buffers.raw` are the reply to the last GET_TIME, store its times; return 1, else 0."""
     p, times, exchanges = buffers.progress[0], buffers.times, buffers.exchanges
     device_tick_ps = settings[0]["device_tick_ps"]
     if p["asking"] == 0 or codec.decode_time(buffers.raw, length, buffers.header, times) != 0:

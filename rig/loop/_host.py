@@ -63,7 +63,7 @@ def _overran(settings: Any, memory: Any, progress: Any) -> bool:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, MEMORY_TYPE))
 def _outcome(settings: Any, buffers: Buffers, memory: Any) -> int:
-    """Return the end reason that follows from this tick, 0 to continue."""
+    """Return the reason to end the run after this tick (device, link, limit switch, law or lateness), 0 to continue."""
     progress = buffers.progress
     reason = reason_by_device(buffers.state, progress)
     if reason == 0 and is_delayed(settings, buffers):
@@ -102,7 +102,7 @@ _ENDS = -1  # times an EndReason: what `_receive` returns instead of a number of
 
 @kernel(types.int64(PORT_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, types.uintp))
 def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int:
-    """Wait at most one period for a sample; return the samples since the last one, 0 if none came, or −`EndReason`."""
+    """Wait at most one period for a sample; return how many samples newer it is, 0 if none came, or −`EndReason`."""
     s, p = settings[0], buffers.progress[0]
     reason = reason_by_request(port, settings, words)
     if reason != 0:

@@ -24,7 +24,7 @@ _NONE_YET, _TOO_OLD = int(NO_COMMAND_YET), int(LimitFlag.COMMAND_TOO_OLD)
 
 @kernel(types.int64(BUFFERS_TYPE))
 def ticks_under_way(buffers: Buffers) -> int:
-    """Return the ticks from the sample that the active COMMAND message answers to its receipt; a bound if it is old."""
+    """Return the active COMMAND's transit time: ticks from the sample that it answers to receipt (old: upper bound)."""
     state, active = buffers.state, buffers.state[STATE.command_sequence]
     answered = answered_by(buffers.sent, active)
     if answered >= 0:

@@ -57,14 +57,14 @@ AGAIN_NS = 2_000_000  # after the device found the handle inside a wall
 
 
 def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
-    """Return the bytes of an update: number of the set, parameter block for the device, values for the host's law.
+    """Return the bytes of an update: its number, parameter block for the device, and values for the host's law.
 
     Raise `ConfigError` if block or values are too long.
     """
     if len(block) > BLOCK_BYTES or VALUES_AT + 8 * len(values) > MOST_BYTES:
         raise ConfigError(
-            f"a law with {len(block) // ENTRY_BYTES} parameters on the device and {len(values)} on the host has "
-            "too many for a running loop",
+            f"a law with {len(block) // ENTRY_BYTES} parameters on the device (at most {BLOCK_BYTES // ENTRY_BYTES}) "
+            f"and {len(values)} on the host (at most {(MOST_BYTES - VALUES_AT) // 8}) has too many for a running loop",
             remedy="use a law with fewer parameters",
         )
     head = _HEAD.pack(number, len(block)) + block.ljust(BLOCK_BYTES, b"\0")
@@ -73,7 +73,7 @@ def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:
 
 @kernel(types.void(types.uintp, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE))
 def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers) -> None:
-    """Take the newest update from the mailbox, unless the memory for replays is full (`SETS_KEPT` parameter sets)."""
+    """Take the newest update from the mailbox, unless this run has changed the wall `SETS_KEPT` (256) times already."""
     v, p, values = supervised.supervision[0], buffers.progress[0], supervised.update_values
     if p["sets"] == len(buffers.sets) or take(mailbox, supervised.update) == 0:
         return
@@ -101,7 +101,7 @@ def _remember(supervision: Any, t: Transaction) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, TRANSACTION))
 def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: Transaction) -> int:
-    """Encode the request of transaction `t` into `buffers.transmit`; return its bytes, negative for a wrong value."""
+    """Encode the present request of transaction `t` into `buffers.transmit`; return its bytes, negative on failure."""
     session, request, block = settings[0]["session"], supervised.request, supervised.update_block
     request[SET_BEGIN.nonce] = t.nonce
     if t.step == BEGIN:
@@ -117,7 +117,7 @@ def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: 
 
 @kernel(types.boolean(CONTROL_TYPE, FLOATS, SUPERVISION_TYPE, types.int64))
 def _may_begin(control: Any, waiting: Any, supervision: Any, time_ns: int) -> bool:
-    """Return True if the handle is outside old and new wall (`waiting`) at the newest sample; the device checks too."""
+    """Return True if the newest sample is outside the present and the new wall (`waiting`); the device checks too."""
     v = supervision[0]
     if v["started"] == 0 or time_ns < v["not_before"]:
         return False

@@ -75,9 +75,9 @@ def _take(settings: Any, buffers: Buffers, words: int) -> int:
 def newest_state(settings: Any, buffers: Buffers, words: int) -> int:
     """Process all whole frames in the receive buffer and store the newest STATE message in `buffers.state`.
 
-    Return the number of samples since the last stored STATE, 0 if no newer one arrived; ``progress["fresh"]`` is the
-    number of STATEs that arrived. A reply to a clock exchange is stored in `buffers.exchanges`. An unfinished frame
-    moves to the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
+    Return the number of samples since the last stored STATE, 0 if no newer one arrived; the number of STATEs that
+    arrived is stored in ``progress["fresh"]``. The times of a clock exchange are stored in `buffers.exchanges`. An
+    unfinished frame moves to the front of the buffer; two kilobytes without a delimiter are noise and are discarded.
     """
     p, header = buffers.progress[0], buffers.header
     p["fresh"] = 0

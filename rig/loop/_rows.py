@@ -40,8 +40,8 @@ FLAG_LATE, FLAG_GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 def behind_grid(settings: Any, progress: Any, sample_index: int, ticks: int, received_ns: int) -> int:
     """Return the lateness of a sample (ns): its receipt minus its regular time by the sample index.
 
-    Regular times follow from the earliest receipt so far. This reference grows by the clock drift `DRIFT_PPM` over the
-    `ticks` since the last call.
+    Regular times follow from the earliest receipt so far, which is moved on by the clock drift `DRIFT_PPM` (100 ppm)
+    over the `ticks` since the last call.
     """
     p = progress[0]
     offset = received_ns - sample_index * settings[0]["period_ns"]
@@ -59,7 +59,7 @@ def lateness(settings: Any, progress: Any, received_ns: int) -> int:
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def room(words: int, capacity: int, wait_for_room: int) -> int:
-    """Return the ring's slot for the next row; -1 (row dropped) if all `capacity` slots are full and it cannot wait."""
+    """Return the ring's slot for the next row; while all `capacity` slots are full, wait, or drop the row (-1)."""
     head = load_word(words + WORD * control_words.HEAD)
     while head - load_word(words + WORD * control_words.TAIL) >= capacity:
         if wait_for_room == 0 or load_word(words + WORD * control_words.RECORDER_ERROR) != 0:
@@ -96,7 +96,7 @@ def sync_time(progress: Any, state: Any) -> int:
 
 @kernel(types.void(ROWS_TYPE, types.int64, MEMORY_TYPE), inline=True)
 def show_law(rows: Any, slot: int, memory: Any) -> None:
-    """Copy the law's results of a tick (`memory`) into the row `slot`: the columns that a replay computes again."""
+    """Copy phase, motion, efforts, current and flags of a tick from the law's `memory` into the row `slot`."""
     r, m = rows[slot], memory[0]
     r["phase"] = m["phase"]
     r["position"] = m["position"]
@@ -176,7 +176,7 @@ def leave_row(
 
 @kernel(types.void(SETTINGS_TYPE, MEMORY_TYPE, PROGRESS_TYPE, types.int64, types.uintp))
 def flag_timing(settings: Any, memory: Any, progress: Any, elapsed: int, words: int) -> None:
-    """Set the row flags LATE and GAP; count late, skipped and lost samples, `elapsed` ticks after the last one."""
+    """Mark the row of a late sample (LATE) or after missing ones (GAP), and count late, skipped and lost samples."""
     if progress[0]["late"] > settings[0]["period_ns"]:
         memory[0]["flags"] |= FLAG_LATE
         add(words, control_words.LATE, 1)

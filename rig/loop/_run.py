@@ -39,7 +39,7 @@ JOIN_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """Settings of the loop besides the controller; the comments in `rig.loop.layout.SETTINGS` explain each field."""
+    """Settings of the loop besides the controller: timing, session, limit switch, stop requests, law on the device."""
 
     period_ns: int
     session: int
@@ -71,9 +71,9 @@ class LoopSettings:
 class LoopEnd:
     """End of a loop: the reason, an exception of a law or of the simulation, and the counters of loop and link.
 
-    `contradiction` describes an inconsistency in the device's reports, "" without one. `stopper` is the second half of
-    "stopped by …": a signal or process, "" if the owner of the loop stopped it. `watched` contains energy given to the
-    handle and its limit (J), consecutive effort oscillations at the end, and the longest time between two of them (s).
+    `contradiction` describes an inconsistency in the device's reports, "" without one. `stopper` is the signal or
+    process that stopped the loop, "" if the loop's owner did. `watched` contains energy given to the handle and its
+    limit (J), consecutive effort oscillations at the end, and the longest time between two of them (s).
     """
 
     reason: EndReason
@@ -127,7 +127,7 @@ class LoopThread:
     heartbeat_s
         The loop ends when `wait` has not run for this time (s); 0: never, as in virtual time.
     nonce
-        Nonce of the last transaction with the device.
+        Number of the last transaction with the device, from which the loop continues to count.
     sensor, encoder_sign
         Parameters of the expected measured current, and the sign of the encoder; without `sensor` (None) the measured
         current is not checked.
@@ -190,7 +190,7 @@ class LoopThread:
     def wait(self, progress: Callable[[int, int], None] | None = None) -> None:
         """Block until the loop has ended; call `progress(ticks, phase)` a few times a second meanwhile.
 
-        After a stop, wait at most `JOIN_S` (s), because a law that never returns must not keep Ctrl-C from ending the
+        After a stop, wait at most `JOIN_S` (5 s), because a law that never returns must not keep Ctrl-C from ending the
         program. After Ctrl-C or an exception of `progress`, the caller must call `finish`.
         """
         requested_at: float | None = None
@@ -226,7 +226,7 @@ class LoopThread:
         """Do periodic work in Python while the loop runs; subclasses override it."""
 
     def finish(self) -> None:
-        """Stop the loop if it still runs, and wait at most `JOIN_S` (s) for its end. Never raise, even after Ctrl-C."""
+        """Stop the loop if it still runs; wait at most `JOIN_S` (5 s) for its end. Never raise, even after Ctrl-C."""
         patience = time.monotonic() + JOIN_S
         while self._started and not self._ended.is_set() and time.monotonic() < patience:
             with suppress(KeyboardInterrupt):
@@ -262,7 +262,7 @@ class LoopThread:
         return []
 
     def findings(self) -> dict[str, Any]:
-        """Return results for the recording that only this kind of loop has, by name; empty in this class."""
+        """Return further results of this kind of loop for the recording, by name; none in this class."""
         return {}
 
     def exchanges(self) -> NDArray[np.int64]:
@@ -272,7 +272,7 @@ class LoopThread:
         return self._buffers.exchanges[kept]
 
     def parameter_sets(self) -> list[dict[str, Any]]:
-        """Return the sets that became active: number, first tick, wall position (rad or m), the law's parameters."""
+        """Return each parameter set that was active: number, first tick, wall position (rad or m), law parameters."""
         count = len(self._controller.law.parameters)
         return [
             {
@@ -285,9 +285,9 @@ class LoopThread:
         ]
 
     def handover(self) -> dict[str, int] | None:
-        """Return the loop's last sequence numbers and nonce: arguments of `rig.devices.framed.FramedDevice.take_back`.
+        """Return the numbers from which `FramedDevice.take_back` continues the protocol after this loop.
 
-        Return None if the loop received no sample, and so has not used them.
+        Return None if the loop received no sample: then it has sent nothing either.
         """
         progress = self._buffers.progress[0]
         if not progress["started"]:
@@ -329,7 +329,7 @@ class LoopThread:
         return SharedRing(words=self.ring.words.ctypes.data, mailbox=self._mailbox(), rows=self.ring.rows)
 
     def _mailbox(self) -> int:
-        """Return the address of the ring's mailbox; 0 if the law has more parameters than a set can contain."""
+        """Return the address of the ring's mailbox for parameter sets; 0 if the law has too many parameters."""
         return self.ring.mailbox if len(self._controller.law.parameters) < SET_FLOATS else 0
 
     def _arrays(self) -> tuple[NDArray[Any], ...]:

@@ -24,7 +24,7 @@ class Signals:
     Attributes
     ----------
     series
-        Series of runs to which this run belongs.
+        Runs, this one included, that a single stop request ends together.
     is_stopped, number
         True if a stop was requested, and the number of the signal that requested it, None without a signal.
     raised
@@ -42,7 +42,7 @@ def stop_on_signals() -> Iterator[Signals]:
     """Return a context in which Ctrl-C, SIGTERM and a closed terminal stop the loop, and raise no exception.
 
     The caller's own signal handler is called at once; its exception is stored until the end of the run. A signal that
-    arrives while the previous handlers are being restored is raised again afterwards.
+    arrives while the previous handlers are being restored is sent again to these.
     """
     received: int | None = None
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}

@@ -162,7 +162,7 @@ def _take_states(states: Any, state: Any, supervision: Any, sample_index: int) -
 def _show_sample(
     control: Any, settings: Any, buffers: Buffers, supervised: SupervisionBuffers, sample: Any
 ) -> int:
-    """Set `buffers.state` to a sample and the last STATE message before it; return the ticks since the last sample."""
+    """Set `buffers.state` to a sample, with the newest STATE before it; return the ticks since the last sample."""
     supervision, state = supervised.supervision, buffers.state
     v, p = supervision[0], buffers.progress[0]
     elapsed = sample[INDEX] - p["sample_index"]
@@ -197,7 +197,7 @@ def _run_law(
 ) -> int:
     """Run the law on queued samples and write their rows; return an `EndReason`, `_CONTINUE` or `_ABANDONED`.
 
-    With `to_the_end`, samples do not wait for the device's reply about a new wall.
+    `_ABANDONED`: the waiting thread has given up. With `to_the_end`, samples do not wait for a reply about a new wall.
     """
     # While the reply about a new wall is awaited, samples wait as long as there is room: the reply names the sample
     # from which the new wall counts.
@@ -247,7 +247,7 @@ def _run_law(
 def _reason_without_row(
     newest: Any, supervision: Any, settings: Any, memory: Any, progress: Any, ready: int
 ) -> int:
-    """Return the end reason from device or link (`ready` < 0: broken) although no new sample arrived, 0 to continue."""
+    """Return the reason to end when no new sample arrived (device, link; `ready` < 0: link broken), 0 to continue."""
     v, s, p = supervision[0], settings[0], progress[0]
     reason = reason_by_contradiction(progress)
     if reason == 0 and v["heard"] != 0:
@@ -316,7 +316,7 @@ def run(
     Parameters
     ----------
     port, controller, shared, settings, buffers
-        Link, law, ring and memory, as in `rig.loop._host.run`; the mailbox contains updates for the device.
+        Link, law, shared ring and memory, as for the loop on the host; the mailbox contains updates for the device.
     supervised
         Additional memory of this loop.
 

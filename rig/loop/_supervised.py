@@ -74,7 +74,7 @@ class SupervisedThread(LoopThread):
     arguments, keywords
         Arguments of `LoopThread`.
     live
-        Function that converts a posted parameter set to the device's parameters; if it raises a
+        Function that converts a new parameter set of the law to the device's parameters; if it raises a
         `rig.core.errors.RigError`, the set is refused. None: the wall cannot change.
     """
 
@@ -135,13 +135,13 @@ class SupervisedThread(LoopThread):
         return refusals
 
     def findings(self) -> dict[str, Any]:
-        """Return the agreement of device and host currents, for the trailer: ``{"device_host_agreement": {…}}``."""
+        """Return the comparison of device and host currents, for the recording, as {"device_host_agreement": {…}}."""
         return {"device_host_agreement": plain(self.agreement())}
 
     def handover(self) -> dict[str, int] | None:
-        """Return the loop's last sequence numbers and nonce for `FramedDevice.take_back`; None if no command was sent.
+        """Return the numbers from which `FramedDevice.take_back` continues the protocol; None if no command was sent.
 
-        The result also contains ``parameters_crc`` if the wall has changed.
+        They include ``parameters_crc``, the CRC of the device's parameters, if the wall has changed.
         """
         progress, v = self._buffers.progress[0], self._supervision.supervision[0]
         if not progress["sequence"] and not v["stop_sequence"] >= 0:

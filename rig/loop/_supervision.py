@@ -102,8 +102,8 @@ class SupervisionBuffers(NamedTuple):
     ack, request
         Fields of the ACK that was received last, and of a request to send.
     update, update_head, update_block, update_values
-        Bytes of the newest parameter update (`rig.loop._parameter_update`), and views of the three parts of these
-        bytes.
+        Bytes of the newest parameter update (`rig.loop._parameter_update`), and views of their three parts: head,
+        parameter block for the device, values for the host's law.
     """
 
     supervision: Annotated[NDArray[np.void], SUPERVISION_TYPE]

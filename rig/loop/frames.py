@@ -25,7 +25,8 @@ def next_frame(received: Any, start: int, end: int, raw: Any) -> tuple[int, int]
     Returns
     -------
     int
-        Length of header and payload in `raw` (bytes); or a negative `firmware_protocol.framing.Defect`; or `NO_FRAME`.
+        Length of header and payload in `raw` (bytes); or why the bytes are no frame (a negative `Defect`); or
+        `NO_FRAME` if no delimiter follows.
     int
         Index of the first byte after the frame.
     """

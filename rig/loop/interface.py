@@ -1,7 +1,7 @@
 """Interface of `rig.loop` for trials: the threads of both loops, and the signals that stop them.
 
 Only `rig.experiments.trials` imports it; it defines nothing, and no file of `rig.loop` imports it. Memory layout and
-end reasons are in `rig.loop.layout`, which followers of a run read without loading a loop.
+end reasons are in `rig.loop.layout`, which programs that display a run read without loading a loop.
 """
 
 from rig.loop._exchange import EVERY_NS

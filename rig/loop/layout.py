@@ -125,7 +125,7 @@ ROWS_TYPE = types.Array(numba.from_dtype(ROW), 1, "C")
 
 @group
 class SharedRing(NamedTuple):
-    """The ring (`rig.realtime.ring`) as the compiled loop sees it: addresses and the array of rows.
+    """Shared memory of a run as the compiled loop sees it: addresses, and the ring buffer of recorded rows.
 
     `words` is the address of the control words, `mailbox` that of the mailbox for parameter sets (0: no mailbox).
     """

@@ -52,7 +52,7 @@ def close(descriptor: int) -> None:
 
 
 def is_sound(descriptor: int) -> bool:
-    """Return True if the shared memory with this open descriptor cannot shrink while it is read."""
+    """Return True if the shared memory behind this descriptor is sealed against shrinking: reading it is then safe."""
     return bool(fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK)
 
 
@@ -78,7 +78,7 @@ def paths(pid: int | None = None) -> Iterator[tuple[int, str]]:
 
 
 def held(path: str, descriptor: int) -> str:
-    """Return a path by which this process can open the shared memory again, even if the process at `path` ends."""
+    """Return a path by which this process can reopen the shared memory `descriptor`, even after its creator ended."""
     return f"{_PROC}/self/fd/{descriptor}"
 
 

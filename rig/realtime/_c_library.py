@@ -71,7 +71,7 @@ class CLibrary:
         return [path for part in self.parts for path in sorted((self.root / part).glob("*.c"))]
 
     def compiler(self) -> list[str]:
-        """Return the command of a C compiler (``$CC``, one of `COMPILERS`, `ZIG`); raise `ConfigError` if missing."""
+        """Return the command of a C compiler (``$CC``, cc, gcc, clang or ziglang); raise `ConfigError` without one."""
         named = shlex.split(os.environ.get("CC", ""))
         for command in (named, *([name] for name in COMPILERS)):
             found = find_program(command[0]) if command else None

@@ -87,7 +87,7 @@ else:
 
 
 def _make_private(place: Path) -> Path | None:
-    """Return a directory, created if missing; None if it is not writable or (with a warning) not private."""
+    """Return `place` as a private directory, created if missing; None if not writable or (with warning) not private."""
     try:
         place.mkdir(parents=True, exist_ok=True, mode=0o700)
         reason = writable_by_others(place)
@@ -117,7 +117,7 @@ def _remove_unused(root: Path, current: Path) -> None:
 
 
 def open_cache() -> Path:
-    """Return the directory for machine code of the present sources; remove directories unused for `UNUSED_DAYS`."""
+    """Return the directory for machine code of the present sources; remove directories that were unused for 30 days."""
     root = cache_root()
     place = root / f"kernels-{cache_key(compiled_sources())}"
     fresh = not place.exists()

@@ -1,7 +1,7 @@
 """Shared memory of a running loop on systems other than Linux: a file in the user's cache directory.
 
-    .../haptic-rig/loops/PID/alive   locked by that process while it runs
-    .../haptic-rig/loops/PID/N       its memories
+    .../haptic-rig/loops/PID/alive   locked by process PID while it runs
+    .../haptic-rig/loops/PID/N       shared memory number N of this process
 
 The functions have the same names and results as in `rig.realtime._anonymous_memory`.
 """
@@ -129,7 +129,6 @@ def _wait_for_lock(file: FileIO) -> None:
 
 
 def _remove_if_dead(directory: str) -> None:
-    """Remove the directory of a dead process; files that another process has mapped remain on Windows."""
     if os.path.isdir(directory) and not _is_alive(directory):
         for name in _names(directory):
             _remove(os.path.join(directory, name))
@@ -158,7 +157,6 @@ def _remove(path: str) -> None:
 
 
 def _open(path: str, mode: str) -> int:
-    """Open a file in binary mode and return its descriptor."""
     # FileIO and not os.open, which on Windows would change line ends without O_BINARY.
     with FileIO(path, mode) as file:
         return os.dup(file.fileno())

@@ -45,7 +45,7 @@ class BoardSetup(ctypes.Structure):
 
     @classmethod
     def of(cls, model: RigModel, dictionary: bytes, fingerprint: int, rate: int) -> Self:
-        """Return the C struct for a rig: model, dictionary bytes (to keep alive), their hash, first rate (Hz)."""
+        """Return the C struct for a rig, with its dictionary's bytes (keep them alive) and hash, and the first rate."""
         return cls(
             dictionary=dictionary,
             dictionary_hash=fingerprint,

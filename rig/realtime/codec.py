@@ -265,7 +265,6 @@ def _encode(values: Ints, layout: Ints, type_id: int, session: int, sequence: in
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
-    """Return the unsigned little-endian integer in ``raw[at : at + size]``."""
     value = np.int64(0)
     for k in range(size):
         value |= np.int64(raw[at + k]) << (8 * k)
@@ -274,7 +273,6 @@ def _read_unsigned(raw: Bytes, at: int, size: int) -> int:
 
 @kernel(_i64(_bytes, _i64, _i64), inline=True)
 def _read_signed(raw: Bytes, at: int, size: int) -> int:
-    """Return the signed little-endian integer in ``raw[at : at + size]``; `size` is below 8."""
     value = _read_unsigned(raw, at, size)
     return int(value - ((value >> (8 * size - 1)) << (8 * size)))
 
@@ -285,7 +283,8 @@ def _decode(
 ) -> int:
     """Decode header and fixed fields of a message of type `type_id` with at most `limit` bytes of payload.
 
-    Returns 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD; `values` is written only if the result is 0.
+    Returns 0, FOREIGN_MAJOR (other protocol version), OTHER_TYPE (of message) or BAD_PAYLOAD (wrong length); `values`
+    is written only if the result is 0.
     """
     header[HEAD.major] = np.int64(raw[0])
     header[HEAD.type_id] = np.int64(raw[1])
@@ -324,7 +323,7 @@ def encode_command(session: int, sequence: int, values: Ints, out: Bytes) -> int
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_state(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a STATE message with its field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
+    """Encode a STATE message with its field `values` into `out`; return its length (bytes), < 0 for a bad value."""
     return _encode(values, _STATE_LAYOUT, _STATE_TYPE, session, sequence, out)
 
 
@@ -340,31 +339,31 @@ def decode_state(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_get_time(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a GET_TIME message with its field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
+    """Encode a GET_TIME message with its field `values` into `out`; return its length (bytes), < 0 for a bad value."""
     return _encode(values, _GET_TIME_LAYOUT, _GET_TIME_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_time(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode a TIME message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
+    """Decode a TIME message to `header` and `values`; return 0, or < 0 for a wrong version, message type or length."""
     return _decode(raw, length, _TIME_LAYOUT, _PAYLOAD_LIMIT, _TIME_TYPE, header, values)
 
 
 @kernel(_i64(_bytes, _i64, _ints, _ints))
 def decode_ack(raw: Bytes, length: int, header: Ints, values: Ints) -> int:
-    """Decode an ACK message to `header` and `values`; return 0, FOREIGN_MAJOR, OTHER_TYPE or BAD_PAYLOAD (< 0)."""
+    """Decode an ACK message to `header` and `values`; return 0, or < 0 for a wrong version, message type or length."""
     return _decode(raw, length, _ACK_LAYOUT, _PAYLOAD_LIMIT, _ACK_TYPE, header, values)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_begin(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_BEGIN message with field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
+    """Encode a SET_BEGIN message with its field `values` into `out`; return its length (bytes), < 0 for a bad value."""
     return _encode(values, _SET_BEGIN_LAYOUT, SET_BEGIN_TYPE, session, sequence, out)
 
 
 @kernel(_i64(_i64, _i64, _ints, _bytes))
 def encode_set_commit(session: int, sequence: int, values: Ints, out: Bytes) -> int:
-    """Encode a SET_COMMIT message with field `values` into `out`; return its length (bytes), or BAD_VALUE (< 0)."""
+    """Encode a SET_COMMIT message with its field `values` into `out`; return its length (bytes), < 0 if invalid."""
     return _encode(values, _SET_COMMIT_LAYOUT, SET_COMMIT_TYPE, session, sequence, out)
 
 
@@ -405,8 +404,8 @@ def decode_batch(raw: Bytes, length: int, header: Ints, values: Ints, samples: I
     Returns
     -------
     int
-        Number of samples, at least 1; or FOREIGN_MAJOR, OTHER_TYPE, BAD_PAYLOAD (no sample, or not a whole number of
-        samples), BAD_VALUE (unknown sample layout).
+        Number of samples, at least 1; or negative: FOREIGN_MAJOR (other protocol version), OTHER_TYPE (of message),
+        BAD_PAYLOAD (no sample, or not a whole number of samples), BAD_VALUE (unknown sample layout).
     """
     found = _decode(raw, length, _BATCH_LAYOUT, _BATCH_LIMIT, _BATCH_TYPE, header, values)
     if found != 0:

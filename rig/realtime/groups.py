@@ -37,7 +37,7 @@ _GROUPS: set[type] = set()
 
 
 def group(cls: type[T]) -> type[T]:
-    """Register a `NamedTuple` class as an argument of compiled functions; create its instances by keywords then."""
+    """Register a `NamedTuple` class as an argument type of compiled functions; its instances then need keywords."""
     # By keyword alone: among thirty positional arguments, two of one type are swapped unnoticed.
     make: Any = cls.__new__
 
@@ -61,7 +61,7 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
 def _expected_members(
     cls: type[tuple[Any, ...]],
 ) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """Return, for each field of a `NamedTuple` argument, the classes, and (dtype, dimensions, writable) of an array."""
+    """Return the Python classes of each field of a `NamedTuple` argument; of an array dtype, dimensions, writable."""
     return tuple(
         (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
         for t in type_of(cls).types
@@ -90,7 +90,7 @@ def _type_if_fitting(value: tuple[Any, ...]) -> Any:
 
 
 def _typeof(value: tuple[Any, ...], context: Any) -> Any:
-    """Return the numba type of a group; if a member has a wrong type, one that no compiled function accepts."""
+    """Return the numba type of a group; with a member of a wrong type, a type that every compiled function rejects."""
     kind = _type_if_fitting(value)
     if kind is None:
         kind = types.BaseTuple.from_types([typeof_impl(member, context) for member in value], type(value))
@@ -98,7 +98,7 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
 
 
 def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
-    """Return True if a member of a `NamedTuple` argument has the type of its field; see `_expected_members`."""
+    """Return True if a member of a `NamedTuple` argument has one of the `classes`, or is an array like `array`."""
     # Not by numba's typeof: finding the type of a record array takes as long as many ticks.
     if array is not None:
         if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:

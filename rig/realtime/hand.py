@@ -75,7 +75,7 @@ class HandMotion:
 
 
 class SharedHand:
-    """A simulated hand in a shared file: `create` opens it to move the hand, `open` to follow the hand."""
+    """A simulated hand in a shared file: `create` opens it to move the hand, `open` to read where it must move."""
 
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
@@ -105,7 +105,7 @@ class SharedHand:
 
     @classmethod
     def open(cls, path: str | Path) -> SharedHand:
-        """Open an existing file to follow its hand; raise `ConfigError` if it is missing or another kind of file."""
+        """Open an existing file to read the hand's commands; `ConfigError` if it is missing or another kind of file."""
         path = Path(path)
         try:
             descriptor = os.open(path, os.O_RDWR | _NO_WAIT)
@@ -170,7 +170,7 @@ class SharedHand:
         self._memory[place : place + _MOTION_BYTES] = values + _CRC.pack(zlib.crc32(values))
 
     def motions(self) -> list[HandMotion]:
-        """Return the simulated motions since the last call, oldest first, at most the newest `MOTIONS`."""
+        """Return the simulated motions since the last call, oldest first, at most the newest 128."""
         fresh = [one for one in self._whole_motions() if one[0] > self._seen]
         self._seen = max((number for number, _ in fresh), default=self._seen)
         return [motion for _, motion in fresh]

@@ -18,8 +18,8 @@ from typing import Any
 def handle_signals(numbers: tuple[int, ...], handler: Callable[[int, Any], None]) -> Iterator[bool]:
     """Install `handler` for the signals `numbers` within this context; restore the previous handlers at its end.
 
-    A signal that is ignored remains ignored. Yields True. Outside the main thread, where Python allows no handlers,
-    yields False and changes nothing.
+    Yield True. An ignored signal remains ignored. Outside the main thread, where Python allows no handlers, change
+    nothing and yield False.
     """
     if not _in_the_main_thread():
         yield False

@@ -161,7 +161,7 @@ def prepare(*functions: Any) -> None:
 
 
 def rule(function: F) -> F:
-    """Return a function that runs as plain Python, and compiled where a compiled function calls it."""
+    """Return a function that Python runs as it is, and that numba compiles into the compiled functions that call it."""
     return cast("F", register_jitable(function))
 
 

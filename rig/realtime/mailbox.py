@@ -236,7 +236,7 @@ class Mailbox:
             return self.post_alone(message)
 
     def post_alone(self, message: bytes) -> int:
-        """Post a message for the loop; return the message's number. Call it only within the context `Mailbox.alone`."""
+        """Post a message for the loop; return its number. Call it only while `Mailbox.alone` excludes other writers."""
         words = np.zeros(-(-len(message) // _WORD) * _WORD, np.uint8)
         words[: len(message)] = np.frombuffer(message, np.uint8)
         assert len(words) <= MOST_BYTES
@@ -257,7 +257,7 @@ class Mailbox:
 
 
 def _acquire_lock(descriptor: int) -> None:
-    """Lock a mailbox's shared memory against other writers; raise `RigError` if it is not free within `PATIENCE_S`."""
+    """Lock a mailbox's shared memory against other writers; raise `RigError` if it is not free within 1 s."""
     deadline = time.monotonic() + PATIENCE_S
     while not locks.lock(descriptor):
         if time.monotonic() > deadline:

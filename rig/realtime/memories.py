@@ -52,7 +52,7 @@ class LoopMemory:
         self.held = place.held(path, self._file.fileno())
         try:
             if not place.is_sound(self._file.fileno()):
-                raise OSError(f"the file {path} could become shorter while it is read")
+                raise OSError(f"the file {path} is not sealed: it could become shorter while it is read")
             self.words = memoryview(mmap.mmap(self._file.fileno(), CONTROL_BYTES)).cast("q")
         except (OSError, ValueError) as error:
             self._file.close()
@@ -67,7 +67,7 @@ class LoopMemory:
                 self.words[STOP] = -os.getpid()
 
     def made_by(self, pid: int) -> bool:
-        """Return True if process `pid` created this memory, or if its layout is another (the creator is unknown)."""
+        """Return True if process `pid` created this memory, or its creator is unknown (memory of another version)."""
         # In another layout the word CREATOR may be elsewhere.
         if self.words[VERSION] != LAYOUT_VERSION:
             return self.words[VERSION] != 0

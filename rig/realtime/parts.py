@@ -86,7 +86,7 @@ class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
 
 
 class _Common(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags for numba's own functions (`min`, …), one object for all kernels; equal only to itself."""
+    """Compiler flags of numba's own functions (`min`, …), as one object for all kernels, so that each compiles once."""
 
     # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
 
@@ -97,10 +97,10 @@ class _Common(compiler.Flags):  # type: ignore[misc]
 
 
 class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of one kernel (compiled function); numba's own functions in it get `_Common` flags instead."""
+    """Compiler flags of one kernel (compiled function); numba's own functions in it get the flags `_Common` instead."""
 
     def copy(self) -> _Common:
-        """Return the compiler flags for the functions that the compiled function calls."""
+        """Return the compiler flags for numba's own functions that the kernel calls."""
         return _common(self.nrt)
 
 
@@ -232,7 +232,7 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
 
 
 def _wait_for(descriptor: int) -> None:
-    """Wait until the lock of a file is free, at most `PATIENCE_S`: its owner may be a suspended process."""
+    """Wait until the lock of a file is free, at most `PATIENCE_S` (60 s): its owner may be a suspended process."""
     patience = time.monotonic() + PATIENCE_S
     compiling.report_begin()  # elsewhere, which takes as long
     try:

@@ -174,7 +174,7 @@ class Ring:
         return self.info_and_word()[0]
 
     def info_and_word(self) -> tuple[dict[str, Any], int]:
-        """Return the description of the run, and the control word INFO, by which `replace` detects a later change."""
+        """Return the description of the run, and a number that changes with it, by which `replace` detects changes."""
         word = self.peek(INFO)
         for _ in range(_INFO_TRIES):
             text = self._info_text(word)
@@ -193,7 +193,7 @@ class Ring:
         return int(read_word(self.words.ctypes.data + 8 * word))
 
     def put(self, word: int, value: int) -> None:
-        """Store `value` in the control word with index `word`; after `close`, other processes do not see it."""
+        """Store `value` in the control word with index `word`; after `close`, other processes do not get the value."""
         from rig.realtime.atomics import write_word  # noqa: PLC0415
 
         write_word(self.words.ctypes.data + 8 * word, value)
@@ -210,8 +210,8 @@ class Ring:
     def clock_exchange(self) -> tuple[int, tuple[int, ...] | None]:
         """Return the number of clock exchanges, and the four time stamps (ns) of the last exchange or None.
 
-        `rig.core.clock_fit.EXCHANGE` names the stamps. They are None before the first exchange, and if the loop was
-        just overwriting them.
+        The stamps are: sent by the host, received by the device, sent by it, received by the host. They are None before
+        the first exchange, and if the loop was just overwriting them.
         """
         done = self.get(EXCHANGES)
         place = CLOCK + 4 * ((done - 1) % 2)
@@ -225,7 +225,7 @@ class Ring:
         return Mailbox(self.mailbox, descriptor=self.descriptor, keep=self.buffer)
 
     def post(self, values: ArrayLike) -> int:
-        """Post a parameter set for the running law, return its number (1, 2, …); raise `ConfigError` or `RigError`."""
+        """Post a parameter set for the running law, return its number (1, 2, …); `ConfigError` for NaN or too many."""
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 
         return self.writer().post(set_bytes(values))
@@ -311,7 +311,7 @@ def _json_of(info: Mapping[str, Any]) -> bytes:
 
 
 def _write_info(ring: Ring, text: bytes) -> None:
-    """Write a run's description (JSON) into the free half of its memory, then publish it by the control word INFO."""
+    """Write a run's description (JSON) into the unused half of its memory, then publish it by the control word INFO."""
     # Two halves: a reader that has loaded INFO reads a half that no writer touches, unless two changes follow at once.
     word = ring.get(INFO)
     half = ~word & _INFO_HALF

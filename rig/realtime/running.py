@@ -41,7 +41,7 @@ class RunningLoop:
     stopping
         True if a stop was requested.
     done
-        True if the loop has returned; its process may still write or seal the recording.
+        True if the loop has returned; its process may still write or complete the recording.
     version
         Layout version of the loop's memory; for another version only `pid`, `stopping` and `done` are known.
     info
@@ -87,7 +87,7 @@ class StoppedLoop:
 
 
 def running(*, done: bool = False) -> list[RunningLoop]:
-    """Return the running loops of this user, oldest first; with `done` also those whose recording is not sealed."""
+    """Return this user's running loops, oldest first; with `done` also ended ones whose recording is still written."""
     found = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
@@ -107,7 +107,7 @@ def stop(
     pid
         Number of the process; None for all.
     asked
-        Result of `rig.realtime.memories.ask_to_stop` if it was called before; `stop` closes these memories.
+        Loops that were requested to stop before, by `rig.realtime.memories.ask_to_stop`; `stop` closes their memories.
     patience_s
         Longest wait for the loops to end (s).
 
@@ -142,8 +142,8 @@ def stop(
 def memory_of(pid: int) -> Ring | None:
     """Return the memory of the newest running loop of a process, read-only; None if the process runs no loop.
 
-    The caller must close the memory. The description of the run is not read: a person who may see the progress of a run
-    may not always see its experiment.
+    The caller must close the memory. The description of the run (experiment, recording) is not read, because a caller
+    that may show the progress may not always show the description.
     """
     newest: Ring | None = None
     for memory in memories.memories(pid):

@@ -52,7 +52,7 @@ _getpid = types.ExternalFunction("getpid", types.int32())
 
 @kernel(_i64(_ptr, _i64))
 def _add_request(table: int, number: int) -> int:
-    """Count a stop request by a signal, or by this program (`number` 0); return the number of runs in progress."""
+    """Count a stop request by signal `number`, 0 for this program itself; return the number of runs in progress."""
     store_word(table + 8 * _LAST, number)
     add_word(table + 8 * _REQUESTS, 1)
     return int(load_word(table + 8 * _RUNS))
@@ -62,7 +62,7 @@ def _add_request(table: int, number: int) -> int:
 def _on_signal(number: int, info: int, context: int) -> int:
     """Count a signal as a stop request and call the handler that was installed before; return 0.
 
-    The default action (to end the process) waits until the last recording is sealed. Called with `number` 0, the
+    The default action (to end the process) waits until the last recording is complete. Called with `number` 0, the
     function only returns the address of the table of requests.
     """
     table = _static_table()
@@ -94,7 +94,7 @@ class _Action(ctypes.Structure):
 
 
 class _Hook:
-    """Compiled handler of the signals `STOPPING` that counts a signal and then calls the handler installed before."""
+    """Compiled handler of stop signals (Ctrl-C, SIGTERM, …): it counts a signal, then calls the previous handler."""
 
     def __init__(self) -> None:
         self._handler = address_of(_on_signal, _HANDLER_SIGNATURE)
@@ -123,7 +123,7 @@ class _Hook:
             self._known.add(now.handler)
 
     def remove(self) -> None:
-        """Restore the signal handlers that were installed before this one, except where another has replaced it."""
+        """Restore the signal handlers that were installed before this one, unless another handler has replaced it."""
         for number, before in self._displaced.items():
             if self._action(number).handler == self._handler:
                 self._libc.sigaction(int(number), ctypes.byref(before), None)
@@ -192,7 +192,7 @@ def running() -> int:
 
 
 def last_signal() -> int | None:
-    """Return the number of the signal that caused the newest stop request; None if `request` or nothing caused one."""
+    """Return the signal that caused the newest stop request; None without one, or if this program requested it."""
     return int(read_word(_word(_LAST))) or None
 
 
@@ -210,8 +210,8 @@ def request(number: int = 0) -> int:
 class RunSeries:
     """A series of runs, all of which a single stop request ends, also if the request comes between two runs.
 
-    As a context manager it applies to the runs of this thread within the context. If series are nested, the outermost
-    applies.
+    As a context manager it includes the runs that this thread starts within the context. Of nested series, the
+    outermost counts.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ class RunSeries:
 
 @contextmanager
 def listening() -> Iterator[RunSeries]:
-    """Count stop signals within this context; yield a `RunSeries`, whose `is_stopped` is True after a stop request."""
+    """Count stop signals within this context; yield an object whose `is_stopped` is True after a stop request."""
     if threading.current_thread() is threading.main_thread():
         yield RunSeries()
     else:
@@ -255,7 +255,7 @@ def listening() -> Iterator[RunSeries]:
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Let one stop request end all runs of this thread within this context; do not use it across a ``yield``."""
+    """Let one stop request end all runs of this thread within this context; do not `yield` to a caller inside it."""
     with listening() as series, series:
         yield
 
@@ -286,10 +286,10 @@ def renew() -> None:
 
 @contextmanager
 def run() -> Iterator[RunSeries]:
-    """Count stop signals during one run; yield a `RunSeries`, whose `is_stopped` is True after a stop request.
+    """Count stop signals during one run; yield an object whose `is_stopped` is True after a stop request.
 
-    Enter the context before the run arms a device, and leave it after the recording is sealed. The end of the program,
-    and a signal whose default action would end the process, wait for the end of the context.
+    Enter the context before the run arms a device, and leave it after the recording is complete. The end of the
+    program, and a signal whose default action would end the process, wait for the end of the context.
     """
     process = _process()
     with _install_hook(process):
@@ -323,7 +323,7 @@ def _raise_deferred(process: _Process, number: int) -> None:
 
 
 def _leave() -> None:
-    """Request the runs of all threads to stop at the end of the program, and wait for them, at most `LEAVE_S`."""
+    """Request the runs of all threads to stop at the end of the program; wait for them, at most `LEAVE_S` (20 s)."""
     # The interpreter does not wait for daemon threads; 3.11 and 3.12 also forget a thread whose `join` got a Ctrl-C.
     _process().leaving = True
     request()

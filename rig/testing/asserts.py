@@ -1,4 +1,4 @@
-"""Asserts about hits and recordings; their messages contain tick, time, value and unit.
+"""Asserts about recordings, and about hits: runs in which the handle hits a virtual wall. Messages name tick and unit.
 
 Each assert accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
 """
@@ -22,7 +22,7 @@ Subject = Any  # a Hit, a HitResult, a Recorded, or a Recording
 
 
 def assert_stable(subject: Subject) -> None:
-    """Assert that the hit was stable; the message of a failure has the verdict with its numbers and thresholds."""
+    """Assert that the contact with the wall was stable; a failure's message has all judged numbers and thresholds."""
     __tracebackhide__ = True
     recording = recording_of(subject)
     experiment = _experiment_of(recording)
@@ -66,14 +66,14 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
     if rest.armed:
         raise AssertionError("not safe: the device stayed armed without a host; it must disarm")
     if subject.error is not None and not subject.error.remedy:
-        raise AssertionError(f"not safe: the error of the run has no remedy: {subject.error}")
+        raise AssertionError(f"not safe: the error of the run has no remedy (what to do): {subject.error}")
 
 
 def assert_limit(subject: Subject, **most: float) -> None:
-    """Assert that the magnitude of columns stays within limits: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
+    """Assert that recorded values stay within limits: ``assert_limit(hit, velocity=2.0, effort_sent=0.1)``.
 
-    Each argument is a column's name with its limit in the column's unit. Without arguments, effort and speed must stay
-    within the experiment's ``[rig.limits]``.
+    Each argument is the name of a recorded column, with the largest allowed magnitude in the column's unit. Without
+    arguments, effort and speed must stay within the experiment's ``[rig.limits]``.
     """
     __tracebackhide__ = True
     recording = recording_of(subject)
@@ -131,7 +131,7 @@ def _energy_given(rows: NDArray[np.void], x: Experiment, current_quantum_a: floa
 
 
 def recording_of(subject: Subject) -> Recording:
-    """Return the recording of a hit; if the argument is a recording, return it unchanged."""
+    """Return the recording of a run on a wall (result of `rig_hit`); if the argument is a recording, return it."""
     recorded = getattr(subject, "recorded", subject)
     recording = getattr(recorded, "recording", recorded)
     if not isinstance(recording, Recording):

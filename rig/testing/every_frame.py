@@ -21,14 +21,14 @@ def with_every_frame(
 ) -> Callable[..., None]:
     """Return a test that runs the given test with a fault at each frame in turn.
 
-    The test runs once without a fault, then once for each kind of fault and each frame of its hits. Frames with pages
-    of the device's dictionary are exempt, because a process reads them only once. Fixtures are created once. The error
-    is that of the first run that failed, with a note on the frame and on the number of failed runs.
+    The test runs once without a fault, then once for each kind of fault and each frame of its run. Frames with pages of
+    the device's dictionary are left out, because a process reads them only once. Fixtures are created once for all
+    runs. The error is that of the first run that failed, with a note on the frame and on the number of failed runs.
 
     Parameters
     ----------
     test
-        Test function, which must hit with the fixture `rig_hit`.
+        Test function, which must run its trial with the fixture `rig_hit`.
     hits
         The test's fixture `rig_hit`, which injects the faults.
     kinds
@@ -74,12 +74,12 @@ def with_every_frame(
 
 
 def _struck(hits: Hits) -> bool:
-    """Return True if the latest run applied the fault to a frame, or if it raised an error before its hit ended."""
+    """Return True if the latest run applied the fault to a frame, or if it raised an error before its end."""
     return hits.last is None or hits.last.struck > 0
 
 
 def _faults(kind: FaultKind, direction: Direction, hits: Hits) -> Iterator[FrameFault]:
-    """Yield a fault of frame 0, 1, …, until a run has no frame with this number; fail the test beyond `MOST_FRAMES`."""
+    """Yield a fault of frame 0, 1, …, until a run has no frame with this number; fail the test beyond 1000 frames."""
     for frame in range(MOST_FRAMES):
         yield FrameFault(kind=kind, direction=direction, frame=frame, byte=frame, bit=frame % 8)
         if not _struck(hits):

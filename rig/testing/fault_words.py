@@ -16,7 +16,7 @@ DIRECTIONS: dict[str, Direction] = {"device": Direction.TO_DEVICE, "host": Direc
 
 
 class FaultWords:
-    """Script of faults for a test; each later hit applies these faults, counted from the start of the hit.
+    """Script of faults for a test; every later run of the test applies them, counted from the start of the run.
 
     Attributes
     ----------

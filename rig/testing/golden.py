@@ -1,4 +1,4 @@
-"""Compare hits with golden recordings: recordings that a person has checked and stored as the expected result.
+"""Compare the runs of a test with golden recordings: recordings that a person has checked and stored as expected.
 
 In virtual time a run is reproducible to the last bit on one machine, but another processor or another build of a
 library may round differently. So integers (counts, currents, flags, ticks) must be equal, and real columns may differ
@@ -30,7 +30,7 @@ DIRECTORY = "golden"
 
 
 class Golden:
-    """Callable that compares the hits of a test with its golden recordings (the fixture ``rig_golden``).
+    """Callable that compares the recordings of a test with its stored, checked ones (the fixture ``rig_golden``).
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class Golden:
     def __call__(
         self, subject: Subject, name: str = "", *, tolerance: Mapping[str, float] | None = None
     ) -> None:
-        """Compare a hit with its golden recording, or replace the golden recording (``--rig-golden=update``).
+        """Compare a recording with its golden recording, or replace the golden recording (``--rig-golden=update``).
 
         Parameters
         ----------
         subject
-            A hit or a finished recording.
+            The result of a hit (fixture `rig_hit`), or a finished recording.
         name
             Name that distinguishes several golden recordings of one test.
         tolerance

@@ -1,7 +1,7 @@
-"""Run the hits of a test, each on a new simulated rig with scripted faults, or all on the real rig of ``--rig-url``.
+"""Run a test's hits on a wall, each on a new simulated rig with scripted faults, or all on the rig of ``--rig-url``.
 
-The tests are the same for a real rig. Its device is opened once, so that the lock and position zero stay valid from
-test to test; the host sends STOP after each hit and at the end of all tests.
+The tests are the same for a real rig. Its device is opened once, so that position zero, and the lock against other
+programs, stay valid from test to test; the host sends STOP after each hit and at the end of all tests.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class DeviceAfterwards:
     Attributes
     ----------
     zero_after_s
-        Time from the host's last frame until the current was zero (s); None if it was not zero within `WATCH_S`.
+        Time from the host's last frame until the current was zero (s); None if it was not zero within `WATCH_S` (1 s).
     armed
         True if the device was still armed at the end.
     """
@@ -55,7 +55,7 @@ class DeviceAfterwards:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hit:
-    """Result of a hit of a test.
+    """Result of a hit: a run of a test, in which the handle is driven against a virtual wall.
 
     Attributes
     ----------
@@ -92,12 +92,12 @@ class Hit:
 
     @property
     def recording(self) -> Recording:
-        """Return the recording of the hit, read into memory."""
+        """Return the recording of this run, read into memory."""
         return self._left.recording
 
     @property
     def path(self) -> Path:
-        """Return the path of the recording of a hit; ``--rig-record`` selects which recordings remain after a test."""
+        """Return the path of this run's recording; ``--rig-record`` selects which recordings remain after a test."""
         return self._left.path
 
     @property
@@ -110,7 +110,7 @@ class Hit:
 
 
 class Rigs:
-    """The rigs that the tests use: a new simulated rig for each hit, or one real rig for all hits.
+    """The rigs that the tests use: a new simulated rig for each hit on a wall, or one real rig for all hits.
 
     Parameters
     ----------
@@ -131,12 +131,12 @@ class Rigs:
 
     @property
     def simulated(self) -> bool:
-        """Return True if each hit uses a new simulated rig."""
+        """Return True if each run of a test uses a new simulated rig."""
         return self.url.startswith("sim:")
 
     @property
     def rig(self) -> FramedDevice:
-        """Return the device of the real rig, which is opened on first use; raise the errors of `rig.open_device`."""
+        """Return the real rig's device, opened on first use; `ConfigError` or `DeviceNotFoundError` if this fails."""
         if self._rig is None:
             self._rig = devices.open_device(self.url)
         return self._rig
@@ -181,7 +181,7 @@ class Rigs:
 
 
 class Hits:
-    """Callable that runs the hits of a test (the fixture ``rig_hit``).
+    """Callable that runs a test's hits: runs in which the handle is driven against a wall (the fixture ``rig_hit``).
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class Hits:
         may_end: bool = False,
         device: FramedDevice | None = None,
     ) -> Hit:
-        """Hit the wall once and return the result.
+        """Drive the handle against the wall once and return the result.
 
         Parameters
         ----------
@@ -228,15 +228,15 @@ class Hits:
         law
             Law to run instead of the experiment's law.
         may_end
-            True if the run may end early, for example by the guard: then the result has the `error`, as with scripted
-            faults.
+            True if the run may end early, for example by a safety limit: the result then contains the `error`. Runs
+            with scripted faults may always end early.
         device
             Open device to use (fixture ``rig_device``); it must not be combined with scripted faults.
 
         Raises
         ------
         RigError
-            The run is refused, or it ended early although `may_end` is False.
+            The run is refused, or it ended early although it may not.
         """
         experiment = self._experiments(source)
         once: dict[str, Any] = {**(changes or {}), "trial.repeats": 1}
@@ -271,12 +271,12 @@ class Hits:
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
-    """End the run of all tests after a person has stopped a hit, because the next test would move the rig again."""
+    """End the run of all tests after a person has stopped one of them: the next test would move the rig again."""
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
 def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
-    """Run a hit, observe the device after the hit, and return the result; if a person stops the hit, end all tests."""
+    """Run a hit on the wall; return its result with the device's state afterwards. A person's stop ends all tests."""
     recorded, counters, error = None, {}, None
     try:
         (result,) = hit(request, admit)

@@ -37,7 +37,7 @@ class Kept:
         shutil.rmtree(self.place, ignore_errors=True)
 
     def ended(self, *, failed: bool) -> bool:
-        """Store whether the test failed; return True if the test has recordings that will be kept."""
+        """Decide by the outcome of the test whether to keep its recordings; return True if there are any to keep."""
         self._wanted = self._mode == "all" or (self._mode == "failed" and failed)
         return self._wanted and self.place.is_dir()
 

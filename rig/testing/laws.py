@@ -55,14 +55,14 @@ def reactions(
 def check_law(
     law: Law | str, *, everywhere: bool | None = None, pulls: bool = False, passive: bool = True, **wall: Any
 ) -> None:
-    """Run all checks of this file on a force law.
+    """Run all checks of this file on a force law; raise AssertionError for the first that fails.
 
     Parameters
     ----------
     law
         The law or its name.
     everywhere
-        True if the law may act outside of the wall, too; None to use the declaration of a decorated law.
+        True if the law may act outside of the wall, too; None: as the law's own decorator (``@rig.law``) declares.
     pulls
         True if the law may pull a handle at rest into the wall.
     passive

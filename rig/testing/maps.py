@@ -38,7 +38,7 @@ class Maps:
         Parameters
         ----------
         source, changes
-            The experiment and its changed values, as for the fixture ``rig_experiment``.
+            The experiment (preset, path ending in .toml, or object) and its changed values by dotted key.
         schemes
             Sampling schemes like ``dual:20k/2k``; if empty, the experiment's scheme and uniform schemes at its rates.
         dampings
@@ -46,12 +46,12 @@ class Maps:
         lowest, highest, ratio
             Lowest and highest stiffness (N·m/rad or N/m), and ratio of neighbouring stiffnesses.
         repeats
-            Number of ascending series at each damping.
+            How often the largest stable stiffness is determined at each damping, each time by hits at rising stiffness.
 
         Raises
         ------
         RigError
-            The errors of `rig.zwidth`. On a real rig a person must agree to each hit in the terminal.
+            A run is refused or fails. On a real rig a person must agree to each hit in the terminal.
         """
         plan = self._plan(
             self._experiments(source, changes), schemes, dampings, lowest, highest, ratio, repeats

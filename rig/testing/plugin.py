@@ -144,7 +144,7 @@ def rig_hit(
     _rig_fault_words: testing.FaultWords,
     _rig_kept: testing.Kept,
 ) -> testing.Hits:
-    """Return a function that hits a wall once: ``rig_hit("mine.toml", {"wall.stiffness": 300.0}).verdict``."""
+    """Return a function that drives the handle against a wall: ``rig_hit("mine.toml", {"wall.stiffness": 300.0})``."""
     return testing.Hits(_rig_rigs, rig_experiment, _rig_fault_words, _rig_kept.place)
 
 
@@ -167,7 +167,7 @@ def rig_zwidth(
 
 @pytest.fixture
 def rig_golden(request: pytest.FixtureRequest) -> testing.Golden:
-    """Return a function that compares a hit with its golden recording: ``rig_golden(hit)``."""
+    """Return a function that compares a run with its stored, checked recording: ``rig_golden(hit)``."""
     _skip_on_a_rig(request.config, "rig_golden: a rig does not repeat itself; golden recordings")
     return testing.Golden(
         request.path,

@@ -63,7 +63,7 @@ class SerialRig:
         """Return the state of the device after the program has closed the port.
 
         On a busy computer a device that has just lost its host may reply late to the next host, so the function retries
-        for `PATIENCE_S`. Raise `rig.RigError` if another program still uses the port, or if there is no reply.
+        for `PATIENCE_S` (5 s). Raise `rig.RigError` if another program still uses the port, or if there is no reply.
         """
         deadline = time.monotonic() + PATIENCE_S
         while True:
@@ -90,7 +90,8 @@ class SerialRig:
 def serve_rig(experiment: Experiment, *, firmware: bool = False) -> Iterator[SerialRig]:
     """Serve the rig of an experiment behind a pseudo-terminal until the `with` block ends.
 
-    With `firmware`, the simulated device can run the law itself. Raise the errors of `rig.devices.local.serve_locally`.
+    With `firmware`, the simulated device can run the law itself. Raise `DeviceNotFoundError` if it does not start, or
+    `PlanError` if the system is not Linux.
     """
     url = f"sim://{'?firmware=1' if firmware else ''}"
     with serve_locally(url, config.rig_model(experiment), terminal=True) as served:

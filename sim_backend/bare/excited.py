@@ -1,6 +1,7 @@
 """Simulate a rig that is excited about a point, in one compiled call without a byte link: for impedance measurements.
 
-`rig.devices.simulated` builds it. Each tick calls the control law (`rig.control.step.step`) once. There is no homing.
+`rig.devices.excited_simulation` returns it. Each tick calls the control law (`rig.control.step.step`) once. There is no
+homing.
 """
 
 from __future__ import annotations
@@ -64,12 +65,12 @@ def excite(
     excitation: Any,
     ramp_steps: int,
 ) -> int:
-    """Run the law until the array `kept.withheld` is full or the guard ends the run; return the number of whole ticks.
+    """Run the law until `kept.withheld` is full or a safety limit ends the run; return the number of whole ticks.
 
-    The plant is discretised at the inner step, and `count` is its present encoder count. `steps_per_tick` is the number
-    of inner steps in a tick, `steps_per_row` that between two recorded positions. `excitation` is the effort of the
-    second actuator in the middle of each inner step of one period (N·m or N): taken at the beginning it would be late
-    by half a step, which shows in a phase. It rises from zero during the first `ramp_steps` inner steps.
+    The plant is discretised at the integration step, and `count` is its present encoder count. `steps_per_tick` is the
+    number of integration steps in a tick, `steps_per_row` that between two recorded positions. `excitation` is one
+    period of the second actuator's effort, in the middle of each step (N·m or N): taken at the beginning it would be
+    late by half a step, which shows in a phase. It rises from zero during the first `ramp_steps` steps.
     """
     state, withheld = plant.state, kept.withheld
     m = controller.memory[0]
@@ -105,7 +106,7 @@ def excite(
 
 
 class ExcitedPlant:
-    """A simulated rig that makes many impedance measurements, each from rest (`rig.devices.simulated`)."""
+    """A simulated rig that makes many impedance measurements, each from rest; a second actuator excites it."""
 
     def __init__(self, model: RigModel, tick_s: float, acquisition_hz: float, most_ticks: int) -> None:
         inner_s = min(model.simulation.inner_step_s, 1.0 / MIN_INNER_RATE_HZ)
@@ -124,11 +125,11 @@ class ExcitedPlant:
 
     @property
     def inner_rate_hz(self) -> float:
-        """Return the number of inner steps of the plant in a second (Hz)."""
+        """Return the rate of the plant's integration steps (Hz)."""
         return self._steps_per_tick / self._tick_s
 
     def _divisor(self, acquisition_hz: float) -> int:
-        """Return the inner steps between two recorded positions: a divisor of the inner steps in a tick.
+        """Return the number of integration steps between two recorded positions; it divides those in a tick.
 
         It is the largest divisor that gives a rate of at least `acquisition_hz` (Hz), else 1.
         """
@@ -140,8 +141,8 @@ class ExcitedPlant:
     ) -> ExcitedMotion:
         """Run the law for `ticks` ticks, from rest at `position` (rad or m), and return the recorded motion.
 
-        `excitation` is the second actuator's effort in each inner step of one period (N·m or N); it rises during
-        `ramp_s` (s). Raise `LawError` if the estimator or the law gave a value that is not finite.
+        `excitation` is one period of the second actuator's effort, a value per integration step (N·m or N); it rises
+        during `ramp_s` (s). Raise `LawError` if the estimator or the law gave a value that is not finite.
         """
         plant = self._plant
         state = plant.at_rest(position)

@@ -40,7 +40,7 @@ STIFFNESS, DAMPING, VELOCITY_ERROR = range(3)  # of a `Rendering`
 
 @kernel("void(f8[:], f8[:], f8[:], f8[::1])")
 def render(effort: Any, penetration: Any, rate: Any, rendering: Any) -> None:
-    """Write stiffness and damping of the fit of `Rendering` for a trial's signals; NaN if the sums are singular."""
+    """Fit stiffness and damping to a trial's effort inside the wall, write them to `rendering`; NaN if undetermined."""
     xx = xv = vv = xf = vf = 0.0
     for k in range(len(effort)):
         x, v, f = penetration[k], rate[k], effort[k]
@@ -71,9 +71,9 @@ def hit(
     """Run one trial and measure its trial phase; return the number of ticks of the whole run.
 
     The first eight arguments are those of `sim_backend.bare.trial.run_ticks`. `signals` is scratch memory of `SIGNALS`
-    rows. `meter` contains the filters of the measurement. The measured numbers are written to the two records of
-    `numbers` (dtype `rig.control.judging.NUMBERS`): those of the values that a rig records, and those of the plant's
-    state. The values of a `Rendering` are written to `rendering`.
+    rows, one column for each tick. `meter` contains the filters of the measurement. The measured numbers are written to
+    the two records of `numbers` (dtype `rig.control.judging.NUMBERS`): those of the values that a rig records, and
+    those of the plant's state. Rendered stiffness, damping and velocity error are written to `rendering`.
     """
     # Nothing here allocates or takes the GIL: a thread for each core stays busy, and memory does not grow with the
     # number of hits.
@@ -127,7 +127,7 @@ def hit(
 
 
 class RigOfHits:
-    """A simulated rig that makes many hits on a wall, each from rest (`rig.devices.simulated`)."""
+    """A simulated rig that hits a wall many times, each time from rest (a `rig.devices.simulated.SimulatedRig`)."""
 
     def __init__(self, model: RigModel, tick_s: float, thresholds: Thresholds, most_ticks: int) -> None:
         self._model = model
@@ -138,7 +138,7 @@ class RigOfHits:
         self._signals = np.zeros((SIGNALS, most_ticks))
 
     def hit(self, controller: ControllerState, start: float) -> SimulatedHit:
-        """Run one hit from rest at `start` (rad or m); return the measured numbers and the ticks of the run.
+        """Run one hit from rest at `start` (rad or m); return what recorded and exact signals give, and the ticks.
 
         Raise `LawError` if the estimator or the law gave a value that is not finite.
         """

@@ -34,8 +34,7 @@ class Trace(NamedTuple):
     """Recording of a trial, one row for each tick.
 
     A row has the plant's state, estimated velocity (rad/s or m/s), encoder count, phase, active and commanded current
-    (quanta) and row flags. If the law did not process a sample, the phase of its row is `UNSEEN`, and its velocity and
-    flags are 0.
+    (quanta) and row flags. A sample that the law did not process has the phase `UNSEEN`, and velocity and flags 0.
     """
 
     states: FloatRows
@@ -75,12 +74,12 @@ def run_ticks(
     tick_units: int,
     trace: Trace,
 ) -> int:
-    """Run until the law is done or the trace is full; return the number of ticks up to the law's last sample.
+    """Run until the law is done or the recording `trace` is full; return the number of ticks up to the last sample.
 
     `script` contains the intended motion of the hand. `ages` is the age in ticks, in each tick, of the newest sample
-    that has reached the law; 0 means no delay, also for ticks beyond the array's end. Late samples get the flags of the
-    real loop. `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device time of
-    the first sample, `tick_units` the length of a tick (1/16 µs).
+    that has reached the law; 0 means no delay, also for ticks beyond the array's end. Late samples get the same flags
+    as in real time. `external_effort` acts on the link during the whole run (N·m or N). `start_units` is the device
+    time of the first sample, `tick_units` the length of a tick (1/16 µs).
     """
     m, state, edge_age = controller.memory[0], plant.state, plant.edge_age
     # The device moves one tick under zero effort between ARM and its first sample.
@@ -180,7 +179,7 @@ def run_arguments(
     script: OperatorScript,
     ages: NDArray[np.int64] = IN_TIME,
 ) -> tuple[ControllerArguments, PlantArguments, OperatorScript, NDArray[np.int64], float, int, int]:
-    """Return the arguments of `run_ticks` in its order, except the last argument, the trace."""
+    """Return the arguments of `run_ticks` in the order of its parameters, without the last one (`trace`)."""
     tick_units = round(plant.tick_s * UNITS_PER_SECOND)
     return (
         controller.arguments(),

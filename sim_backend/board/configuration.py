@@ -62,7 +62,7 @@ class Configuration:
     crc
         CRC-32 of the active block.
     homed
-        True if `reference_count` was set since the start.
+        True if position zero (`reference_count`) was set since the start.
     hash
         Hash of the device's dictionary.
     """
@@ -97,9 +97,9 @@ class Configuration:
         return self._assembler.chunk(request)
 
     def commit(self, request: m.SetCommit, *, armed: bool = False) -> tuple[Status, int]:
-        """Activate the transferred parameter block; return its status, and the id of the rejected parameter or 0.
+        """Activate the transferred parameter block; return the status of the ACK, and a rejected parameter's id or 0.
 
-        An armed device accepts only parameters that may change while it is armed (`LIVE`).
+        An armed device accepts only the parameters that may change while it is armed.
         """
         status, block = self._assembler.commit(request)
         if status is not Status.OK:

@@ -68,7 +68,7 @@ MODES = frozenset(int(mode) for mode in Mode)
 
 
 class DeviceWord:
-    """An attribute whose value is stored in `board.words`, the memory that the device's ticks read and write."""
+    """Attribute of `SimulatedDevice` whose value is stored in `board.words`, the memory that its ticks use."""
 
     def __init__(self, place: int) -> None:
         self._place = place
@@ -257,12 +257,12 @@ class SimulatedDevice:
         return b"", most
 
     def miss(self) -> None:
-        """Simulate one period without sending its STATE, because the caller is late, and count it as missed."""
+        """Simulate one period without sending its STATE message, because the caller is late, and count it as missed."""
         self.tick()
         self.missed_ticks += 1
 
     def _act_on_findings(self) -> None:
-        """Enter FAULT if the last part of a tick found a fault; disable the amplifier if the tick requested that."""
+        """Enter FAULT if the last part of the tick found a fault, or cut the current if this part requested it."""
         if self.board.words[OWN.found]:
             self._latch(self.board.words[OWN.found])
         elif self.board.words[CUTS]:
@@ -285,8 +285,8 @@ class SimulatedDevice:
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
         """Process bytes from the host, in pieces of any size, and return the device's replies.
 
-        `received_at` is the device time of their arrival (1/16 µs), which TIME reports; by default that of the last
-        sample.
+        `received_at` is the device time of their arrival (1/16 µs), which a TIME reply contains; by default that of the
+        last sample.
         """
         self._received_at = self.time if received_at is None else received_at
         *whole, rest = data.split(b"\0")
@@ -352,7 +352,7 @@ class SimulatedDevice:
         }
 
     def _ack(self, event: Received, status: Status, detail: int = 0) -> m.Ack:
-        """Return the ACK of a request: the next sample index and, for COMMIT and ARM, the CRC of the parameters."""
+        """Return the ACK of a request: the next sample index and, for SET_COMMIT and ARM, the CRC of the parameters."""
         crc = self._configuration.crc if isinstance(event.message, m.SetCommit | m.Arm) else 0
         return event.ack(status, detail=detail, sample_index=(self.sample_index + 1) & _U32, crc=crc)
 

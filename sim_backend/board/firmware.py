@@ -82,18 +82,18 @@ class Core:
             library.host_narrow(self.address, _INDEX[narrow], *bounds)
 
     def start(self) -> None:
-        """Start the firmware, as at power-up, at the device time that was set last (`host_set_world`)."""
+        """Start the firmware, as at power-up, at the device time that was set last by `host_set_world` (host.c)."""
         self.library.host_start(self.address)
 
     @property
     def status(self) -> HostStatus:
-        """Return state and counters of the firmware, and its requests to the hardware (rate, cuts, enable)."""
+        """Return state and counters of the firmware, and its requests to the hardware (tick rate, amplifier)."""
         status = HostStatus()
         self.library.host_status(self.address, ctypes.byref(status))
         return status
 
     def lockstep(self, words: NDArray[np.int64]) -> Lockstep:
-        """Return the firmware's functions for `lockstep.run_ticks`; they exchange data with the rig in `words`."""
+        """Return the firmware's functions for compiled ticks, which exchange values with the rig in `words`."""
         prepare(run_ticks)
         library = self.library
         return Lockstep(
@@ -124,7 +124,7 @@ class FirmwareDevice:
     ----------
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
         Rig, name of the device, highest and first tick rate (Hz), seed of the sensor noise, position of the handle at
-        power-up (rad or m), and True to record the plant's state, as for `SimulatedDevice`.
+        power-up (rad or m), and True to record the plant's state.
     law_maximum
         Largest value of the parameter `law` that the device accepts; 0 for a device without a law.
     library
@@ -268,13 +268,13 @@ class FirmwareDevice:
         return output, ticks
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of `lockstep.run_ticks` for the present state of firmware and rig."""
+        """Return firmware and rig in their present state as arguments of the compiled function `lockstep.run_ticks`."""
         world = self.hardware.world(self._truth)
         self._words[INPUTS], self._words[DUE], self._words[TIME] = self.inputs, self._seen.due, self.time
         return self._lockstep, world
 
     def passed(self, world: World) -> None:
-        """Update this object after `lockstep.run_ticks` has changed `world`, which `compiled` returned."""
+        """Take over time, inputs, tick rate and session after compiled ticks have changed `world` (from `compiled`)."""
         self.hardware.passed(self._lockstep, world, self._truth)
         self.time, self.inputs = self._words.item(TIME), self._words.item(INPUTS)
         self._seen = self.core.status

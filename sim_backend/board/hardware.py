@@ -93,8 +93,7 @@ class Hardware:
     leak
         Offset of the measured current (quanta), for example from a short circuit or a drifted sensor.
     marks
-        Positions of index and limit switch in true counts: the fields of that name in
-        `sim_backend.board.lockstep.Wires`.
+        True counts at which the encoder's indices lie and the limit switch closes (`marks_of`).
     drive, gain
         Ratio of motor current to commanded current, and of measured current to motor current. 0: a disconnected motor,
         a dead sensor. Negative: reversed. With both at −1 the motor's leads are swapped.
@@ -193,9 +192,9 @@ class Hardware:
     def run(self, software: Lockstep, until: int, most: int, enough: int, truth: TruthLog | None) -> int:
         """Run ticks with the currents that a compiled device requests; return the number of ticks.
 
-        The arguments are those of `sim_backend.board.lockstep.run_ticks`, and the log for true states (None: no log).
-        The run
-        stops early if noise, space for the true states or motion of the hand are used up; call it again for more ticks.
+        `until`, `most` and `enough` limit the run (`lockstep.run_ticks`); `truth` is the log for true states (None: no
+        log). The run also stops if noise, space in the log or motion of the hand are used up; call it again for more
+        ticks.
         """
         world = self.world(truth)
         ticks = run_ticks(software, *world, until, min(most, self.most_ticks), enough)
@@ -210,7 +209,7 @@ class Hardware:
         return min(hand, self._noise.left or NO_END)
 
     def world(self, truth: TruthLog | None) -> World:
-        """Return the rig's arguments of `lockstep.run_ticks`: plant, script of the hand, signals and buffers.
+        """Return the rig for compiled ticks: plant, script of the hand, scales of the signals, buffers.
 
         The buffers for noise and true states (in the log, None: no log) last for at least one tick.
         """
@@ -235,19 +234,19 @@ class Hardware:
         )
 
     def sense(self, words: Words) -> None:
-        """Update index and limit switch in `words` after a sample; needed only after ticks that are not compiled."""
+        """Update encoder index and limit switch in `words` after a sample; compiled ticks do this themselves."""
         if self.marks["index_counts"] or self.marks["switch_way"]:
             sense(words, self.count - self.slip, self._wires())
 
     def power_up(self, words: Words) -> None:
-        """Clear the stored index in `words`, as at power-up, and set the limit switch for the present position."""
+        """Clear the encoder's index pulses in `words`, as at power-up, and set the limit switch by the position."""
         # Marks are where the steel is: they follow the true count, not the one that lost counts.
         words[TRUE_COUNT] = self.count - self.slip
         words[INDEX_EDGES] = words[INDEX_COUNT] = 0
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
-        """Copy back what `lockstep.run_ticks` changed in `world`, the arguments that `self.world` returned."""
+        """Take over hand, noise, count, current and log after compiled ticks have changed `world` (see `world`)."""
         places, words = world[-1].places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)
@@ -282,9 +281,10 @@ class Hardware:
 
 
 def marks_of(model: RigModel) -> dict[str, int]:
-    """Return the positions of index and limit switch in true counts, by the names of the fields of `Wires`.
+    """Return first true count and spacing of the encoder's indices, and true count and direction of the limit switch.
 
-    The switch closes halfway between two indices, before the first index: the recommended position.
+    The keys are fields of `Wires`. The switch closes halfway between two indices, before the first index: the
+    recommended position.
     """
     encoder, reference = model.encoder, model.reference
     # A limit switch half way between two indices leaves the most room to either side.

@@ -46,7 +46,7 @@ class Lockstep(NamedTuple):
     """A compiled device: addresses of its functions and of its memory.
 
     `drive`, `sample`, `receive` and `take` are the addresses of its functions (lockstep.h and host.h of the firmware),
-    `device` and `address` those of the device and of its words; `words` is the shared memory itself.
+    `device` that of the device. It exchanges inputs and outputs with the rig in the array `words`, at `address`.
     """
 
     drive: Int
@@ -64,12 +64,14 @@ class Wires(NamedTuple):
 
     Attributes
     ----------
-    effort_quantum, ampere_per_effort, quantum_a
-        Effort of one quantum of commanded current (N·m or N), current for one unit of effort (A per N·m or N), and size
-        of one quantum of measured current (A).
-    external_effort, slip, leak
-        External effort on the link (N·m or N), encoder count minus true count, and offset of the measured current
-        (quanta).
+    effort_quantum
+        Effort of one quantum of commanded current (N·m or N).
+    ampere_per_effort, quantum_a
+        Current for one unit of effort (A per N·m or N), and size of one quantum of measured current (A).
+    external_effort
+        External effort on the link (N·m or N).
+    slip, leak
+        Encoder count minus true count, and offset of the measured current (quanta).
     index_first, index_counts
         True count of an index of the encoder, and counts between two indices; 0: no index.
     switch_count, switch_way
@@ -95,8 +97,8 @@ Words = NDArray[np.int64] | memoryview
 def sense(words: Words, count: int, wires: Wires) -> None:
     """Update encoder index and limit switch in `words` for the true count `count`.
 
-    An index is one count wide. The device stores the count at the first edge of an index, in either direction of
-    motion.
+    The index pulse of an encoder is one count wide. The device stores the count at the first edge of a pulse, in either
+    direction of motion.
     """
     before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
     words[TRUE_COUNT] = count
@@ -122,7 +124,7 @@ class Supplies(NamedTuple):
     noise
         Noise of the current sensor (A), used from its end; empty for a sensor without noise.
     places
-        Next row of the hand's scripted motion, number of unused noise values, number of rows of true states.
+        Next row of the hand's scripted motion, number of unused noise values, number of recorded true states.
     indices, states
         Buffers for sample indices and true states of a session; empty to record none.
     """

@@ -117,7 +117,7 @@ def flat(kind: type, size: int) -> Any:
 def idle(rules: Ints, now: int) -> None:
     """Set the wanted current to zero and restart the watchdog with its longer time, as after ARM and after STOP.
 
-    `now` is the device time (1/16 µs), `rules` the memory of the limits.
+    `now` is the device time (1/16 µs), `rules` the memory of watchdog, limits and monitors.
     """
     rules[AT.lost] = 0
     feed(rules, now, 0, _IDLE_LIFETIME, 0)
@@ -163,14 +163,14 @@ def warm(heat: Floats, measured: int) -> None:
 
 
 def is_overheated(heat: Floats) -> bool:
-    """Return True if the heat exceeds the budget by the factor `THERMAL_CUT`: reducing the current did not help."""
+    """Return True if the heat is above 1.25 times its budget (`THERMAL_CUT`): reducing the current did not help."""
     return bool(heat[HEAT] > THERMAL_CUT * heat[BUDGET] > 0.0)
 
 
 def configure_heat(heat: Floats, continuous_current: float, time_constant_s: float, rate: float) -> None:
-    """Set budget and lag of the thermal model, for `rate` ticks in a second.
+    """Set the thermal model's heat budget and decay per tick, for `rate` ticks in a second.
 
-    The budget is the square of `continuous_current` (quanta), the lag follows from the winding's time constant (s).
+    The budget is the square of `continuous_current` (quanta), the decay follows from the winding's time constant (s).
     """
     # Only the budget changes: a motor does not cool by being configured. The budget is the steady rise under the
     # continuous current, which is its square in these units.
@@ -277,7 +277,7 @@ def is_in_window(rules: Ints, count: int) -> bool:
 
 
 def _runaway(rules: Ints, current: int, moved: int, stood: bool) -> int:
-    """Return the runaway fault bit if a large effort has lasted too long without encoder motion, else 0.
+    """Return the fault bit of a runaway motor if a large effort has lasted too long without encoder motion, else 0.
 
     `current` is the active current (quanta), `moved` the change of the count in the window of the speed check, and
     `stood` is True if the count stayed on two neighbouring values.
@@ -307,7 +307,7 @@ class Safety:
     Attributes
     ----------
     rules
-        Integers of watchdog, limits and monitors; `AT` names their indices.
+        Integers of watchdog, limits and monitors, at the indices that the named tuple `AT` contains.
     heat
         Thermal model: heat and budget (quanta²), and decay for each tick (a ratio), at `HEAT`, `BUDGET`, `DECAY`.
     counts
@@ -448,7 +448,7 @@ def _gravest(faults: int) -> Fault:
 
 
 def large_effort(model: RigModel, limit: int) -> int:
-    """Return the current (quanta) above which a rig must show motion, times `LARGEST_SHARE`, so that it stays whole.
+    """Return the current (quanta) above which a rig must show motion, times 5 (`LARGEST_SHARE`) to avoid rounding.
 
     `limit` is the parameter `current_limit` (quanta).
     """
@@ -460,8 +460,8 @@ def large_effort(model: RigModel, limit: int) -> int:
 def stall_time(model: RigModel, current: float) -> float:
     """Return the time (s) within which a steady current (quanta) must move a free rig by one encoder edge; ∞ if never.
 
-    The effort minus friction and weight moves the whole inertia by `rig.core.board.STALL_COUNTS`; viscous damping and
-    electrical lag add to the time. Do not use the result with `hold_to_run`: a person may hold the handle still.
+    The effort minus friction and weight moves the whole inertia by two counts; viscous damping and electrical lag add
+    to the time. Do not use the result with `hold_to_run`: a person may hold the handle still.
     """
     m = moved_mechanics(model)
     effort = min(current * m.effort_quantum, m.effort_limit) - m.friction

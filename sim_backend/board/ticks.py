@@ -79,7 +79,7 @@ class DeviceMemory(NamedTuple):
     Attributes
     ----------
     words
-        Sample, times, switches and settings (integers); `lockstep` names the first indices, `OWN` the rest.
+        Sample, times, switches and settings (integers), at the indices in `lockstep` and in the named tuple `OWN`.
     rules, heat, counts, currents
         Memory of limits and monitors: integers, thermal model, counts in the speed window, comparison of currents.
     ring
@@ -178,7 +178,7 @@ def report(board: DeviceMemory) -> bool:
 
 
 def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
-    """Return a COMMAND message's lifetime (1/16 µs): `lifetime_us` (µs), at most the device's parameter for `mode`."""
+    """Return a COMMAND's lifetime (1/16 µs): `lifetime_us` (µs), but at most the device's parameter for its mode."""
     cap = words[OWN.supervise_lifetime] if mode == _SUPERVISE else words[OWN.command_lifetime]
     return int(min(lifetime_us * UNITS_PER_US, cap))
 
@@ -186,8 +186,8 @@ def lifetime_of(words: Ints, mode: int, lifetime_us: int) -> int:
 def is_too_old(board: DeviceMemory, mode: int, lifetime_us: int, to_come: int, answered: int) -> bool:
     """Return True if a COMMAND message came later than its lifetime after the STATE it answers; STOP is never too old.
 
-    `to_come` is the sequence number of the next STATE, `answered` that of the STATE which the COMMAND answers. Before
-    the first STATE a host uses the number of the first.
+    `to_come` is the sequence number of the next STATE, `answered` that of the STATE which the COMMAND answers, or of
+    the first one if the host has received none.
     """
     words = board.words
     # Sequences have 16 bits and wrap after 65 s at 1 kHz, far beyond any lifetime.

@@ -1,9 +1,9 @@
 """Simulate commercial drives: a moteus behind a serial port and an ODrive on a CAN bus, each with the simulated rig.
 
 ``python -m sim_backend.drives moteus --rig koul-rigid`` prints the port that a host opens, and serves it until a signal
-ends the program; `simulated_drive` does the same for a block of Python, in a separate process that ends with the one
-that started it. The tests use both drives through the makers' own libraries, unchanged; each module names the page of
-the maker that it follows.
+ends the program; `simulated_drive` does the same within a ``with`` block, in a child process that ends with its parent.
+The tests use both drives through the makers' own libraries, unchanged; each module names the page of the maker that it
+follows.
 """
 
 import sys

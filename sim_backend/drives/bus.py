@@ -59,7 +59,7 @@ class DriveModel(Protocol):
 
 
 class Splitter(Protocol):
-    """A splitter of a byte stream into units: lines of text, or binary frames."""
+    """A splitter of a byte stream into units: each is a line of text or a binary frame."""
 
     def split(self, data: bytes) -> list[bytes]:
         """Return the units that are complete after `data`, oldest first; store the rest for the next call."""
@@ -74,9 +74,9 @@ class SimulatedAdapter(Protocol):
         ...
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the CAN frame in a unit from the host (None without one), and the adapter's own replies to it."""
+        """Return the CAN frame in a line or binary frame of the host (else None), and the adapter's own replies."""
         ...
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return the units of the byte stream that carry a CAN frame to the host."""
+        """Return the lines or binary frames of the byte stream that carry a CAN frame to the host."""
         ...

@@ -273,7 +273,8 @@ class SimulatedMoteus:
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
         """Return the value of a register, scaled for a frame as the type `kind`.
 
-        Return None if the register cannot be read, or not as this type. `words` is the memory of the drive's law.
+        Return None if the register cannot be read, or not as this type. `words` is the memory of the drive's control
+        law.
         """
         if register in self._numbers:
             return self._numbers[register] if kind == INT32 else None
@@ -284,7 +285,7 @@ class SimulatedMoteus:
         return value if kind == FLOAT else unscale(value, kind, steps)
 
     def _list_computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
-        """Return function and scale of each register, by number, that is computed from several words or is constant."""
+        """Return by register number a function that computes it from the law's memory, and its scale in frames."""
 
         def turns(w: list[float]) -> float:
             rotor = w[W.filtered] / w[W.counts_per_turn]
@@ -508,5 +509,4 @@ _FOLLOWED: dict[int, str] = {
 
 
 def _to_signed(word: int) -> int:
-    """Return an unsigned 32-bit number as the signed number with the same bits."""
     return (word & 0xFFFFFFFF ^ 0x80000000) - 0x80000000

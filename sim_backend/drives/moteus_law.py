@@ -135,7 +135,7 @@ def _limit(w: Words, code: float) -> None:
 
 @kernel(types.void(_V, types.int64), no_refcount=True)
 def _filter(w: Words, count: int) -> None:
-    """Compute position and velocity of the output from the encoder count, by a critically damped second-order loop."""
+    """Compute position and velocity behind the gearbox from the encoder count, by a second-order tracking loop."""
     turned = w[W.sign] * count
     if w[W.snapped] == 0.0:
         w[W.snapped] = 1.0

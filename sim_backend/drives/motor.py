@@ -44,7 +44,7 @@ class Shaft(NamedTuple):
     words
         Memory of the law.
     places
-        Encoder count, row of the hand's scripted motion, ticks left for that row, and slip (counts).
+        Encoder count, row of the hand's scripted motion, ticks left for that row, and slip (count minus true count).
     effort_per_torque
         Effort at the link (N·m) for 1 N·m at the shaft.
     row_ticks

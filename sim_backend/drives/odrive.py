@@ -397,7 +397,7 @@ class SimulatedOdrive:
         known = _PARAMETERS.get(path)
         try:
             if known is None:
-                raise ValueError(f"unknown name {path}")
+                raise ValueError("the ODrive has no parameter with this name")
             kinds: dict[str, Callable[[str], Value]] = {"float": float, "bool": lambda word: bool(int(word))}
             self.values[path] = kinds.get(known[0], int)(text)
         except ValueError as error:

@@ -93,7 +93,7 @@ class DriveSockets:
             Path(self.place).unlink(missing_ok=True)
 
     def read(self, deadline_ns: int) -> bytes:
-        """Return the received frames as units of 72 bytes; wait for one until the deadline (CLOCK_MONOTONIC, ns)."""
+        """Return the received CAN frames, 72 bytes each; wait for one until the deadline (CLOCK_MONOTONIC, ns)."""
         ready = [*self._ends, *([self._listener] if self._listener is not None else [])]
         remaining_s = max(0, deadline_ns - time.monotonic_ns()) * 1e-9
         readable, _, _ = select.select(ready, [], [], remaining_s)
@@ -117,7 +117,7 @@ class DriveSockets:
         return from_wire(message)
 
     def write(self, frames: bytes) -> None:
-        """Send frames (units of 72 bytes) to the hosts on the bus; a host whose buffer is full loses them."""
+        """Send CAN frames (72 bytes each) to the hosts on the bus; a host whose buffer is full loses them."""
         for unit in Frames().split(frames):
             self._send(to_wire(unit), self._ends)
 

@@ -136,7 +136,8 @@ def _adapter(name: str, drive: SimulatedMoteus) -> SimulatedAdapter:
 def simulated_drive(kind: Kind, model: RigModel, **options: Any) -> Iterator[ServedDrive]:
     """Return a context that serves a drive from a new process; the process ends with the context or with this process.
 
-    `options` are those of `serve`. Raise `DeviceNotFoundError` if the process does not start.
+    `options` are keyword arguments of `serve` (faults, settings, place, …). Raise `DeviceNotFoundError` if the process
+    does not start.
     """
     by_hand = f"python -m sim_backend.drives {kind}"
     with start_announced(_child, kind, model, options, name=f"simulated {kind}", by_hand=by_hand) as path:

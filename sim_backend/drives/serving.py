@@ -112,7 +112,6 @@ class Serving:
         return deadline
 
     def _keep_up(self) -> None:
-        """Advance the drive's simulated time to the present."""
         now = self._clock()
         # This process was kept from a processor: the simulated world stood still, so that no watchdog of the drive
         # expires because this computer was late.

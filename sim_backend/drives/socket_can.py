@@ -27,7 +27,7 @@ def pad(data: bytes, padding: int = 0) -> bytes:
 
 
 def from_wire(message: bytes) -> bytes:
-    """Return a message of a CAN socket as a unit of 72 bytes; b"" if the message is not a frame."""
+    """Return a CAN socket's message, a frame of 16 or 72 bytes, extended to 72 bytes; b"" for any other message."""
     # Inside the simulation every frame has 72 bytes, and a flag gives its format: a byte stream without message
     # boundaries could not be split otherwise.
     if len(message) == CLASSIC_BYTES:
@@ -38,15 +38,15 @@ def from_wire(message: bytes) -> bytes:
 
 
 def to_wire(unit: bytes) -> bytes:
-    """Return the message of a CAN socket (16 or 72 bytes) for a unit of 72 bytes."""
+    """Return the message of a CAN socket for a frame of 72 bytes: 16 bytes for classic CAN, 72 for CAN FD."""
     return unit if unit[5] & FD_FORMAT else unit[:CLASSIC_BYTES]
 
 
 class Frames:
-    """A splitter of bytes into units of 72 bytes, one for each CAN frame."""
+    """A splitter of bytes into frames of 72 bytes, one for each CAN frame."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the units of 72 bytes in `data`, which must contain only complete units."""
+        """Return the frames of 72 bytes in `data`, which must contain only complete frames."""
         return [data[at : at + FD_BYTES] for at in range(0, len(data), FD_BYTES)]
 
 
@@ -70,7 +70,7 @@ class SocketCan:
         return Frames()
 
     def open(self, unit: bytes) -> tuple[Frame | None, list[bytes]]:
-        """Return the CAN frame in a unit of 72 bytes, and no reply.
+        """Return the CAN frame in the 72 bytes of `unit`, and no reply.
 
         The frame is None for an error frame, and for a CAN FD frame if the drive accepts only classic CAN.
         """
@@ -84,7 +84,7 @@ class SocketCan:
         return Frame(word & _ID, data, extended=bool(word & EXTENDED), remote=remote), []
 
     def close(self, frame: Frame) -> list[bytes]:
-        """Return a list with the unit of 72 bytes that carries a CAN frame (also an error frame) to the host."""
+        """Return a list with the 72 bytes that carry a CAN frame (also an error frame) to the host."""
         word = frame.identifier
         for flag, holds in ((EXTENDED, frame.extended), (REMOTE, frame.remote), (ERROR, frame.error)):
             word |= flag if holds else 0

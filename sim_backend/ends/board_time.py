@@ -64,14 +64,13 @@ _put, _at = group_at(LoopPort)
 
 @kernel(types.void(types.int64, PORT_TYPE))
 def _keep(line: int, port: LoopPort) -> None:
-    """Store a port in the memory at the address `line`."""
     # To take its five functions apart at each call costs Python most of a tick.
     _put(line, port)
 
 
 @kernel(types.void(PORT_TYPE, _INTS, _BYTES))
 def _flush(port: LoopPort, grid: Any, output: Any) -> None:
-    """Write as many of the bytes that wait in `output` as the port accepts; the next read reports a broken port."""
+    """Write waiting bytes of `output` to the port and keep the rest; a broken port is reported by the next read."""
     sent = port.write(port.handle, np.int64(output.ctypes.data), grid[PENDING])
     if sent > 0:
         for i in range(sent, grid[PENDING]):
@@ -130,9 +129,9 @@ def keep_time(
     """Run ticks and pass bytes until `end_ns` on the port's clock, or until Python code must act; return the reason.
 
     The reason is `AGAIN` (time is up), `ASK` (a buffer is used up, or the device was armed or changed its rate) or
-    `GONE` (the host hung up). `line` is the address where `_keep` stored the port. `grid` is the state between two
-    calls, at the indices `BOOT_NS` to `WAITED`. `output` has `PENDING_BYTES` for bytes that wait to be sent to the
-    host and `OUTPUT_BYTES` behind them for new output; `received` has `RECEIVED_BYTES` for bytes from the host.
+    `GONE` (the host hung up). `line` is the address where `_keep` stored the port. `grid` contains what must survive
+    between two calls, at the indices `BOOT_NS` to `WAITED`. `output` has `PENDING_BYTES` for bytes that wait to be sent
+    to the host and `OUTPUT_BYTES` behind them for new output; `received` has `RECEIVED_BYTES` for bytes from the host.
     """
     words, port = software.words, _at(line)
     while True:
@@ -205,11 +204,11 @@ class TickedDevice(Protocol):
         ...
 
     def compiled(self) -> tuple[Lockstep, World]:
-        """Return the arguments of `lockstep.run_ticks` for the present state of device and rig."""
+        """Return device and rig in their present state as arguments of the compiled function `lockstep.run_ticks`."""
         ...
 
     def passed(self, world: World) -> None:
-        """Update this object after `lockstep.run_ticks` has changed `world`, which `compiled` returned."""
+        """Take over the results of compiled ticks, which have changed `world` (from `compiled`)."""
         ...
 
 

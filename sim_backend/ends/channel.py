@@ -49,7 +49,7 @@ class ScriptedLine:
                 self.send_frame(direction, frame + b"\0", tick)
 
     def receive(self, direction: Direction, tick: int) -> bytes:
-        """Return the bytes that have arrived at the end of a direction by tick `tick`."""
+        """Return the bytes sent in a direction (to the host or to the device) that have arrived by tick `tick`."""
         queue = self._under_way[direction]
         out = b""
         while queue and queue[0][0] <= tick and not self.unplugged:
@@ -78,7 +78,7 @@ class ScriptedLine:
         queue.extend((tick, piece) for piece in pieces + behind)
 
     def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
-        """Return the faults that act on frame `number`, sent at tick `tick`: scripted for its number or its time."""
+        """Return the faults of frame `number`, sent at `tick`: those for this number, and those for ticks so far."""
         waiting = self._waiting[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
         # A fault at a tick strikes the first frame after it, once.

@@ -64,9 +64,9 @@ class FarEnd(NamedTuple):
     Attributes
     ----------
     software, plant, script, wires, supplies
-        First arguments of `sim_backend.board.lockstep.run_ticks`.
+        Device, rig, motion of the hand, signals and buffers for `sim_backend.board.lockstep.run_ticks`.
     progress
-        State of the line, at the indices `STALE` to `MOST`.
+        State of the line (integers), at the indices from `STALE` to `MOST` in this file.
     arrived
         Buffer of bytes for the host: `capacity` bytes, and `OUTPUT_BYTES` behind them for new output.
     capacity
@@ -104,7 +104,7 @@ def put(handle: int, end: FarEnd) -> None:
 
 @kernel(types.int64(types.int64), no_refcount=True)
 def _ready(handle: int) -> int:
-    """Reload the device at the address `handle` if Python code has used it; return 0, or a negative errno."""
+    """Reload the compiled device at the address `handle` if Python code has used the device; return 0 or -errno."""
     end = _at(handle)
     if end.progress[CLOSED] != 0:
         return _BROKEN
@@ -146,7 +146,6 @@ def _pass(handle: int, deadline_ns: int) -> int:
 
 @kernel(types.int64(FAR_END_TYPE), inline=True)
 def _next_ns(end: FarEnd) -> int:
-    """Return the time of the device's next sample on the virtual clock (ns)."""
     return int(end.origin_ns + end.software.words[DUE] * _UNITS_NS // _UNITS)
 
 

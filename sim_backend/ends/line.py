@@ -83,7 +83,7 @@ class Line:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send frames now, or when the host reads; discard them while `PENDING_BYTES` are unread."""
+        """Send frames now, or when the host reads; discard them if more than 8 KiB (`PENDING_BYTES`) are unread."""
         if self._hung_up:
             return
         self._flush()

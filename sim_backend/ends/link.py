@@ -106,11 +106,11 @@ class LinkedDevice(Protocol):
 def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | None = None) -> MemoryLink:
     """Return a link to a new simulated device, at rest and just powered up, for a URL such as ``sim://name?seed=3``.
 
-    Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of the encoder (count,
-    0 ≤ offset < 1) instead of the model's; `incremental` = 1 for an encoder that begins at 0 at any position of the
-    handle; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by which the device's clock runs
-    fast; `sync` = 0.5,0.75 for pulses on the sync input 0.5 s and 0.75 s after power-up; `firmware` = 1 for a device
-    that can run the law: the firmware, compiled for this computer.
+    Options: `seed` of the sensor noise; `initial_position` of the handle (rad or m); `offset` of position zero within
+    its encoder count (0 ≤ offset < 1), instead of the model's; `incremental` = 1 for an encoder that begins at 0 at any
+    position of the handle; `position_rate_default` and `position_rate_maximum` (Hz); `clock_ppm`, by which the device's
+    clock runs fast; `sync` = 0.5,0.75 for pulses on the sync input 0.5 s and 0.75 s after power-up; `firmware` = 1 for
+    a device that can run the law: the firmware, compiled for this computer.
 
     Without the option `firmware` the device runs no law. It is the compiled firmware, whose ticks run no Python, or,
     without a C compiler (or with `firmware` = 0), the device in Python (`sim_backend.board.device`), which sends the
@@ -360,7 +360,6 @@ class MemoryLink:
         self._catch_up()
 
     def _next_tick_ns(self) -> int:
-        """Return the time of the next sample on the link's clock (ns)."""
         return self._link_time(self._device.next_tick_ns)
 
     def _link_time(self, device_ns: int) -> int:
@@ -455,7 +454,6 @@ class MemoryLink:
         self._progress[DISCARDED] += len(data) - len(kept)
 
     def _take_arrived(self, most: int) -> bytes:
-        """Remove and return at most `most` of the bytes that have arrived."""
         waiting = self._progress.item(ARRIVED)
         size = min(most, waiting)
         data = self._arrived[:size].tobytes()

@@ -78,7 +78,7 @@ class RealTime:
         return received, came_at
 
     def _keep_up(self) -> None:
-        """Run the late ticks beyond `CATCH_UP_TICKS` without sending a STATE, and count them."""
+        """Run late ticks without sending a STATE and count them as missed; keep the last four (`CATCH_UP_TICKS`)."""
         device = self.device
         late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
         if late_ns > LONGEST_PAUSE_S * 1e9:

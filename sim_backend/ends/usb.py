@@ -109,7 +109,7 @@ class UsbShape:
 
 
 class UsbPort:
-    """The device's side of the two bulk endpoints, as a `real_time.DevicePort`.
+    """The device's side of the two bulk endpoints: read and write bytes (the interface `real_time.DevicePort`).
 
     `end` is a connected SOCK_SEQPACKET socket, `packet` the largest packet (bytes).
     """
@@ -142,7 +142,7 @@ class UsbPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send frames now, or when the host reads; discard them while `PENDING_BYTES` are unread."""
+        """Send frames now, or when the host reads; discard them if more than 8 KiB (`PENDING_BYTES`) are unread."""
         # As on the wire, packets that the host does not fetch stay with the device: it holds a few and discards what
         # follows, newest first, whole frames only.
         if self.unplugged or len(self._pending) + len(frames) > PENDING_BYTES:

@@ -43,7 +43,7 @@ _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 # One kernel serves all structures, held or not: a plant is first written in the states of the largest, and what a rig
 # does not have moves nothing.
 def expand_states(rig: StateSpace) -> StateSpace:
-    """Return a rig in the states of the largest structure, two masses in a hand; states that it lacks stay zero."""
+    """Return a rig's matrices with the states of two masses in a hand; states that the rig does not have stay zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1
     states = [MOTOR, MOTOR + 1, *(() if rigid else (LINK, LINK + 1)), EFFORT]
     inputs = [COMMAND, EXTERNAL, RUBS_MOTOR, *(() if rigid else (RUBS_LINK,))]
@@ -84,10 +84,10 @@ def _carry(
     g: float,
     goal: float,
 ) -> float:
-    """Return the part of the next value of state number `row` that follows from the present states.
+    """Return what the present states contribute to state number `row` after one integration step.
 
-    `x`, `y`, `h`, `goal` (motor, link, hand, target) are distances from the mass of this row; `v`, `w` and `g` are the
-    velocities of motor, link and hand.
+    `x`, `y`, `h`, `goal` (positions of motor, link, hand and its target) are relative to the mass of this row; `v`, `w`
+    and `g` are the velocities of motor, link and hand.
     """
     hand = phi[row, 5] * h + phi[row, 6] * g + phi[row, 7] * goal
     return float(
@@ -99,7 +99,7 @@ def _carry(
 def _push(
     phi: Matrix, gamma: Matrix, row: int, command: float, external: float, velocity: float, press: float
 ) -> float:
-    """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
+    """Return what the inputs contribute to state number `row` after one integration step; they are constant in a tick.
 
     Inputs are the commanded and external effort (N·m or N), and the hand's intended velocity and pressing effort.
     """
@@ -109,7 +109,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, types.int64, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
-    """Return the contribution of efforts on motor and link (N·m or N) to state number `row` in one inner step."""
+    """Return what efforts on motor and link (N·m or N) contribute to state number `row` after one integration step."""
     return float(gamma[row, RUBS_MOTOR] * motor + gamma[row, RUBS_LINK] * link)
 
 
@@ -117,9 +117,10 @@ def _add_friction(gamma: Matrix, row: int, motor: float, link: float) -> float:
 def advance(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Any, command: float, external: float
 ) -> int:
-    """Move a plant with the states of `expand_states` by one tick; return the encoder count, before its sign.
+    """Move a plant with a cogging motor by one tick; return the encoder count, without the encoder's sign.
 
-    `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
+    `state` has the states of `expand_states`. `command` is the effort that acts in this tick, after delay and limit;
+    `external` acts on the link (N·m or N).
     """
     x, v, y, w, effort = state[0], state[1], state[2], state[3], state[4]  # motor, link, motor effort
     h, g, goal, velocity, press, age = state[5], state[6], state[7], state[8], state[9], state[10]

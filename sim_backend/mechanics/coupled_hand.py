@@ -36,9 +36,9 @@ _FLOAT, _INT, _MATRIX = types.float64, types.int64, types.float64[:, ::1]
 
 @kernel(_INT(types.float64[::1], _INT, _MATRIX, _INT, _INT), inline=True, no_refcount=True)
 def want(state: Any, edge_age: int, script: Any, row: int, again: int) -> int:
-    """Copy row `row` of a hand's scripted motion (`script`) to its part of `state`; return the number of the next row.
+    """Copy row `row` of a hand's scripted motion to its place in `state`; return the number of the next row.
 
-    This part ends before the index `edge_age`. Row `again` follows the last row. An empty script changes nothing.
+    Its place ends before the index `edge_age`. Row `again` follows the last row. An empty script changes nothing.
     """
     if script.shape[0] == 0:
         return 0
@@ -57,7 +57,7 @@ def _push(
     wanted_velocity: float,
     press: float,
 ) -> float:
-    """Return the contribution of the inputs to state number `row` in one inner step; inputs are constant in a tick.
+    """Return what the inputs contribute to state number `row` after one integration step; they are constant in a tick.
 
     Inputs are the commanded and external effort (N·m or N), and the hand's intended velocity and pressing effort.
     """
@@ -68,7 +68,7 @@ def _push(
 
 @kernel(_FLOAT(_MATRIX, _INT, _FLOAT, _FLOAT, _FLOAT, _FLOAT), inline=True, no_refcount=True)
 def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -> float:
-    """Return the contribution of velocities (motor v, link w, hand g) and motor effort to the next state `row`."""
+    """Return what velocities (motor v, link w, hand g) and motor effort contribute to state `row` after one step."""
     return float(phi[row, 1] * v + phi[row, 3] * w + phi[row, 4] * effort + phi[row, 6] * g)
 
 
@@ -76,7 +76,7 @@ def _carry(phi: Matrix, row: int, v: float, w: float, effort: float, g: float) -
 def advance_rigid(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a rigid rig in a hand by one tick; return the encoder count, before its sign.
+    """Move a rigid rig in a hand by one tick; return the encoder count, without the encoder's sign.
 
     `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
     """
@@ -118,7 +118,7 @@ def advance_rigid(
 def advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a rig with two masses in a hand by one tick; return the encoder count, before its sign.
+    """Move a rig with two masses in a hand by one tick; return the encoder count, without the encoder's sign.
 
     `command` is the effort that acts in this tick, after delay and limit; `external` acts on the link (N·m or N).
     """

@@ -30,14 +30,14 @@ PRESS_N = 10.0  # more than a firm grip's press
 
 
 class DrivenHand:
-    """A simulated hand at a rig's handle that follows target positions and pressing forces from outside (a wish).
+    """A simulated hand at a rig's handle that follows commands (position, pressing force) of a program or a mouse.
 
     Parameters
     ----------
     model
         Rig that a person holds; it has an operator and a reach.
     wish
-        Returns the newest wish (`rig.realtime.hand.SharedHand.read`), or None before the first.
+        Returns the newest command (`rig.realtime.hand.SharedHand.read`), or None before the first.
     tell
         Called at the start of each block of ticks with hand position, handle position (rad or m) and handle velocity
         (rad/s or m/s).
@@ -127,9 +127,9 @@ class DrivenHand:
         return rows
 
     def _read_wish(self, hand: float) -> tuple[float, float]:
-        """Return the hand's target position (rad or m) and pressing force (N), limited to what a person can do.
+        """Return the hand's commanded position (rad or m) and pressing force (N), limited to what a person can do.
 
-        Without a new wish for `SILENT_S` (s), the hand stays where it was (`hand`, rad or m) and does not press.
+        Without a new command for `SILENT_S` (1 s), the hand stays where it was (`hand`, rad or m) and does not press.
         """
         wish = self._wish()
         self._silent_s += len(self._times) * self._tick_s

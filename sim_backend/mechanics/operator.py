@@ -31,8 +31,7 @@ class OperatorScript(NamedTuple):
     """The intended motion of a simulated hand: a row per tick with position, velocity and pressing effort at the link.
 
     Units are rad, rad/s and N·m (rotary) or m, m/s and N. After the last row the script continues at row `again`. With
-    an
-    empty script the hand holds still.
+    an empty script the hand holds still.
     """
 
     rows: FloatRows

@@ -57,8 +57,8 @@ RIGID_ORDER, TWO_MASS_ORDER = 3, 5  # states of a rig without a hand
 class PlantArguments(NamedTuple):
     """Arguments of `advance`: the changing state of a plant, and the matrices and indices of its `DiscretePlant`.
 
-    `other` is the compiled function that moves the plant by one tick if a hand holds it or its motor cogs. The function
-    is passed by address, so a program that simulates neither does not compile it.
+    `other` is the function that moves a plant by one tick if a hand holds it or its motor cogs. It is passed by
+    address, so that a program which simulates neither does not compile it.
     """
 
     state: Floats
@@ -148,7 +148,7 @@ class DiscretePlant:
 
     @property
     def commands(self) -> slice:
-        """Return the slice of the state with the commands that do not act yet, oldest first; zero it to cut them."""
+        """Return the slice of the state with the commands that do not act yet, oldest first; zeros cancel them."""
         return slice(self.edge_age + 1, None)
 
     def at_rest(self, position: float) -> Vector:
@@ -304,7 +304,7 @@ def _advance_rigid(
 def _advance_two_mass(
     state: Vector, phi: Matrix, gamma: Matrix, parameters: Vector, command: float, external: float
 ) -> int:
-    """Move a plant with two masses by one tick; return the encoder count, before its sign."""
+    """Move a plant with two masses by one tick; return the encoder count, without the encoder's sign."""
     x, v, y, w = state[0], state[1], state[2], state[3]  # motor and link: position, velocity
     effort, age = state[4], state[5]
     step_s, coulomb_v, coulomb_w = parameters[STEP_S], parameters[COULOMB], parameters[COULOMB_LINK]

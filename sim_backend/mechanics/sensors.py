@@ -17,7 +17,7 @@ CURRENT_QUANTA_LIMIT = 32767.0  # i16 on the wire; symmetric, so that negating a
 
 @kernel(types.int64(types.float64, types.float64, types.float64), inline=True)
 def cell(position: float, resolution: float, offset: float) -> int:
-    """Return the encoder cell that contains a position: floor(position / resolution + offset), before the sign.
+    """Return the encoder cell that contains a position: floor(position / resolution + offset), as yet without a sign.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ class TruthLog:
         self._size = row + 1
 
     def room(self) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-        """Return the log's buffers of sample indices and states, with a free row, and the index of that row."""
+        """Return the log's buffers (sample indices, states) with at least one free row, and that row's index."""
         if self._size == len(self._indices):
             self._indices = np.concatenate([self._indices, np.zeros_like(self._indices)])
             self._states = np.concatenate([self._states, np.zeros_like(self._states)])

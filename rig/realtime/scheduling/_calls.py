@@ -43,7 +43,7 @@ def _call(name: str, *arguments: object) -> int:
 
 
 def lock_all() -> int:
-    """Lock all present and future pages of this process in memory, each from its first use on; return 0 or an errno."""
+    """Lock each page of this process, also a future one, in memory when it is first used; return 0 or an errno."""
     # Without "on fault" the kernel would fill every mapping at once: this doubles the size of a process that has
     # loaded numba, and makes each new thread wait for its whole stack.
     return _call("mlockall", MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
@@ -55,7 +55,7 @@ def unlock_all() -> int:
 
 
 def lock_range(address: int, size: int, *, on_fault: bool) -> int:
-    """Lock `size` bytes from `address` on in memory, with `on_fault` from their first use on; return 0 or an errno."""
+    """Lock `size` bytes at `address` in memory, now or (`on_fault`) each page at first use; return 0 or an errno."""
     flags = MLOCK_ONFAULT if on_fault else 0
     return _call("mlock2", ctypes.c_void_p(address), ctypes.c_size_t(size), ctypes.c_uint(flags))
 

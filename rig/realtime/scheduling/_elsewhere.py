@@ -1,4 +1,4 @@
-"""Replace real-time scheduling outside of Linux: nothing is requested, because real-time laws run on the board."""
+"""Replace `_realtime` on systems other than Linux: no scheduling is requested; real-time laws run on the board."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _MAPPING = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) ")
 
 @dataclass(frozen=True, slots=True)
 class LockedRange:
-    """Range of addresses that was locked in memory before a run; with `on_fault`, each page from its first use on."""
+    """Range of addresses that was locked in memory before a run, at once or (`on_fault`) each page at its first use."""
 
     start: int
     end: int

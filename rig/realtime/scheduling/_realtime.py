@@ -35,9 +35,9 @@ class Realtime:
     Attributes
     ----------
     messages
-        One sentence to print for each refusal, with its remedy. `enter_thread` may add refusals.
+        One sentence to print for each refused request, with its remedy. `enter_thread` may add to them.
     refusals
-        The refusals as failed checks (`rig.core.check.Check`).
+        The refused requests as failed checks (`rig.core.check.Check`).
     """
 
     def __init__(self, host: RealtimeRequest, *, active: bool, virtual: bool = False) -> None:
@@ -59,8 +59,8 @@ class Realtime:
     def report(self) -> dict[str, Any]:
         """Return requested, granted and refused scheduling, and facts of the kernel, as JSON types for a recording.
 
-        The result is empty in virtual time. Before the loop's thread calls `enter_thread`, "obtained" describes what
-        the test thread was granted.
+        The result is empty in virtual time. Before the loop's thread calls `enter_thread`, the entry "obtained"
+        describes a short test thread, for which the same scheduling was requested.
         """
         if self._virtual:
             return {}
@@ -78,7 +78,7 @@ class Realtime:
         }
 
     def ask(self, undo: ExitStack) -> None:
-        """Request all scheduling and store the refusals; add functions that revoke what was granted to `undo`."""
+        """Request scheduling, locked memory and no deep sleep; store refusals; `undo` gets what revokes the rest."""
         self._thread, refused = thread.tried(self._host.priority, self._host.cpu)
         refusal = memory.take()
         if refusal is None:
@@ -121,7 +121,7 @@ class Realtime:
             thread.restore(stack.pop())
 
     def prefault(self, *arrays: NDArray[Any]) -> None:
-        """Load the memory pages of arrays, writable, to avoid page faults in a run; do nothing without a request."""
+        """Load the memory pages of arrays, writable, to avoid page faults in a run, unless ``realtime="off"``."""
         if not self._active:
             return
         for array in arrays:
@@ -157,8 +157,8 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
     Raises
     ------
     RealtimeError
-        ``realtime = "enforce"`` is set and the system refuses a part. The message names all refusals; nothing is
-        changed.
+        ``realtime = "enforce"`` is set and the system refuses one of the requests. The message names all refusals;
+        nothing is changed.
     """
     realtime = Realtime(host, active=not virtual and host.realtime != "off", virtual=virtual)
     with ExitStack() as undo:

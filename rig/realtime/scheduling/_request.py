@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class RealtimeRequest(Protocol):
-    """Interface of a request for real-time scheduling; `rig.config._sections.Host` explains the fields."""
+    """Interface of a request for real-time scheduling: how strictly, at which priority, on which processor."""
 
     @property
     def realtime(self) -> str:

@@ -62,7 +62,7 @@ class ThreadState:
 
 
 def raise_thread(priority: int, cpu: int | None) -> list[Check]:
-    """Request SCHED_FIFO with a priority (1 to 99) and a processor for the calling thread; return the refusals.
+    """Request SCHED_FIFO with a priority (1 to 99) and a processor for the calling thread; return what was refused.
 
     If SCHED_FIFO is refused, the thread gets the shortest timer slack and time slice instead, which need no rights.
     With `cpu` None the thread may run on any processor.
@@ -85,7 +85,7 @@ def raise_thread(priority: int, cpu: int | None) -> list[Check]:
 
 
 def restore(before: ThreadState) -> None:
-    """Restore the scheduling that the calling thread had at an earlier time (`ThreadState.here`)."""
+    """Restore scheduling policy, processors and timer slack of the calling thread as `before` describes them."""
     parameter = os.sched_param(before.priority)
     try:
         os.sched_setscheduler(0, before.policy, parameter)
@@ -100,14 +100,14 @@ def restore(before: ThreadState) -> None:
 
 
 def touch_stack() -> None:
-    """Load `STACK_BYTES` of the calling thread's stack into memory: the depth that the loop needs."""
+    """Load `STACK_BYTES` (512 KiB) of the calling thread's stack into memory: the depth that the loop needs."""
     top = calls.stack_top()
     if top and threading.current_thread() is not threading.main_thread():  # whose stack grows by itself
         calls.touch(top - STACK_BYTES, STACK_BYTES)
 
 
 def tried(priority: int, cpu: int | None) -> tuple[ThreadState, list[Check]]:
-    """Request SCHED_FIFO and a processor for a short test thread; return the thread's scheduling and the refusals."""
+    """Request SCHED_FIFO and a processor for a short test thread; return what it was granted and what was refused."""
     outcome: list[tuple[ThreadState, list[Check]]] = []
 
     def body() -> None:

@@ -47,7 +47,6 @@ def preemption(root: Path = ROOT) -> str:
 
 
 def _dynamic_mode(root: Path) -> str:
-    """Return the mode of a PREEMPT_DYNAMIC kernel, such as "voluntary"; "" if unknown."""
     chosen = re.search(r"\((\w+)\)", text_of(root / "sys/kernel/debug/sched/preempt"))
     chosen = chosen or re.search(r"\bpreempt=(\w+)", text_of(root / "proc/cmdline"))
     return chosen[1] if chosen else _built_mode(root)
@@ -66,7 +65,7 @@ def _built_mode(root: Path) -> str:
 
 
 def rt_runtime_us(root: Path = ROOT) -> int | None:
-    """Return the time (µs) that real-time tasks may run per `rt_period_us`; -1 without limit, None if unknown."""
+    """Return how long (µs) real-time tasks may run in each `rt_period_us`; -1 without a limit, None if unknown."""
     return number_of(root / "proc/sys/kernel/sched_rt_runtime_us")
 
 
@@ -126,7 +125,7 @@ def status_kilobytes(name: str, root: Path = ROOT) -> int:
 
 
 def describe_scheduling(cpu: int | None, root: Path = ROOT) -> dict[str, Any]:
-    """Return the kernel's facts about scheduling as JSON types for a recording; `cpu` None means any processor."""
+    """Return the kernel's facts about scheduling on processor `cpu` (None: any) as JSON types for a recording."""
     chosen = governors(root)
     of_cpu = [chosen[cpu]] if cpu in chosen else sorted(set(chosen.values()))
     return {

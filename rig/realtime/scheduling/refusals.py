@@ -1,4 +1,4 @@
-"""Explain why the kernel refused real-time scheduling, as checks with reason and command that grants the right.
+"""Explain why the kernel refused real-time scheduling: failed checks with reason and the command that grants it.
 
 Scheduling and `rig.doctor` report these checks (`rig.core.check`). This file must not run the commands.
 """
@@ -46,7 +46,7 @@ def _refused(name: str, text: str, remedy: str = "") -> Check:
 
 
 def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> Check:
-    """Return a check that explains why SCHED_FIFO at `priority` (1 to 99) was refused; `number` is the errno."""
+    """Return a failed check that explains why SCHED_FIFO at `priority` (1 to 99) was refused; `number` is the errno."""
     what = f"SCHED_FIFO {priority} is refused"
     if not rights.may_schedule(priority):
         text = f"{what}: the limit of real-time priorities is {rights.priority_limit}"
@@ -60,7 +60,7 @@ def of_policy(priority: int, rights: Rights, number: int, root: Path = ROOT) -> 
 
 
 def group_refusal(priority: int, root: Path = ROOT) -> Check | None:
-    """Return a check that this process's control group forbids real-time priorities; None if it allows them."""
+    """Return a failed check if this process's control group forbids real-time priorities; None if it allows them."""
     group = real_time_group(root)
     if group is None or (rt_runtime_us(root) or 0) < 0:
         return None
@@ -109,7 +109,7 @@ def of_processor(cpu: int, number: int, root: Path = ROOT) -> Check:
 
 
 def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
-    """Return a check that explains why memory is not locked; `number` is the errno, 0 if the limit is too low."""
+    """Return a failed check that explains why memory is not locked; `number` is the errno, 0: the limit is too low."""
     if rights.locked_limit is not None and (number in (0, errno.ENOMEM, errno.EPERM)):
         size = status_kilobytes("VmSize", root) // 1024
         limit = rights.locked_limit // _MIB
@@ -119,7 +119,7 @@ def of_memory(rights: Rights, number: int = 0, root: Path = ROOT) -> Check:
 
 
 def of_idle(number: int, root: Path = ROOT) -> Check | None:
-    """Return a check that explains why processors sleep deeply (`number`: errno); None if they have no deep sleep."""
+    """Return a failed check that explains why processors sleep deeply (`number`: errno); None if they cannot."""
     if number == errno.ENOENT:
         if not idle_driver(root):
             return None
