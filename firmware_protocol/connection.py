@@ -213,10 +213,8 @@ class Connection:
     def next_event(self) -> Event | None:
         """Return the next event, or None if the received bytes contain no further event.
 
-        Raises
-        ------
-        IncompatibleMajorError
-            Host only: the device uses another major version. The frame is dropped; the connection stays usable.
+        On the host, raise `IncompatibleMajorError` if the device uses another major version: the frame is dropped, and
+        the connection stays usable.
         """
         while self._frames:
             event = self._event(self._frames.popleft())
@@ -342,6 +340,9 @@ class Connection:
     def send(self, message: Message, *, session: int | None = None) -> bytes:
         """Return the frame of a message, ready to be written to the link.
 
+        Raise `LocalProtocolError` if only the other role sends this message, the state forbids it, or a value does not
+        fit its field; the connection is then unchanged.
+
         Parameters
         ----------
         message
@@ -349,12 +350,6 @@ class Connection:
         session
             Required for ARM and forbidden for all other messages: number of the new session, 1 … 255, not the last one
             used.
-
-        Raises
-        ------
-        LocalProtocolError
-            Only the other role sends this message, the state forbids it, or a value does not fit its field.
-            The connection is unchanged in this case.
         """
         layout = LAYOUT_OF[type(message)]
         type_id = layout.type_id

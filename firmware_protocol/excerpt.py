@@ -38,6 +38,8 @@ class _Piece:
 def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
     """Return the C text of the declarations of the names in `wanted` and of all names that these declarations use.
 
+    Raise `KeyError` if no source defines one of the names in `wanted`.
+
     Parameters
     ----------
     sources
@@ -46,11 +48,6 @@ def excerpt(sources: Iterable[Path], wanted: Iterable[str], prefix: str) -> str:
         Names of the C functions or types to export.
     prefix
         Prefix of every name in the result: ``kalman`` turns ``law_biquad_run`` into ``kalman_biquad_run``.
-
-    Raises
-    ------
-    KeyError
-        No source defines one of the names in `wanted`.
     """
     pieces = [piece for path in sources for piece in _split_declarations(path.read_text(encoding="utf-8"))]
     where = {name: piece for piece in pieces for name in piece.names}

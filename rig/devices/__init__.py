@@ -124,6 +124,9 @@ def loaded(target: str, scheme: str = "sim") -> Any:
 def open_link(url: str, model: RigModel | None = None) -> Link:
     """Open the device at a URL and return the link (byte stream) to it.
 
+    Raise `ConfigError` if the scheme or an option is unknown, and `DeviceNotFoundError` if the port does not exist, may
+    not be opened, or is in use by another program.
+
     Parameters
     ----------
     url
@@ -131,13 +134,6 @@ def open_link(url: str, model: RigModel | None = None) -> Link:
     model
         Physics of the rig, for a backend that simulates the rig or is built from it (`is_made_for_a_rig`). A preset
         named in the URL (``sim://koul-compliant``) takes precedence.
-
-    Raises
-    ------
-    ConfigError
-        The scheme is unknown, or the backend does not support an option.
-    DeviceNotFoundError
-        The port does not exist, may not be opened, or is in use by another program.
     """
     parsed = DeviceUrl.parse(url)
     try:

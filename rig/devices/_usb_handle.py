@@ -87,10 +87,7 @@ class Handle:
 class UsbBus:
     """All USB devices that are connected now, in their own libusb context. Close the bus after its devices.
 
-    Raises
-    ------
-    DeviceNotFoundError
-        libusb is not installed.
+    Raise `DeviceNotFoundError` if libusb is not installed.
     """
 
     def __init__(self) -> None:

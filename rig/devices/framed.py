@@ -119,12 +119,8 @@ class FramedDevice:
     def identify(self) -> dictionaries.Dictionary:
         """Read the device's dictionary; if this process has read the same dictionary before, request only its hash.
 
-        Raises
-        ------
-        LinkLostError
-            The device does not reply.
-        IncompatibleDeviceError
-            The device has another major version of the protocol, or its reply is invalid.
+        Raise `LinkLostError` if the device does not reply, and `IncompatibleDeviceError` if the device has another
+        major version of the protocol, or its reply is invalid.
         """
         reader = PageReader(DICTIONARY_LIMIT)
         while not reader.complete:

@@ -125,6 +125,8 @@ def open_for_run(
 ) -> Iterator[FramedDevice]:
     """Open a device within this context; for a run in real time, a simulated device runs in its own process.
 
+    Raise `RigError` if the device cannot be opened, or the process of a simulated device does not start.
+
     Parameters
     ----------
     url
@@ -137,11 +139,6 @@ def open_for_run(
         Seed of the simulation.
     realtime
         ``host.realtime`` of the experiment; with "off" the process requests no real-time scheduling.
-
-    Raises
-    ------
-    RigError
-        The device cannot be opened, or the process of a simulated device does not start.
     """
     with ExitStack() as stack:
         if in_real_time and url.startswith("sim:"):

@@ -166,10 +166,7 @@ def names() -> list[str]:
 def load(name: str) -> Board:
     """Return a board of this package by its name, or the board whose ``board.toml`` is in the directory `name`.
 
-    Raises
-    ------
-    ConfigError
-        The name is unknown, or its ``board.toml`` is not valid; the message lists each wrong key.
+    Raise `ConfigError` if the name is unknown, or its ``board.toml`` is not valid; the message lists each wrong key.
     """
     own, processor = Path(name), ""
     if not (own / BOARD_FILE).is_file():
@@ -209,10 +206,8 @@ def _read(path: Path) -> BoardFile:
 def settings_of(board: Board, chosen: Mapping[str, Any]) -> dict[str, SettingValue]:
     """Return the value of each setting of a board by name: from `chosen`, else the board's default.
 
-    Raises
-    ------
-    ConfigError
-        The board does not have a chosen setting, a value is out of range, or two settings use the same pin.
+    Raise `ConfigError` if the board does not have a chosen setting, a value is out of range, or two settings use the
+    same pin.
     """
     for name in chosen:
         if name not in board.settings:

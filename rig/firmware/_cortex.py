@@ -80,6 +80,8 @@ def build(
 ) -> Image:
     """Compile and link C sources for a processor core.
 
+    Raise `ToolchainError` if the compiler is missing or rejects the sources.
+
     Parameters
     ----------
     core
@@ -90,11 +92,6 @@ def build(
         Source files, and the names of functions that the linker must keep because the simulator calls them.
     *more
         Further compiler options, such as include paths or another optimisation.
-
-    Raises
-    ------
-    ToolchainError
-        The compiler is missing or rejects the sources.
     """
     compiler = find_compiler()
     elf, raw = directory / "image.elf", directory / "image.bin"

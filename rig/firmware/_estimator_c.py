@@ -97,10 +97,8 @@ class EstimatorC:
 def estimator_c(prepared: Prepared) -> EstimatorC:
     """Return a designed estimator as C code.
 
-    Raises
-    ------
-    ConfigError
-        The firmware has no such estimator, or does not support these settings of it; the message gives the reason.
+    Raise `ConfigError` if the firmware has no such estimator, or does not support these settings of it; the message
+    gives the reason.
     """
     name = prepared.estimator.name
     try:

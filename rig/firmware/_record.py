@@ -83,10 +83,7 @@ def pack(record: Record) -> bytes:
 def find(image: bytes, name: str) -> Record:
     """Return the record in the bytes of a firmware image; `name` is the file's name for messages.
 
-    Raises
-    ------
-    ConfigError
-        The image contains no record, or its record is damaged.
+    Raise `ConfigError` if the image contains no record, or its record is damaged.
     """
     damaged = False
     at = image.find(MAGIC)

@@ -66,17 +66,14 @@ def set_point_step_a(model: RigModel, settings: Mapping[str, SettingValue]) -> f
 def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingValue]) -> float | None:
     """Check that a board can output and measure the rig's currents; return one step of the set-point (A).
 
+    Raise `ConfigError` if a setting does not fit the rig or its amplifier; the message has both numbers and the remedy.
+
     Parameters
     ----------
     board, model
         The board, and the rig with the name of its amplifier's profile.
     settings
         All settings of the board. A board without an output for set-points is not checked, and the result is None.
-
-    Raises
-    ------
-    ConfigError
-        A setting does not fit the rig or its amplifier; the message has both numbers and the remedy.
     """
     if (step := set_point_step_a(model, settings)) is None:
         return None

@@ -112,6 +112,9 @@ def selftest(
 ) -> SelfTest:
     """Run all checks of the self test on a connected device, and return their results.
 
+    Raise `LinkLostError` if the device does not reply, and `IncompatibleDeviceError` if it has another version of the
+    protocol.
+
     Parameters
     ----------
     device
@@ -120,11 +123,6 @@ def selftest(
         Parameters of the test.
     on_progress
         Called with the name of the current check and the completed share of the test, 0 … 1.
-
-    Raises
-    ------
-    LinkLostError, IncompatibleDeviceError
-        The device does not reply, or it has another version of the protocol.
     """
     dictionary = device.dictionary
     steps: dict[str, Step] = {

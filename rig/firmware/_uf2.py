@@ -78,10 +78,8 @@ def write_uf2(pieces: Iterable[Piece], family: int) -> bytes:
 def read_uf2(content: bytes, name: str) -> Uf2:
     """Return the program in the bytes of a UF2 file; `name` is the file's name for messages.
 
-    Raises
-    ------
-    ConfigError
-        The file is not a UF2 file, is damaged (a magic number or a block is missing), or is for two processor families.
+    Raise `ConfigError` if the file is not a UF2 file, is damaged (a magic number or a block is missing), or is for two
+    processor families.
     """
     if not content or len(content) % BLOCK_BYTES:
         raise _damage_error(

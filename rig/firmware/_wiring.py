@@ -59,10 +59,7 @@ class Wiring:
 def wiring(board: Board, settings: Mapping[str, SettingValue]) -> Wiring:
     """Return the wiring of a board's reference rig, with the pin numbers in `settings`.
 
-    Raises
-    ------
-    ConfigError
-        The board has no netlist, or the netlist names a setting that the board does not have.
+    Raise `ConfigError` if the board has no netlist, or the netlist names a setting that the board does not have.
     """
     path = board.directory / WIRING_FILE
     if not path.is_file():

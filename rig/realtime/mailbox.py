@@ -222,15 +222,12 @@ class Mailbox:
     def post(self, message: bytes) -> int:
         """Post a message of at most `MOST_BYTES` bytes; it replaces a message that the loop has not read yet.
 
+        Raise `RigError` if another process holds the lock of the mailbox and does not release it.
+
         Returns
         -------
         int
             Number of the message, 1 for the first message of this mailbox.
-
-        Raises
-        ------
-        RigError
-            Another process holds the lock of the mailbox and does not release it.
         """
         with self.alone():
             return self.post_alone(message)

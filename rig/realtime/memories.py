@@ -28,6 +28,8 @@ else:
 class LoopMemory:
     """The control words (64-bit words in shared memory) of a running loop; a context manager that closes them.
 
+    Raise `OSError` if the process has ended or belongs to another user, or the file is not the memory of a loop.
+
     Attributes
     ----------
     pid
@@ -38,11 +40,6 @@ class LoopMemory:
         Path by which this process can open the memory again, also after the other process has ended.
     ran
         True if the loop was still running when `ask_to_stop` was called.
-
-    Raises
-    ------
-    OSError
-        The process has ended or belongs to another user, or the file is not the memory of a loop.
     """
 
     def __init__(self, pid: int, path: str) -> None:

@@ -88,6 +88,8 @@ class Ring:
     def allocate(cls, capacity: int, *, info: Mapping[str, Any] | None = None, shared: bool = False) -> Ring:
         """Return the zeroed memory of a new loop.
 
+        Raise `RigError` if the description is longer than `INFO_BYTES` (64 KiB), or not enough memory is available.
+
         Parameters
         ----------
         capacity
@@ -96,11 +98,6 @@ class Ring:
             Description of the run for other processes, of JSON types.
         shared
             True: other processes of this user can find and open the memory.
-
-        Raises
-        ------
-        RigError
-            The description is longer than `INFO_BYTES`, or not enough memory is available.
         """
         from rig.realtime.mailbox import clear  # noqa: PLC0415  (numba only when a loop is built)
 
@@ -120,14 +117,9 @@ class Ring:
     def attach(cls, path: str, *, writable: bool = True) -> Ring:
         """Open the memory of a loop in another process; read-only if `writable` is False.
 
-        `path` is the attribute ``path`` or ``held`` of `rig.realtime.memories.LoopMemory`.
-
-        Raises
-        ------
-        OSError
-            The process has ended, or belongs to another user.
-        RigError
-            The file is not the memory of a running loop, or is not complete yet.
+        `path` is the attribute ``path`` or ``held`` of `rig.realtime.memories.LoopMemory`. Raise `OSError` if the
+        process has ended, or belongs to another user, and `RigError` if the file is not the memory of a running loop,
+        or is not complete yet.
         """
         descriptor = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
         try:

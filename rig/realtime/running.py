@@ -100,7 +100,8 @@ def stop(
 ) -> list[StoppedLoop]:
     """Stop the running loops of a process, or all running loops of this user, and wait until they have ended.
 
-    Each loop sets its effort to zero within one tick.
+    Each loop sets its effort to zero within one tick. Raise `ConfigError` if the process `pid` runs no loop, or belongs
+    to another user.
 
     Parameters
     ----------
@@ -115,11 +116,6 @@ def stop(
     -------
     list
         The loops that were running; empty if no loop was running.
-
-    Raises
-    ------
-    ConfigError
-        The process `pid` runs no loop, or belongs to another user.
     """
     with ExitStack() as stack:
         found: list[tuple[RunningLoop, Ring]] = []
@@ -200,12 +196,8 @@ def the_loop(pid: int | None = None) -> RunningLoop:
 def open_loop(loop: RunningLoop) -> Iterator[Ring]:
     """Open the shared memory of a running loop within this context.
 
-    Raises
-    ------
-    RunEndedError
-        The loop has ended since it was found.
-    RigError
-        The loop was started by a version of this package with another memory layout.
+    Raise `RunEndedError` if the loop has ended since it was found, and `RigError` if the loop was started by a version
+    of this package with another memory layout.
     """
     if loop.version != LAYOUT_VERSION:
         raise RigError(

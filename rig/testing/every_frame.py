@@ -24,6 +24,7 @@ def with_every_frame(
     The test runs once without a fault, then once for each kind of fault and each frame of its run. Frames with pages of
     the device's dictionary are left out, because a process reads them only once. Fixtures are created once for all
     runs. The error is that of the first run that failed, with a note on the frame and on the number of failed runs.
+    Raise `ConfigError` if the kind or the direction is unknown.
 
     Parameters
     ----------
@@ -35,11 +36,6 @@ def with_every_frame(
         Kinds of faults of `rig.testing.FaultWords.link`; empty for all kinds.
     to
         Receiver of the frames: ``host`` or ``device``; None for both.
-
-    Raises
-    ------
-    ConfigError
-        The kind or the direction is unknown.
     """
     chosen = [kind_of(word) for word in kinds or KINDS]
     ways = [direction_of(word) for word in ([to] if to else DIRECTIONS)]

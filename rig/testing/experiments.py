@@ -40,17 +40,14 @@ class Experiments:
     def __call__(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
         """Return the experiment of a preset, a file or an object, with changed values.
 
+        Raise `ConfigError` if the source or a change is not valid.
+
         Parameters
         ----------
         source
             A preset's name, a path that ends in .toml, an experiment, or None for the test's default experiment.
         changes
             New values by dotted key, like ``{"wall.stiffness": 400.0}``.
-
-        Raises
-        ------
-        ConfigError
-            The source or a change is not valid.
         """
         experiment = self._load(self._default if source is None else source)
         return config.override(experiment, changes, "the test") if changes else experiment

@@ -41,6 +41,9 @@ class FaultWords:
     ) -> None:
         """Add a fault of one frame to the script.
 
+        Raise `ConfigError` if the kind or the direction is unknown, or `frame` and `tick` are both given or both
+        missing.
+
         Parameters
         ----------
         kind
@@ -52,11 +55,6 @@ class FaultWords:
         frame, tick
             Either the number of the frame in its direction, from 0; or a tick of the device: the first frame from this
             tick on is faulty.
-
-        Raises
-        ------
-        ConfigError
-            The kind or the direction is unknown, or `frame` and `tick` are both given or both missing.
         """
         if (frame is None) == (tick is None):
             raise ConfigError(

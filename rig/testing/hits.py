@@ -218,6 +218,8 @@ class Hits:
     ) -> Hit:
         """Drive the handle against the wall once and return the result.
 
+        Raise `RigError` if the run is refused, or it ended early although it may not.
+
         Parameters
         ----------
         source
@@ -232,11 +234,6 @@ class Hits:
             with scripted faults may always end early.
         device
             Open device to use (fixture ``rig_device``); it must not be combined with scripted faults.
-
-        Raises
-        ------
-        RigError
-            The run is refused, or it ended early although it may not.
         """
         experiment = self._experiments(source)
         once: dict[str, Any] = {**(changes or {}), "trial.repeats": 1}

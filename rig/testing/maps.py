@@ -35,6 +35,8 @@ class Maps:
     ) -> ZWidth:
         """Return a map of the walls (stiffness, damping) that are stable.
 
+        Raise `RigError` if a run is refused or fails. On a real rig a person must agree to each hit in the terminal.
+
         Parameters
         ----------
         source, changes
@@ -47,11 +49,6 @@ class Maps:
             Lowest and highest stiffness (N·m/rad or N/m), and ratio of neighbouring stiffnesses.
         repeats
             How often the largest stable stiffness is determined at each damping, each time by hits at rising stiffness.
-
-        Raises
-        ------
-        RigError
-            A run is refused or fails. On a real rig a person must agree to each hit in the terminal.
         """
         plan = self._plan(
             self._experiments(source, changes), schemes, dampings, lowest, highest, ratio, repeats

@@ -83,6 +83,8 @@ class DeviceWord:
 class SimulatedDevice:
     """A simulated device in Python with its rig, behind the wire protocol.
 
+    Raise `ConfigError` if the default rate is above the maximum, or the model cannot be simulated at this rate.
+
     Parameters
     ----------
     model
@@ -116,11 +118,6 @@ class SimulatedDevice:
         Longest tick since arming (1/16 µs); the caller measures it.
     missed_ticks
         Number of ticks since arming without a STATE message; the caller counts them.
-
-    Raises
-    ------
-    ConfigError
-        The default rate is above the maximum, or the model cannot be simulated at this rate.
     """
 
     sample_index, time, inputs, sync = (

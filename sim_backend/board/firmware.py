@@ -120,6 +120,9 @@ class Core:
 class FirmwareDevice:
     """A simulated device that consists of the firmware, compiled for this computer, and a simulated rig.
 
+    Raise `ConfigError` if the default rate is outside 1 Hz to the maximum, the model cannot be simulated at that rate,
+    or the firmware cannot be compiled.
+
     Parameters
     ----------
     model, name, position_rate_maximum, position_rate_default, seed, initial_position, keep_truth
@@ -140,12 +143,6 @@ class FirmwareDevice:
         Active `Input` bits.
     time
         Device time of the last sample (1/16 µs since boot).
-
-    Raises
-    ------
-    ConfigError
-        The default rate is outside 1 Hz to the maximum, the model cannot be simulated at that rate, or the firmware
-        cannot be compiled.
     """
 
     def __init__(

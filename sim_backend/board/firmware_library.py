@@ -107,9 +107,6 @@ def load(path: Path) -> ctypes.CDLL:
 def library() -> ctypes.CDLL:
     """Return the firmware's compiled library; compile it first if necessary.
 
-    Raises
-    ------
-    ConfigError
-        The C compiler is missing or fails, or the compiled library cannot be opened.
+    Raise `ConfigError` if the C compiler is missing or fails, or the compiled library cannot be opened.
     """
     return FIRMWARE.opened(CACHE_DIRECTORY, load)

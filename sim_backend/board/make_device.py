@@ -19,6 +19,8 @@ def make_device(
 ) -> tuple[SimulatedDevice | FirmwareDevice, tuple[str, ...]]:
     """Return the device that simulates a rig, and messages about its restrictions, each with a remedy.
 
+    Raise `ConfigError` if an argument is out of range, or `firmware` is True and the firmware cannot be compiled.
+
     Parameters
     ----------
     model
@@ -28,11 +30,6 @@ def make_device(
         or the device in Python if this computer cannot compile the firmware.
     options
         Further arguments of `SimulatedDevice`.
-
-    Raises
-    ------
-    ConfigError
-        An argument is out of range, or `firmware` is True and the firmware cannot be compiled.
     """
     if firmware is False:
         return SimulatedDevice(model, **options), ()

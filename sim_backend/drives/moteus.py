@@ -106,17 +106,14 @@ class MoteusOptions:
 class SimulatedMoteus:
     """A simulated moteus with its rig, as a `sim_backend.drives.bus.DriveModel`.
 
+    Raise `ConfigError` if the rig is linear, or a setting does not exist on the simulated moteus.
+
     Parameters
     ----------
     model
         Rig to simulate. The drive reads its encoder and has the current loop and torque constant of its amplifier.
     options
         State of the drive at power-up.
-
-    Raises
-    ------
-    ConfigError
-        The rig is linear, or a setting does not exist on the simulated moteus.
     """
 
     rate_hz = RATE_HZ

@@ -98,6 +98,8 @@ def run(handle: int, ticks: int) -> None:
 class Motor:
     """A rig at the shaft of a drive, at rest at the start; a person holds the handle if the model has an operator.
 
+    Raise `ConfigError` if the rig is linear, so its encoder has no turns.
+
     Parameters
     ----------
     model
@@ -113,11 +115,6 @@ class Motor:
         Encoder counts in one turn of the shaft.
     effort_per_torque
         Effort at the link (N·m) for 1 N·m at the shaft.
-
-    Raises
-    ------
-    ConfigError
-        The rig is linear, so its encoder has no turns.
     """
 
     def __init__(self, model: RigModel, rate_hz: int, law: Any, words: Words) -> None:

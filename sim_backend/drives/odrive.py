@@ -127,6 +127,8 @@ class OdriveOptions:
 class SimulatedOdrive:
     """A simulated, calibrated ODrive with its rig, as a `sim_backend.drives.bus.DriveModel`.
 
+    Raise `ConfigError` if the rig is linear, or a setting is not simulated.
+
     Parameters
     ----------
     model
@@ -134,11 +136,6 @@ class SimulatedOdrive:
         its encoder is the absolute one on the board, otherwise an incremental one.
     options
         State of the drive at power-up.
-
-    Raises
-    ------
-    ConfigError
-        The rig is linear, or a setting is not simulated.
     """
 
     rate_hz = RATE_HZ

@@ -54,6 +54,9 @@ def serve(
 ) -> None:
     """Serve a simulated drive until it is stopped.
 
+    Raise `ConfigError` if the rig does not fit the drive, a setting, fault or adapter does not exist, or an ODrive has
+    no bus.
+
     Parameters
     ----------
     kind
@@ -79,11 +82,6 @@ def serve(
         Ends the run when it is set; in the main thread SIGINT and SIGTERM end it too.
     duration_s
         Ends the run after this time (s).
-
-    Raises
-    ------
-    ConfigError
-        The rig does not fit the drive, a setting, fault or adapter does not exist, or an ODrive has no bus.
     """
     script, stop = DriveScript.of(faults), stop or threading.Event()
     drive: DriveModel

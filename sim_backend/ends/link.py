@@ -114,12 +114,8 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
 
     Without the option `firmware` the device runs no law. It is the compiled firmware, whose ticks run no Python, or,
     without a C compiler (or with `firmware` = 0), the device in Python (`sim_backend.board.device`), which sends the
-    same bytes and is slower. With scripted faults (`faults`) all bytes pass through Python.
-
-    Raises
-    ------
-    ConfigError
-        The model is missing, an option is unknown or out of range, or the firmware cannot be compiled.
+    same bytes and is slower. With scripted faults (`faults`) all bytes pass through Python. Raise `ConfigError` if the
+    model is missing, an option is unknown or out of range, or the firmware cannot be compiled.
     """
     if model is None:
         raise ConfigError(

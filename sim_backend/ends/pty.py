@@ -50,6 +50,9 @@ def serve(
 ) -> None:
     """Run a simulated rig behind a port until it is stopped.
 
+    Raise `ConfigError` if the rate is out of range, `link_path` exists and is not a symbolic link, the firmware cannot
+    be compiled, the file `hand` does not exist, or no person holds the rig's handle.
+
     Parameters
     ----------
     model
@@ -79,12 +82,6 @@ def serve(
     Notes
     -----
     In the main thread, SIGINT (Ctrl-C) and SIGTERM also end the run, cleanly.
-
-    Raises
-    ------
-    ConfigError
-        The rate is out of range, `link_path` exists and is not a symbolic link, the firmware cannot be compiled, the
-        file `hand` does not exist, or no person holds the rig's handle.
     """
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
     if not 50 <= rate <= maximum:

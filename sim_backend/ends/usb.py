@@ -173,6 +173,9 @@ def serve(
 ) -> None:
     """Run a simulated rig behind the bulk endpoints until it is stopped.
 
+    Raise `ConfigError` if the rate is outside 50 Hz to `POSITION_RATE_MAXIMUM` (Hz), which a process in Python can
+    keep.
+
     Parameters
     ----------
     model
@@ -189,11 +192,6 @@ def serve(
         Ends the run when it is set.
     duration_s
         Ends the run after this time (s).
-
-    Raises
-    ------
-    ConfigError
-        The rate is outside 50 Hz to `POSITION_RATE_MAXIMUM`, which a process in Python can keep.
     """
     if not 50 <= rate <= POSITION_RATE_MAXIMUM:
         raise ConfigError(

@@ -32,6 +32,8 @@ PRESS_N = 10.0  # more than a firm grip's press
 class DrivenHand:
     """A simulated hand at a rig's handle that follows commands (position, pressing force) of a program or a mouse.
 
+    Raise `ConfigError` if no person holds the rig's handle.
+
     Parameters
     ----------
     model
@@ -41,11 +43,6 @@ class DrivenHand:
     tell
         Called at the start of each block of ticks with hand position, handle position (rad or m) and handle velocity
         (rad/s or m/s).
-
-    Raises
-    ------
-    ConfigError
-        No person holds the rig's handle.
     """
 
     def __init__(

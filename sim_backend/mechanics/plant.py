@@ -110,10 +110,8 @@ class DiscretePlant:
     def build(cls, model: RigModel, tick_s: float) -> DiscretePlant:
         """Return a rig discretised for ticks of `tick_s` seconds. Results are cached: do not write to the arrays.
 
-        Raises
-        ------
-        ConfigError
-            The tick is not above zero, or the inner step is too long for the vibration mode of the capstan.
+        Raise `ConfigError` if the tick is not above zero, or the inner step is too long for the vibration mode of the
+        capstan.
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
             raise ConfigError(

@@ -38,10 +38,7 @@ class Realtime:
 def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realtime]:
     """Yield a `Realtime` object without requesting real-time scheduling, on systems other than Linux.
 
-    Raises
-    ------
-    RealtimeError
-        ``realtime = "enforce"`` is set, which needs Linux.
+    Raise `RealtimeError` if ``realtime = "enforce"`` is set, which needs Linux.
     """
     if host.realtime == "enforce" and not virtual:
         raise RealtimeError(

@@ -145,7 +145,9 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
 
     The memory of the process is locked, and processors are kept from deep sleep. The scheduling of the loop's thread is
     tested in a separate thread, so that a refusal is known before anything moves; the loop's thread must call
-    `Realtime.enter_thread`. Contexts may be nested and used from several threads.
+    `Realtime.enter_thread`. Contexts may be nested and used from several threads. Raise `RealtimeError` if ``realtime =
+    "enforce"`` is set and the system refuses one of the requests: the message names all refusals, and nothing is
+    changed.
 
     Parameters
     ----------
@@ -153,12 +155,6 @@ def obtained(host: RealtimeRequest, *, virtual: bool = False) -> Iterator[Realti
         Request, for example ``experiment.host``. With ``realtime = "off"`` nothing is changed.
     virtual
         True for a run in virtual time: nothing is changed, whatever `host` requests.
-
-    Raises
-    ------
-    RealtimeError
-        ``realtime = "enforce"`` is set and the system refuses one of the requests. The message names all refusals;
-        nothing is changed.
     """
     realtime = Realtime(host, active=not virtual and host.realtime != "off", virtual=virtual)
     with ExitStack() as undo:
