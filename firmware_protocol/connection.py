@@ -3,6 +3,7 @@
 The caller passes bytes to `receive_data`, takes events until `next_event` returns None, and writes the result of `send`
 to the link. Host and device use the same class, so a test can connect two of them directly. It has no port, clock or
 thread. For any bytes it returns events or raises `RemoteProtocolError`, and its memory stays bounded.
+`rig.devices.framed` and the simulated device use it. It must not decide when to send: its caller has the time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Counters of the frames that one end of a link received or dropped. Every dropped frame increments one counter."""
+"""Counters of the frames that one end of a link received or dropped. Every dropped frame increments one counter.
+
+`Connection` and `FrameSplitter` count with it. A counter must not be reset while its connection lives.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 The dictionary is canonical JSON (sorted keys, no spaces, UTF-8), compressed with zlib and read in pages with IDENTIFY.
 Every IDENTITY contains its hash, so a host reads a dictionary only once for each firmware; ARM repeats the hash. A
 device that is newer than the host supplies texts for its fault codes and ranges for its parameters. Unknown keys are
-ignored.
+ignored. Host, firmware build and simulated device use this file. Its encoding must not change: hashes identify
+dictionaries.
 """
 
 from __future__ import annotations

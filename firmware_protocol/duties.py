@@ -1,6 +1,7 @@
 """Read `firmware/duties.toml`: the functions that a board's firmware must provide to the portable core, with tests.
 
-`firmware_protocol.codegen` and `rig firmware check-port` use this list.
+`firmware_protocol.codegen` and `rig firmware check-port` use this list. The list must not be repeated in Python: edit
+the TOML file.
 """
 
 from __future__ import annotations

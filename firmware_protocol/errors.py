@@ -1,7 +1,8 @@
 """Exceptions of the protocol, divided by the end of the link that caused the error.
 
 A call that the protocol forbids raises `LocalProtocolError`; wrong bytes from the other end raise
-`RemoteProtocolError`. Host and device run the same checks.
+`RemoteProtocolError`. Host and device run the same checks. `rig.devices.framed` converts them to errors with a remedy,
+which this package must not name.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 `rig.firmware` exports estimators with it. The sources consist of declarations at the outermost level, each below its
 comment. `excerpt` follows the names that each declaration uses and joins the needed declarations in the order of the
-sources. Every name gets a prefix and every function is static, so a program can include two excerpts.
+sources. Every name gets a prefix and every function is static, so a program can include two excerpts. It is not a C
+parser and must not be used for other sources.
 """
 
 from __future__ import annotations
@@ -114,7 +115,6 @@ def _split_declarations(text: str) -> Iterator[_Piece]:
 
 
 def _comment_length(whole: str) -> int:
-    """Return the length of the comments before a C declaration (characters)."""
     found = re.match(r"(?:\s*/\*.*?\*/)*", whole, re.DOTALL)
     return found.end() if found else 0
 
@@ -139,5 +139,4 @@ def _defined_names(code: str) -> frozenset[str]:
 
 
 def _last_name(code: str) -> str:
-    """Return the name of the object that a C definition like ``int x[3] = …`` defines."""
     return str(_NAME.findall(code.partition("=")[0].partition("[")[0])[-1])

@@ -1,7 +1,8 @@
 """List the codes of faults, limits, request statuses and inputs, with text and remedy.
 
 The codes are part of the protocol and are never reused. The device's dictionary contains the texts, so a host can
-explain codes of a newer firmware.
+explain codes of a newer firmware. Device, host and the generated pages use the list. A code must not change its number
+or its meaning.
 """
 
 from __future__ import annotations

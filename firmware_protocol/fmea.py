@@ -1,4 +1,7 @@
-"""Read the single faults of a rig (`firmware/fmea.toml`): cause, detection, reaction, remaining hazard, tests."""
+"""Read the single faults of a rig (`firmware/fmea.toml`): cause, detection, reaction, remaining hazard, tests.
+
+`firmware_protocol.codegen` and the manual's pages print it. The faults must not be repeated here: edit the TOML file.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
     wire = COBS(raw) 0x00        raw = header, payload, CRC-32/ISO-HDLC of both (little-endian)
 
 The byte 0x00 occurs only between frames, so a receiver that lost bytes is synchronised again at the next 0x00.
+`Connection` and `rig.firmware` use it; `rig.realtime.codec` does the same in compiled code and must give the same
+bytes.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 The C files contain type ids, the offset of each field in a raw frame, states and their transitions, parameters and
 codes, so that no number of the protocol is written twice. Names are those of PROTOCOL.md with the prefix ``HR_``.
+`firmware_protocol.codegen` writes the files. Do not edit these, and do not write a number here that a table already
+has.
 """
 
 from __future__ import annotations

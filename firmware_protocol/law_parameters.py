@@ -2,6 +2,8 @@
 
 The host designs the law and its filters (`rig.config.device_law`); the device only computes with the resulting numbers.
 Lengths are encoder counts, velocities counts per velocity period, currents quanta, times ticks; see firmware/law/law.h.
+`firmware_protocol.parameters` joins them to its list. An id must not be reused: it identifies the parameter in
+messages.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ handle an unknown type of a newer version correctly:
 * even: sent by the host, odd: sent by the device;
 * below 0x40: TRANSACTION, from 0x40: STREAM, from 0x60: BATCH.
 
-Ids 0 and 1, and the fields that IDENTIFY and IDENTITY have in version 1.0, are the same in all versions.
+Ids 0 and 1, and the fields that IDENTIFY and IDENTITY have in version 1.0, are the same in all versions. All of host,
+device and code generator import it. A field must not move or change its type within a major version.
 """
 
 from __future__ import annotations

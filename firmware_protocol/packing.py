@@ -1,4 +1,7 @@
-"""Convert messages to raw frames (header and payload) and back, with one precompiled struct for each message class."""
+"""Convert messages to raw frames (header and payload) and back, with one precompiled struct for each message class.
+
+`Connection`, the code generator and `rig.devices.framed` use it. It must not check states: `Connection` does.
+"""
 
 from __future__ import annotations
 

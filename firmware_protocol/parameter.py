@@ -1,4 +1,7 @@
-"""Definition of a parameter of the device: its number in messages, name, C type, unit and range."""
+"""Definition of a parameter of the device: its number in messages, name, C type, unit and range.
+
+The lists in `parameters` and `law_parameters` consist of it. It must not depend on a particular parameter.
+"""
 
 from __future__ import annotations
 

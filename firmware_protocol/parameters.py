@@ -1,8 +1,9 @@
 """List the device's parameters, and encode and decode the parameter block.
 
 A block is a sequence of entries in ascending order of id, each an id (u16) and a value in four bytes, both
-little-endian. The device activates all values of a block or none. Defaults are safe: a device that was never
-configured drives no current.
+little-endian. The device activates all values of a block or none. Defaults are safe: a device that was never configured
+drives no current. Host, device and code generator use it. An id must not be reused, and a default must not drive
+current.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 An update of parameters consists of SET_BEGIN, SET_CHUNKs and SET_COMMIT with one nonce; the host waits for the reply to
 each before it sends the next. `after_time` and `after_answer` are pure functions: `Connection` calls them and the
-control loop compiles them, so parameters change in the same way before and during a run.
+control loop compiles them, so parameters change in the same way before and during a run. They must use only integers,
+which numba compiles.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 SET_PARAMETERS consists of BEGIN, CHUNKs and COMMIT, each acknowledged; only COMMIT changes parameters. Longer replies
 (dictionary, parameters, fault log) are read page by page: each request contains the number of the first byte or entry
-of the page, so the device stores no progress.
+of the page, so the device stores no progress. `rig.devices.framed` and the simulated device use it. It must not send
+anything itself.
 """
 
 from __future__ import annotations

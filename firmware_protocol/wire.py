@@ -1,4 +1,8 @@
-"""Describe a message's field (C type, unit, meaning) in its type annotation, and convert such fields to bytes."""
+"""Describe a message's field (C type, unit, meaning) in its type annotation, and convert such fields to bytes.
+
+`firmware_protocol.messages` annotates fields with it; packing and code generator read them. It must not depend on a
+message.
+"""
 
 from __future__ import annotations
 

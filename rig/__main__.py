@@ -1,4 +1,7 @@
-"""``rig``, and ``python -m rig``: `rig stop` sends the stop request before anything else is imported."""
+"""``rig``, and ``python -m rig``: `rig stop` sends the stop request before anything else is imported.
+
+It must not import `rig.cli` before that: the import takes many times as long.
+"""
 
 from __future__ import annotations
 

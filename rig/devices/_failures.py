@@ -1,6 +1,7 @@
 """Error class, cause and remedy of a failed link, by error number (errno).
 
-The table serves serial ports and USB, calls from Python and the compiled loop, which can report only a number.
+The table serves serial ports and USB, calls from Python and the compiled loop, which can report only a number. All
+links use it. It must not raise the error itself: the caller does.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Link to a program on this computer through a Unix socket, such as a simulated device that is started for a run."""
+"""Link to a program on this computer through a Unix socket, such as a simulated device that is started for a run.
+
+`rig.devices` loads it for ``unix://``. It must not start or stop the program.
+"""
 
 from __future__ import annotations
 

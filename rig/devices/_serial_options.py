@@ -1,4 +1,7 @@
-"""Options in the URL of a serial port, and the capacity of the line."""
+"""Options in the URL of a serial port, and the capacity of the line.
+
+Both links to serial ports use it. It must not open a port.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The loop's functions are Python callbacks with the arguments and results of `rig.realtime.system.descriptor_read`,
 `descriptor_write` and `descriptor_wait`. Thread and callbacks need the GIL, so a busy interpreter delays a loop by
-milliseconds, which the latency ledger (five time stamps in each recorded row) shows.
+milliseconds, which the latency ledger (five time stamps in each recorded row) shows. `_threaded_serial` and
+`_usb_plain` inherit from it. Only the thread may read the port.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 It is for a board that runs the law itself and needs a message from the host every few milliseconds
 (`controller.supervise_lifetime_s`). A loop on the host is not fast enough on such a system and is refused
-(`rig.experiments.trials.preparation.prepared_on`).
+(`rig.experiments.trials.preparation.prepared_on`). `rig.devices` loads it for ``serial://``; Linux must use
+`rig.devices.serial`.
 """
 
 from __future__ import annotations

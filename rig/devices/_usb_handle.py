@@ -2,7 +2,8 @@
 
 This is the only file that uses pyusb's private names. `unsuitable` compares them with the tested versions, and returns
 the reason if the addresses cannot be used; then the device is used through pyusb's own calls
-(`rig.devices._usb_plain`).
+(`rig.devices._usb_plain`). `rig.devices.usb` and `_usb_queue` use it. It must not be used with a version that was not
+tested.
 """
 
 from __future__ import annotations

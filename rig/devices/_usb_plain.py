@@ -1,6 +1,7 @@
 """Transfer bytes of a USB device by pyusb's own calls, if compiled code cannot use libusb (`_usb_handle`).
 
 A busy Python interpreter then delays the loop (see `rig.devices._threaded`); the link's `note` warns of this.
+`rig.devices.usb` uses it. It must not be used while the queue of `_usb_queue` works.
 """
 
 from __future__ import annotations

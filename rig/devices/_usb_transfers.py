@@ -337,7 +337,6 @@ def start(block: int) -> int:
 
 @kernel(_i64(_i64))
 def _count_flying(block: int) -> int:
-    """Return the number of transfers that are in transit."""
     count = 0
     for index in range(_word(block, _IN_COUNT) + _word(block, _OUT_COUNT)):
         count += _word(_slot(block, index), _STATE) == FLYING

@@ -426,7 +426,6 @@ class FramedDevice:
         return Status(answer.status)
 
     def _listen_until(self, deadline_ns: int) -> None:
-        """Receive and discard frames until `deadline_ns` on the link's clock."""
         # Unread frames would delay the next reply.
         remaining_ns = deadline_ns - self.link.clock.now_ns()
         for _ in self._events(max(0, remaining_ns) * 1e-9):
@@ -531,7 +530,6 @@ class FramedDevice:
         )
 
     def _events(self, timeout_s: float) -> Iterator[Received]:
-        """Yield the messages that the device sends within `timeout_s` (s)."""
         deadline = self.link.clock.now_ns() + math.ceil(timeout_s * 1e9)
         while (remaining := deadline - self.link.clock.now_ns()) > 0:
             data = self.link.read(remaining * 1e-9)

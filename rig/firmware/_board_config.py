@@ -2,6 +2,7 @@
 
 `board_config.h` has the board's settings as preprocessor macros and declares two constants: `board_config` (rig and
 limits, the core's struct board) and `image_record` (`rig.firmware._record`), which contains the device's dictionary.
+`rig.firmware._build` compiles them. A number of the rig must not be written in C by hand.
 """
 
 from __future__ import annotations
@@ -183,5 +184,4 @@ def _byte_lines(content: bytes) -> list[str]:
 
 
 def _one_line(text: str) -> str:
-    """Return a text that is safe in a C comment: on one line, and without the end mark of a comment."""
     return "".join(character if character.isprintable() else " " for character in text).replace("*/", "* /")

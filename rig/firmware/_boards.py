@@ -1,7 +1,8 @@
 """Read the description of a board (compiler flags, memory, settings) from the ``board.toml`` of its port.
 
 A port is a directory with board-specific C files, a linker script and ``board.toml``, in
-`firmware_protocol/firmware/boards` or anywhere else. A new board needs no Python code.
+`firmware_protocol/firmware/boards` or anywhere else. A new board needs no Python code. All of `rig firmware` uses it.
+It must not know a particular board.
 """
 
 from __future__ import annotations

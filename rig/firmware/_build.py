@@ -1,6 +1,7 @@
 """Build the firmware of a board for one rig, from the C sources and a generated C file that describes the rig.
 
-Builds are reproducible: the files contain no time, no path and no name of a computer.
+Builds are reproducible: the files contain no time, no path and no name of a computer. `rig firmware build` calls it. It
+must not flash a board.
 """
 
 from __future__ import annotations
@@ -241,7 +242,6 @@ def sources_hash(board: Board) -> str:
 
 
 def _path_in_tree(path: Path, board: Board) -> Path:
-    """Return the path of a source file below the build's scratch directory, where ``board`` links to the port."""
     if path.is_relative_to(board.directory):
         return Path("board") / path.relative_to(board.directory)
     return Path("firmware") / path.relative_to(FIRMWARE)

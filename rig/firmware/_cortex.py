@@ -2,7 +2,7 @@
 
 The simulator has memory but no peripherals. Instructions are counted exactly, by basic blocks. Cycles are estimated
 from the instructions, for code in memory without wait states. For the M33 only instructions are counted, because their
-cycles were not looked up.
+cycles were not looked up. `rig.firmware.cycles` and `tick_budget` use it. Its cycles must not be called measurements.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Read the segments of an ELF program: which bytes belong to which address, and how much memory the program uses.
 
-Only 32-bit little-endian files with program headers are read (System V ABI, chapters 4 and 5).
+Only 32-bit little-endian files with program headers are read (System V ABI, chapters 4 and 5). Build and flash use it.
+It must not change a program, except for the checksum in `seal`.
 """
 
 from __future__ import annotations

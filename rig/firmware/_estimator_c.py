@@ -1,7 +1,8 @@
 """Export a designed velocity estimator as C99 code: an excerpt of the firmware's sources with the designed numbers.
 
 The numbers are those of a law on the device (`rig.config.device_law`), so the exported code and the firmware of this
-package compute the same estimator.
+package compute the same estimator. The export of estimators calls it. It must not contain the algorithm of an
+estimator: that is in the firmware's sources.
 """
 
 from __future__ import annotations
@@ -122,7 +123,6 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
 
 
 def _prefix_names(text: str, prefix: str) -> str:
-    """Return the C text with `prefix` in place of ``law_`` in the firmware's names, and of ``NUMBERS``."""
     return re.sub(r"\blaw_\w+", lambda found: renamed(found[0], prefix), text).replace(
         "NUMBERS", f"{prefix}_numbers"
     )

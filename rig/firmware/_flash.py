@@ -2,7 +2,8 @@
 
 If the board's BOOTSEL button is held while it is plugged in, the boot ROM appears as a small drive with a file
 INFO_UF2.TXT; firmware of this project does the same on request. The boot ROM writes a UF2 file that is copied to the
-drive into the flash and starts it; the drive disappears.
+drive into the flash and starts it; the drive disappears. `rig firmware flash` calls it. It must not write to a drive
+that is not a boot drive of the image's board.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Identify the firmware in an image or on a connected device, and check whether this package can run it."""
+"""Identify the firmware in an image or on a connected device, and check whether this package can run it.
+
+`rig firmware info` and the self test call it. It only reads: it must not configure or arm a device.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The board runs `firmware/port_check/port_check.c` in place of the core, with the port's files unchanged. That program
 calls the port's functions and sends its observations, which this file judges. Each function that fails (broken duty)
-has its own message; for a function that could not be tested, the message states what is missing.
+has its own message; for a function that could not be tested, the message states what is missing. `rig firmware
+check-port` calls it. It must not drive the motor unless a current is requested.
 """
 
 from __future__ import annotations

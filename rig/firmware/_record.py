@@ -1,7 +1,8 @@
 """Write and find the record that identifies a firmware image, in an ELF file, a UF2 file or plain bytes.
 
 The record consists of sixteen magic bytes, the lengths of a JSON text and of the compressed dictionary, the CRC-32 of
-text and dictionary, the text, and the dictionary. The device sends the same dictionary to its host.
+text and dictionary, the text, and the dictionary. The device sends the same dictionary to its host. Build, flash and
+info use it. The magic bytes must not change, or older images are not found.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Check that the scales of a board's current output and sensor fit the rig and its amplifier.
 
 The checks reject an output that saturates below the peak current, a sensor that saturates below the over-current limit,
-and coarse steps. A device reports the commanded current, which is the real one only if the output can deliver it.
+and coarse steps. A device reports the commanded current, which is the real one only if the output can deliver it. The
+build calls it before it compiles. It must not correct a setting: it only rejects.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Test a device and its link without moving the handle: the checks of `rig firmware selftest`.
 
-The tests use the same link as the control loop.
+The tests use the same link as the control loop. It must not arm a device, except for the test `stream`, with a current
+limit of zero.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Check that the samples sent by a law on the device are complete and agree with its STATE frames."""
+"""Check that the samples sent by a law on the device are complete and agree with its STATE frames.
+
+`rig.firmware._selftest` calls it. It only judges: it must not send to the device.
+"""
 
 from __future__ import annotations
 

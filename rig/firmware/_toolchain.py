@@ -1,4 +1,7 @@
-"""Find and run the C cross compiler for the board, and name the package to install if it is missing."""
+"""Find and run the C cross compiler for the board, and name the package to install if it is missing.
+
+The build and `rig.firmware._cortex` use it. It must not install anything.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A file consists of independent blocks of 512 bytes: two magic numbers, flags, an address in the processor's memory, up
 to 476 bytes of data, the block's number, the family of the processor, and a third magic number. Source: the UF2
-specification (github.com/microsoft/uf2).
+specification (github.com/microsoft/uf2). Build and flash use it. It must not depend on a board.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Draw and list the wiring of a board's reference rig, from the netlist ``wiring.toml`` beside its ``board.toml``."""
+"""Draw and list the wiring of a board's reference rig, from the netlist ``wiring.toml`` beside its ``board.toml``.
+
+`rig firmware wiring` calls it. It must not contain a pin number: these are settings of the board.
+"""
 
 from __future__ import annotations
 

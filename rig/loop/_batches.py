@@ -2,6 +2,7 @@
 
 Samples wait in a queue, because a later reply of the device can decide which wall was active at a sample. Duplicates
 and samples that arrive after newer ones are dropped and counted; lost samples are a gap in the sample index.
+`rig.loop._supervise` calls it. Like all kernels of the loop it must not allocate or wait.
 """
 
 from __future__ import annotations

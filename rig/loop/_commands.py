@@ -1,4 +1,7 @@
-"""Send COMMAND messages, with which the host's loop sets the device's current or keeps a law on the device running."""
+"""Send COMMAND messages, with which the host's loop sets the device's current or keeps a law on the device running.
+
+Both loops call it. It must not wait for a link that accepts no bytes.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 A STATE message contains the active current and the number of the COMMAND that set it; the two must agree unless a limit
 acted. `rig.control.current` compares the measured current with the active one. The results are flags of the recorded
 row (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_host_agreement` replaces the first check.
+Both loops call it. It must not end a run: it only sets flags.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The current that is active at a sample is compared with the host's result at the sample before. The two laws use
 different arithmetic, so they may differ slightly. Samples are excluded while a limit or a ramp acts, after a gap, and
-without a STATE message that covers them.
+without a STATE message that covers them. `rig.loop._supervise` calls it. It must not end a run: it only counts.
 """
 
 from __future__ import annotations

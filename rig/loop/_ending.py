@@ -1,4 +1,7 @@
-"""Find the reason for the end of a run (`EndReason`) in a STATE, a stop request, or the flags of the law."""
+"""Find the reason for the end of a run (`EndReason`) in a STATE, a stop request, or the flags of the law.
+
+Both loops call it in every tick. It must not wait, and must not ignore a stop request.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Clock exchanges while the loop runs: about eleven times a second, send GET_TIME after a COMMAND, and receive TIME.
 
 An exchange has four time stamps: the host's at sending, the device's at receipt and at sending, the host's at receipt.
-`rig.core.clock_fit` fits a line to them, which gives offset and drift of the two clocks.
+`rig.core.clock_fit` fits a line to them, which gives offset and drift of the two clocks. Both loops call it. It must
+not wait for a reply.
 """
 
 from __future__ import annotations

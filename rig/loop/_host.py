@@ -145,6 +145,9 @@ def run(
 ) -> int:
     """Run the loop until an end reason; then send zero effort several times, and return the reason.
 
+    The reason (`EndReason`) is also stored in the ring. The caller must set the control word LOOP_DONE, because it must
+    be set after an exception of a law too.
+
     Parameters
     ----------
     port
@@ -155,12 +158,6 @@ def run(
         Ring that recorder and supervisor share with the loop.
     settings, buffers
         Memory of the loop (`rig.loop.layout`).
-
-    Returns
-    -------
-    int
-        `EndReason`; also stored in the ring. The caller must set the control word LOOP_DONE, because it must be set
-        after an exception of a law too.
     """
     memory, state, words = controller.memory, buffers.state, shared.words
     p, m = buffers.progress[0], memory[0]

@@ -2,7 +2,8 @@
 
 The command age in a STATE message counts from receipt, and so does a command's lifetime. The loop computes the transit
 time of a command from the sample that the command answers. A single late command is not a fault of the link; the run
-ends only if all commands are late for a whole command lifetime.
+ends only if all commands are late for a whole command lifetime. The loop on the host calls it. It must use only the
+device's ticks, not the clock of the host.
 """
 
 from __future__ import annotations

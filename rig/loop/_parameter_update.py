@@ -3,7 +3,8 @@
 Python encodes a posted set (`update_of`) for the loop, which owns the link: the set for the host's law, and the same
 wall as a parameter block of the device. The loop sends the block as a transaction (SET_BEGIN, SET_CHUNKs, SET_COMMIT;
 see `firmware_protocol.transaction`), and repeats it when the device finds the handle inside a wall. The last reply
-names the first sample with the new wall; the host's law waits for this reply.
+names the first sample with the new wall; the host's law waits for this reply. `rig.loop._supervise` and `_supervised`
+call it. A wall must not change while the handle is inside.
 """
 
 from __future__ import annotations
@@ -86,7 +87,6 @@ def _take_update(mailbox: int, buffers: Buffers, supervised: SupervisionBuffers)
 
 @kernel(TRANSACTION(SUPERVISION_TYPE))
 def _transaction(supervision: Any) -> Transaction:
-    """Return the progress of the present transaction."""
     v = supervision[0]
     return Transaction(v["nonce"], v["length"], v["request"], v["offset"], v["tries"], v["again_at"])
 
@@ -101,7 +101,6 @@ def _remember(supervision: Any, t: Transaction) -> None:
 
 @kernel(types.int64(SETTINGS_TYPE, BUFFERS_TYPE, SUPERVISION_BUFFERS_TYPE, TRANSACTION))
 def _encode(settings: Any, buffers: Buffers, supervised: SupervisionBuffers, t: Transaction) -> int:
-    """Encode the present request of transaction `t` into `buffers.transmit`; return its bytes, negative on failure."""
     session, request, block = settings[0]["session"], supervised.request, supervised.update_block
     request[SET_BEGIN.nonce] = t.nonce
     if t.step == BEGIN:

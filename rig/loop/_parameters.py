@@ -1,7 +1,8 @@
 """Parameter updates of a running loop: the loop takes a new set from a mailbox and activates it between two ticks.
 
 A new parameter set waits until the handle is outside both the present and the new wall; a newer set replaces a waiting
-one. Each set that became active is stored with its first tick, for the replay.
+one. Each set that became active is stored with its first tick, for the replay. Both loops and the replay call it. A
+wall must not change while the handle is inside.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Receive bytes from the link: split them into frames, check and dispatch these, return the newest STATE message."""
+"""Receive bytes from the link: split them into frames, check and dispatch these, return the newest STATE message.
+
+Both loops call it. It must not wait, and must accept any bytes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Write one row of the recording for each tick into the ring: received data, results of the law, and times."""
+"""Write one row of the recording for each tick into the ring: received data, results of the law, and times.
+
+Both loops and the replay call it. It must not overwrite a row that the recorder has not copied.
+"""
 
 from __future__ import annotations
 

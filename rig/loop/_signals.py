@@ -1,7 +1,8 @@
 """Convert Ctrl-C, SIGTERM and a closed terminal to a stop of the loop, never to an exception in the middle of a run.
 
 `rig.realtime.stop_requests` stops the loop at once, in whichever thread it runs. This file is for a run in the main
-thread, where Python's signal handlers raise exceptions: it replaces them during the run, and calls them itself.
+thread, where Python's signal handlers raise exceptions: it replaces them during the run, and calls them itself. Trials
+use it. It must not raise while the run brings the rig to rest.
 """
 
 from __future__ import annotations

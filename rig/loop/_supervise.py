@@ -313,17 +313,14 @@ def run(
 ) -> int:
     """Supervise until an end reason; then send zero effort several times, receive late samples, and return the reason.
 
+    The reason (`EndReason`) is also stored in the ring. The caller must set the control word LOOP_DONE.
+
     Parameters
     ----------
     port, controller, shared, settings, buffers
         Link, law, shared ring and memory, as for the loop on the host; the mailbox contains updates for the device.
     supervised
         Additional memory of this loop.
-
-    Returns
-    -------
-    int
-        `EndReason`; also stored in the ring. The caller must set the control word LOOP_DONE.
     """
     supervision, newest, words = supervised.supervision, supervised.newest, shared.words
     v, p = supervision[0], buffers.progress[0]

@@ -1,4 +1,7 @@
-"""Run the loop for a law on the device in a thread: encode parameter updates, compare currents of device and host."""
+"""Run the loop for a law on the device in a thread: encode parameter updates, compare currents of device and host.
+
+Trials start it. Python must not send to the device while the loop runs: it posts updates.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Memory that only the loop for a law on the device needs, in addition to the memory in `rig.loop.layout`."""
+"""Memory that only the loop for a law on the device needs, in addition to the memory in `rig.loop.layout`.
+
+All files of that loop share it. It must not be allocated while the loop runs.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,6 @@ def make(size: int) -> int:
 
 
 def _memfd() -> int:
-    """Create an empty anonymous file (memfd) that cannot be executed, and return its descriptor."""
     flags = os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING
     try:
         # Kernels with vm.memfd_noexec = 2 refuse files without this flag, those before 6.3 refuse the flag.

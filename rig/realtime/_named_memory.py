@@ -3,7 +3,8 @@
     .../haptic-rig/loops/PID/alive   locked by process PID while it runs
     .../haptic-rig/loops/PID/N       shared memory number N of this process
 
-The functions have the same names and results as in `rig.realtime._anonymous_memory`.
+The functions have the same names and results as in `rig.realtime._anonymous_memory`. `rig.realtime.memories` and the
+ring use them. This file must not import numba or numpy.
 """
 
 from __future__ import annotations

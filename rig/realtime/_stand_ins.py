@@ -2,7 +2,8 @@
 
 Compiled code calls C functions by name (`rig.realtime.system`). Only Linux has all these names, with the same
 constants. On other systems each name leads to a function of this file, so that the compiled code is the same. Each call
-takes the GIL and some microseconds, so a law in real time on this computer needs Linux.
+takes the GIL and some microseconds, so a law in real time on this computer needs Linux. `rig.realtime.system` installs
+them. On Linux this file must not be used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Find the directory of a user's caches; it imports only what Python loads at its start, so `rig stop` is fast."""
+"""Find the directory of a user's caches; it imports only what Python loads at its start, so `rig stop` is fast.
+
+Kernel cache and shared memories use it. It must not create the directory.
+"""
 
 from __future__ import annotations
 

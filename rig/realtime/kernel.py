@@ -47,7 +47,6 @@ event.register("numba:compile", _Compilations())
 
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
-    """Disable Python's garbage collector within this context."""
     # A compiler makes millions of objects that live as long as the program: scanning them takes time and frees none.
     collects = gc.isenabled()
     gc.disable()

@@ -145,20 +145,10 @@ def copy_message(mailbox: int, slot: int, into: Any) -> int:
 
 @kernel(_i64(_address, _bytes))
 def take(mailbox: int, into: Any) -> int:
-    """Copy the newest message of a mailbox into an array, without waiting, unless it was taken before.
+    """Copy the newest message of a mailbox to the array `into`, without waiting, unless it was taken before.
 
-    Parameters
-    ----------
-    mailbox
-        Address of the mailbox (`rig.realtime.ring.Ring.mailbox`).
-    into
-        Destination, whole aligned 8-byte words. Bytes after the end of the message are not changed; a longer message is
-        cut off.
-
-    Returns
-    -------
-    int
-        Number of the message, from 1 on; 0 if there is no new message, and `into` is then unchanged.
+    `into` consists of whole aligned 8-byte words; bytes after the end of the message are not changed, a longer message
+    is cut off. Return the number of the message, from 1 on; 0 if there is no new message, and `into` is then unchanged.
     """
     slot = claim(mailbox)
     if slot < 0:
@@ -220,14 +210,10 @@ class Mailbox:
         return int(read_word(self._address)) >> NUMBER
 
     def post(self, message: bytes) -> int:
-        """Post a message of at most `MOST_BYTES` bytes; it replaces a message that the loop has not read yet.
+        """Post a message of at most `MOST_BYTES` (512) bytes and return its number, 1 for the first of this mailbox.
 
-        Raise `RigError` if another process holds the lock of the mailbox and does not release it.
-
-        Returns
-        -------
-        int
-            Number of the message, 1 for the first message of this mailbox.
+        It replaces a message that the loop has not read yet. Raise `RigError` if another process does not release the
+        lock of the mailbox.
         """
         with self.alone():
             return self.post_alone(message)

@@ -225,6 +225,8 @@ class Ring:
     def replace(self, values: ArrayLike, info: Callable[[int], Mapping[str, Any]], word: int) -> int:
         """Post a parameter set and a new description of the run, unless another writer has changed the description.
 
+        Return the number of the set; 0 if another writer has changed the description, and nothing was posted.
+
         Parameters
         ----------
         values
@@ -233,12 +235,7 @@ class Ring:
             Function that gets the number of the set and returns the complete new description; it is called at once or
             not at all.
         word
-            Control word that `info_and_word` returned together with the previous description.
-
-        Returns
-        -------
-        int
-            Number of the set; 0 if another writer has changed the description, and nothing was posted.
+            Number that `info_and_word` returned together with the previous description.
         """
         from rig.realtime.mailbox import set_bytes  # noqa: PLC0415
 

@@ -100,8 +100,8 @@ def stop(
 ) -> list[StoppedLoop]:
     """Stop the running loops of a process, or all running loops of this user, and wait until they have ended.
 
-    Each loop sets its effort to zero within one tick. Raise `ConfigError` if the process `pid` runs no loop, or belongs
-    to another user.
+    Each loop sets its effort to zero within one tick. Return the loops that were running. Raise `ConfigError` if the
+    process `pid` runs no loop, or belongs to another user.
 
     Parameters
     ----------
@@ -111,11 +111,6 @@ def stop(
         Loops that were requested to stop before, by `rig.realtime.memories.ask_to_stop`; `stop` closes their memories.
     patience_s
         Longest wait for the loops to end (s).
-
-    Returns
-    -------
-    list
-        The loops that were running; empty if no loop was running.
     """
     with ExitStack() as stack:
         found: list[tuple[RunningLoop, Ring]] = []
@@ -234,7 +229,6 @@ def _describe_loop(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
 
 
 def _wait(rings: list[Ring], patience_s: float) -> None:
-    """Wait until all these loops have ended, but at most `patience_s` (s)."""
     deadline = time.monotonic() + patience_s
     while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
         time.sleep(POLL_S)

@@ -1,4 +1,7 @@
-"""Check that a compiled function of the loop allocates no memory and writes only to its own arrays."""
+"""Check that a compiled function of the loop allocates no memory and writes only to its own arrays.
+
+The checks of laws and estimators use it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Run a force law over arrays of penetration and velocity, as `rig.control.estimators.arrays` runs an estimator."""
+"""Run a force law over arrays of penetration and velocity, as `rig.control.estimators.arrays` runs an estimator.
+
+The checks of laws use it. It must not limit what a law returns.
+"""
 
 from __future__ import annotations
 

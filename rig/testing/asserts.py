@@ -1,6 +1,7 @@
 """Asserts about recordings, and about hits: runs in which the handle hits a virtual wall. Messages name tick and unit.
 
-Each assert accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording.
+Each assert accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hits.hit.HitResult`) or a recording. Tests
+of a lab call them. An assert must not change its recording.
 """
 
 from __future__ import annotations

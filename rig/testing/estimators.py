@@ -1,7 +1,7 @@
 """Check the requirements on a velocity estimator; `check_estimator` raises an error for the first violation.
 
 The error is an AssertionError with a sentence, so no test runner is needed. Known limits of an estimator are arguments;
-no check is skipped.
+no check is skipped. Tests of a lab's own estimators call it. It must not depend on pytest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Repeat a test, each time with one fault at another frame of its link."""
+"""Repeat a test, each time with one fault at another frame of its link.
+
+The plug-in's marker ``rig_every_frame`` uses it. It must not be used on a real rig.
+"""
 
 from __future__ import annotations
 

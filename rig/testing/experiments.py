@@ -1,4 +1,7 @@
-"""Create the experiments of a test from a preset, a file or an object, with changed values."""
+"""Create the experiments of a test from a preset, a file or an object, with changed values.
+
+The plug-in's fixtures use it. It must not change a file.
+"""
 
 from __future__ import annotations
 

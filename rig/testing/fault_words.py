@@ -1,4 +1,7 @@
-"""Script faults of frames and of the simulated device, for a test."""
+"""Script faults of frames and of the simulated device, for a test.
+
+The fixture ``rig_faults`` returns it. A script must not be used on a real rig.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 In virtual time a run is reproducible to the last bit on one machine, but another processor or another build of a
 library may round differently. So integers (counts, currents, flags, ticks) must be equal, and real columns may differ
-by the rounding errors that can accumulate over the run.
+by the rounding errors that can accumulate over the run. The fixture ``rig_golden`` returns it. It must not write a
+recording unless the user requests an update.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Keep or remove the recordings of a test: keep them if it failed, always, or never."""
+"""Keep or remove the recordings of a test: keep them if it failed, always, or never.
+
+The plug-in uses it. It must not remove recordings of other tests.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Check the requirements on a force law; `check_law` raises an error for the first violation.
 
 The error is an AssertionError with a sentence, so no test runner is needed. Arguments declare intended exceptions, such
-as a law that acts outside of the wall.
+as a law that acts outside of the wall. Tests of a lab's own laws call it. It must not depend on pytest.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Compute the Z-width map (stable walls by stiffness and damping) for a test, in simulation or on a real rig."""
+"""Compute the Z-width map (stable walls by stiffness and damping) for a test, in simulation or on a real rig.
+
+The fixture ``rig_zwidth`` returns it. On a real rig it must not hit without a person's consent.
+"""
 
 from __future__ import annotations
 

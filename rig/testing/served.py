@@ -1,4 +1,7 @@
-"""Serve a simulated rig on a serial port to test programs in any language, and read how they left the device."""
+"""Serve a simulated rig on a serial port to test programs in any language, and read how they left the device.
+
+The fixture ``rig_serial`` returns it. It must not open the port while the program under test uses it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Store the device's dictionary and the active parameters of a simulated device, and answer the requests about them."""
+"""Store the device's dictionary and the active parameters of a simulated device, and answer the requests about them.
+
+Both simulated devices use it. It must not depend on the plant.
+"""
 
 from __future__ import annotations
 

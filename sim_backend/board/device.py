@@ -1,7 +1,8 @@
 """Simulate a device in readable Python: a whole rig behind the wire protocol, without I/O and without a clock.
 
 The caller provides bytes and time: `link` in virtual time, `pty` in real time. It calls `receive` and `tick` in turn.
-The device follows PROTOCOL.md but runs no control law: a SUPERVISE command feeds the watchdog and drives no current.
+The device follows PROTOCOL.md but runs no control law: a SUPERVISE command feeds the watchdog and drives no current. It
+must stay readable: it is the reference for the C code.
 """
 
 from __future__ import annotations
@@ -266,7 +267,6 @@ class SimulatedDevice:
             self.hardware.cut()
 
     def _cut(self) -> None:
-        """Set the current to zero at once, regardless of the slew limit."""
         self._safety.rules[AT.current] = 0
         self.hardware.cut()
 
@@ -293,7 +293,6 @@ class SimulatedDevice:
         return answers
 
     def _handle_frame(self, frame: bytes) -> bytes:
-        """Process one frame from the host and return the device's replies."""
         # One frame at a time, as on a board: the counters in a reply must not include the frames behind the request.
         connection = self.connection
         connection.receive_data(frame)

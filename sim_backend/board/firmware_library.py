@@ -1,7 +1,7 @@
 """Compile the firmware's C code as a shared library of this computer, and declare its functions for Python.
 
 A simulated device that runs the control law itself uses this library, not a copy of the law in Python. The sources come
-with the package.
+with the package. The simulated boards load it. It must not contain a part of the law itself.
 """
 
 from __future__ import annotations

@@ -51,7 +51,6 @@ _put, _at = group_at(PlantArguments)
 
 @kernel(types.void(types.int64, PLANT_TYPE))
 def _keep(handle: int, plant: PlantArguments) -> None:
-    """Store the arguments of a plant in the memory at the address `handle`."""
     # To take the group of arguments apart at each call costs Python as much as a whole tick.
     _put(handle, plant)
 

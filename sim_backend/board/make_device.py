@@ -1,6 +1,7 @@
 """Choose the device of a simulated rig: the compiled firmware or, without a C compiler, the device in Python.
 
-Both devices send the same bytes (tests/firmware/test_core_equals_the_simulated_device.py).
+Both devices send the same bytes (tests/firmware/test_core_equals_the_simulated_device.py). Links in virtual and in real
+time call it. It must not run the device.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Define a frame on a CAN bus, and the interfaces of simulated drives and of the adapters that carry frames to them."""
+"""Define a frame on a CAN bus, and the interfaces of simulated drives and of the adapters that carry frames to them.
+
+All files of this package use it. It must not know a particular drive or adapter.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Define the messages of ODrive's protocol CAN Simple (firmware 0.6) and the layout of their fields (little-endian).
 
 Source: docs.odriverobotics.com, manual/can-protocol, read in part; the fields are those of the maker's library for
-Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp).
+Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp). `odrive` and `odrive_law` use it. The
+numbers are the maker's and must not change.
 """
 
 from __future__ import annotations

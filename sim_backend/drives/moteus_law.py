@@ -377,7 +377,6 @@ def _stay_within(w: Words) -> float:
 
 @kernel(_F(_V), no_refcount=True)
 def _work(w: Words) -> float:
-    """Return the output torque (N·m) of the active mode."""
     mode = w[W.mode]
     torque = 0.0
     if mode == POSITION:

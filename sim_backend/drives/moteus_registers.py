@@ -1,6 +1,7 @@
 """List the registers of a moteus with meaning, scale and default (docs/protocol/registers.md of mjbots/moteus).
 
-Command registers that this simulation does not use (PWM, voltages, GPIO) are stored and can be read back.
+Command registers that this simulation does not use (PWM, voltages, GPIO) are stored and can be read back. `moteus` uses
+it. The numbers are the maker's and must not change.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Move the plant of a simulated drive by the torque that the drive's control law requests, tick by tick.
 
-A drive measures and drives at its shaft (revolutions of its encoder, N·m); the model of the rig uses the link.
+A drive measures and drives at its shaft (revolutions of its encoder, N·m); the model of the rig uses the link. Both
+drives use it. It must not contain a control law.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 Sub-frames before the first unreadable one are used, the rest of the frame is ignored. The tunnelled stream (0x40 to
 0x42) and its errors are those of mjlib/multiplex/format.h. The form with packet numbers (0x43, 0x44), which the maker's
-library tries first, is taken from that library (1.1.1, `moteus/multiplex.py`).
+library tries first, is taken from that library (1.1.1, `moteus/multiplex.py`). `moteus` uses it. It must not know the
+meaning of a register.
 """
 
 from __future__ import annotations

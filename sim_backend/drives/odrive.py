@@ -295,7 +295,6 @@ class SimulatedOdrive:
         return FLOATS.pack(*pairs[command])
 
     def _outcome(self) -> Result:
-        """Return the result of the last request for an axis state, for the heartbeat message."""
         if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
             return Result.DISARMED
         return self._result

@@ -1,4 +1,7 @@
-"""Serve a simulated drive in real time, also in a separate process, which ends with the process that started it."""
+"""Serve a simulated drive in real time, also in a separate process, which ends with the process that started it.
+
+``python -m sim_backend.drives`` and tests use it.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Serve a simulated drive in real time: pass bytes between port and drive, and let simulated time follow the clock.
 
 The drive is advanced to the present when a unit (line or frame) arrives, when the drive sends an unrequested frame, and
-at least every `IDLE_NS` (ns).
+at least every `IDLE_NS` (ns). `process` uses it. It must not change what a drive sends, except by scripted faults.
 """
 
 from __future__ import annotations

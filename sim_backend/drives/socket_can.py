@@ -1,6 +1,7 @@
 """Convert CAN frames to and from the messages of a raw CAN socket of Linux: 16 bytes (classic CAN) or 72 (CAN FD).
 
-Layout: ``struct canfd_frame`` of include/uapi/linux/can.h.
+Layout: ``struct canfd_frame`` of include/uapi/linux/can.h. Outlets and adapters use it. It must not know a protocol
+above CAN.
 """
 
 from __future__ import annotations

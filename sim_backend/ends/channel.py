@@ -1,4 +1,7 @@
-"""Apply scripted faults (`rig.devices.fault_script`) to the frames of a simulated link."""
+"""Apply scripted faults (`rig.devices.fault_script`) to the frames of a simulated link.
+
+Links in virtual time and served drives use it. Without a fault it must not change a byte.
+"""
 
 from __future__ import annotations
 

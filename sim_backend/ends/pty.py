@@ -136,7 +136,6 @@ def _drive_hand(
 
 @contextlib.contextmanager
 def _symbolic_link(link_path: str | Path | None, target: str) -> Iterator[None]:
-    """Return a context in which `link_path` is a symbolic link to the port `target`; without a path, do nothing."""
     if link_path is None:
         yield
         return

@@ -1,4 +1,7 @@
-"""Stop a simulated rig or drive that runs as a program when SIGINT or SIGTERM arrives."""
+"""Stop a simulated rig or drive that runs as a program when SIGINT or SIGTERM arrives.
+
+Served rigs and drives use it.
+"""
 
 from __future__ import annotations
 

@@ -80,17 +80,9 @@ class UsbShape:
         return struct.pack("<BB", 2 + len(content), _STRING) + content
 
     def control(self, setup: bytes) -> bytes | None:
-        """Return the reply to a standard control request.
+        """Return the reply to a standard control request from the eight bytes of its SETUP packet.
 
-        Parameters
-        ----------
-        setup
-            The eight bytes of the SETUP packet.
-
-        Returns
-        -------
-        bytes or None
-            Bytes of the data stage, which may be empty; None to stall, for a request that this device does not support.
+        The reply is the data stage, which may be empty; None to stall, for a request that this device does not support.
         """
         direction, request, value, _, length = _SETUP.unpack(setup)
         if request == _GET_DESCRIPTOR:

@@ -1,4 +1,7 @@
-"""Define what the inner steps of all simulated plants share: parameter indices, Coulomb friction, encoder edges."""
+"""Define what the inner steps of all simulated plants share: parameter indices, Coulomb friction, encoder edges.
+
+The functions must not allocate: compiled ticks call them at every integration step.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The hand follows the handle during homing, waits, reaches into the wall on a raised cosine, stays there and presses. A
 script is computed once, before the session. The simulated device and the trial without a byte link play the same
-script, from the tick after arming.
+script, from the tick after arming. It must not react to the wall: the coupled hand does.
 """
 
 from __future__ import annotations

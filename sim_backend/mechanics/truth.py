@@ -1,4 +1,7 @@
-"""Record the true state of the simulated rig in every tick, to compare it with what the sensors measure."""
+"""Record the true state of the simulated rig in every tick, to compare it with what the sensors measure.
+
+The simulated device and its firmware twin fill it. A sensor must not read it.
+"""
 
 from __future__ import annotations
 

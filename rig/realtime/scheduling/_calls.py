@@ -1,4 +1,7 @@
-"""Call C library functions that Python does not offer: memory locks, timer slack, time slice, stack address."""
+"""Call C library functions that Python does not offer: memory locks, timer slack, time slice, stack address.
+
+The other files of this package use it. It must not decide what to request.
+"""
 
 from __future__ import annotations
 

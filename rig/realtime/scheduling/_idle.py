@@ -1,4 +1,7 @@
-"""Keep idle processors from deep sleep, because waking from deep sleep takes 0.1 ms and more."""
+"""Keep idle processors from deep sleep, because waking from deep sleep takes 0.1 ms and more.
+
+`_realtime` uses it. It must not change a setting that remains after the process ends.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Lock the memory of the process during runs, so that no page fault waits for a disk.
 
-Runs at the same time share one lock, which ends with the last of these runs.
+Runs at the same time share one lock, which ends with the last of these runs. `_realtime` uses it. It must not unlock
+memory that the program had locked before.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Context of a run in real time: it requests scheduling, reports what was granted, and undoes it at the end."""
+"""Context of a run in real time: it requests scheduling, reports what was granted, and undoes it at the end.
+
+Trials, motions and simulated devices enter it. It must not request anything in virtual time.
+"""
 
 from __future__ import annotations
 

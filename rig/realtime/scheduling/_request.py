@@ -1,4 +1,7 @@
-"""Fields by which a run requests real-time scheduling."""
+"""Fields by which a run requests real-time scheduling.
+
+`rig.config` and simulated devices fill them in. It must not import `rig.config`.
+"""
 
 from __future__ import annotations
 

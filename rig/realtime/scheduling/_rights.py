@@ -1,4 +1,7 @@
-"""Rights of this process to real-time scheduling: user, groups, limits and capabilities."""
+"""Rights of this process to real-time scheduling: user, groups, limits and capabilities.
+
+Refusals and `rig.doctor` report them. It only reads: it must not change a right.
+"""
 
 from __future__ import annotations
 

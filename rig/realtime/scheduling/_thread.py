@@ -1,4 +1,7 @@
-"""Scheduling of the calling thread: policy, processor, timer slack and stack."""
+"""Scheduling of the calling thread: policy, processor, timer slack and stack.
+
+`_realtime` uses it. It must not change another thread.
+"""
 
 from __future__ import annotations
 

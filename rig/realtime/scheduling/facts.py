@@ -53,7 +53,6 @@ def _dynamic_mode(root: Path) -> str:
 
 
 def _built_mode(root: Path) -> str:
-    """Return the preemption mode of the kernel's build configuration; "" if the configuration cannot be read."""
     try:
         built = gzip.decompress((root / "proc/config.gz").read_bytes()).decode(errors="replace")
     except (OSError, EOFError, zlib.error):
