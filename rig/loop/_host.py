@@ -143,7 +143,7 @@ def _receive(port: LoopPort, settings: Any, buffers: Buffers, words: int) -> int
 def run(
     port: LoopPort, controller: ControllerArguments, shared: SharedRing, settings: Any, buffers: Buffers
 ) -> int:
-    """Run the loop until an end reason; then send zero effort several times, and return the reason.
+    """Run the control loop until an end reason; then send zero effort several times, and return the reason.
 
     The reason (`EndReason`) is also stored in the ring. The caller must set the control word LOOP_DONE, because it must
     be set after an exception of a law too.

@@ -153,7 +153,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
 
 
 def prepare(*functions: Any) -> None:
-    """Compile the kernels (numba functions) among `functions`, or load them from the disk cache; skip the rest."""
+    """Compile the kernels (numba functions) among `functions`, or load them from the disk cache; ignore all others."""
     for function in functions:
         if isinstance(function, Kernel) and not function.prepared:
             function.prepare()

@@ -83,7 +83,6 @@ def _on_signal(number: int, info: int, context: int) -> int:
 
 
 class _Action(ctypes.Structure):
-
     _fields_ = [
         ("handler", ctypes.c_size_t),
         ("mask", ctypes.c_ubyte * 128),

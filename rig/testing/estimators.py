@@ -73,7 +73,7 @@ def check_estimator(
     linear: bool = True,
     ramp_tolerance: float = 0.01,
 ) -> None:
-    """Run all checks of this file on a velocity estimator; raise AssertionError for the first that fails.
+    """Check all requirements on a velocity estimator (rest, ramp, gaps, scale, …); raise AssertionError if one fails.
 
     Parameters
     ----------

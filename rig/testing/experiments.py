@@ -58,7 +58,7 @@ class Experiments:
     def short(self, source: Source = None, changes: Mapping[str, Any] | None = None) -> Experiment:
         """Return an experiment for real time with a trial of about 60 ticks, for the marker ``rig_every_frame``.
 
-        The parameters and errors are the same as for a call of this object.
+        `source` and `changes` are those of a call; raise `ConfigError` if one of them is not valid.
         """
         experiment = self(source)
         at_its_start = {"rig.simulation.initial_position": experiment.trial.start}

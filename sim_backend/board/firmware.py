@@ -282,7 +282,7 @@ class FirmwareDevice:
         self._words[RATE_CHANGED] = self._words[SWITCHED_ON] = 0
 
     def tick(self) -> bytes:
-        """Simulate one period in single steps; return the bytes that the device sends, as `run` would return them."""
+        """Simulate one period in single calls of the firmware; return the bytes that the device sends in it."""
         library, address = self.core.library, self.core.address
         # A port's `device_tick` takes the sample and drives the current that follows from it at once. Here the halves
         # stand apart and the plant moves in between, so a current acts from its sample on.

@@ -65,7 +65,7 @@ class Splitter(Protocol):
     """A splitter of a byte stream into units: each is a line of text or a binary frame."""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the units that are complete after `data`, oldest first; store the rest for the next call."""
+        """Return the lines or binary frames that are complete after `data`, oldest first; store an incomplete one."""
         ...
 
 

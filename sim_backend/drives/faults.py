@@ -28,7 +28,7 @@ _EXAMPLE = 'like "drop to=host frame=12" or "fault value=33 tick=300"'
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveEvent:
-    """An event that acts on a drive just before it receives unit number `frame` from the host, or at `tick` (ms)."""
+    """An event that acts on a drive just before line or frame number `frame` of the host arrives, or at `tick` (ms)."""
 
     name: str
     value: float = 0.0

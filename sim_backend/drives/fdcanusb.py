@@ -54,7 +54,7 @@ class LineSplitter:
         self._rest = b""
 
     def split(self, data: bytes) -> list[bytes]:
-        """Return the lines that are complete after `data`, each with a line feed; store the rest for the next call."""
+        """Return the lines that are complete after `data`, each with a line feed; store an incomplete line."""
         *lines, self._rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
         if len(self._rest) > LONGEST_LINE:
             self._rest = b""

@@ -180,9 +180,9 @@ class SimulatedMoteus:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
-        Events are those of any drive (`Motor.happenings`; the value of ``fault`` is a fault code), ``mode`` (the
-        console commands a mode) and ``master`` (a second host commands a torque in N·m; the drive's reply to it is on
-        the bus).
+        Events are ``fault`` (`value`: a fault code), the other events of all drives (`Motor.happenings`), ``mode`` (the
+        console commands the mode `value`) and ``master`` (a second host commands a torque of `value` N·m; the drive's
+        reply to it is on the bus).
         """
         return self._happenings()[name](value) or []
 

@@ -212,9 +212,9 @@ class SimulatedOdrive:
     def happen(self, name: str, value: float) -> list[Frame]:
         """Apply an external event to the drive by name; return the frames that the event puts on the bus.
 
-        Events are those of any drive (`Motor.happenings`; the value of ``fault`` is error bits), ``mode`` (the control
-        mode changes), ``master`` (a second host commands a torque in N·m; its frame is on the bus), ``estop`` and
-        ``bus-off`` (the drive's CAN controller is off for the given number of seconds; 0: for ever).
+        Events are ``fault`` (`value`: error bits), the other events of all drives (`Motor.happenings`), ``mode`` (the
+        control mode changes), ``master`` (a second host commands a torque of `value` N·m; its frame is on the bus),
+        ``estop`` and ``bus-off`` (the drive's CAN controller is off for `value` seconds; 0: for ever).
         """
         return self._happenings()[name](value) or []
 

@@ -213,7 +213,7 @@ class TickedDevice(Protocol):
 
 
 class BoardTime:
-    """A runner of a compiled device behind a port, in real time, until `stop` is set.
+    """Loop that runs a compiled device behind a port, in real time, until `stop` is set.
 
     Parameters
     ----------

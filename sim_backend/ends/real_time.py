@@ -38,7 +38,7 @@ class DevicePort(Protocol):
 
 
 class RealTime:
-    """A runner of a device in Python behind a port, tick by tick in real time, until `stop` is set."""
+    """Loop that runs a device in Python behind a port, tick by tick in real time, until `stop` is set."""
 
     def __init__(self, device: SimulatedDevice, port: DevicePort, stop: threading.Event) -> None:
         self.device = device

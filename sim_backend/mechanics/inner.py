@@ -71,8 +71,9 @@ def rub_both(
 ) -> tuple[float, float, float, float]:
     """Return the friction on motor and on link (N·m or N), then the velocities of motor and link after a step.
 
-    The arguments are those of `rub_one` for two coupled masses; `gain_cross` is the change of one mass's velocity for
-    1 N·m (or N) on the other mass. Velocities are in rad/s or m/s.
+    `free_…` are the velocities at the end of the step without friction, `gain_…` their change for 1 N·m (or N) of
+    friction on the same mass, `gain_cross` on the other mass, `coulomb_…` the largest frictions (N·m or N). Velocities
+    are in rad/s or m/s.
     """
     # The two efforts solve a box-constrained linear complementarity problem. Its gain matrix is symmetric and positive
     # definite (`plant._check_friction`), so there is exactly one solution.
