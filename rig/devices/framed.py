@@ -35,17 +35,16 @@ from rig.devices.device import Link
 
 # A quarter of the time that a law on the device continues without a command: single losses do not end it.
 SUPERVISE_EVERY_S = 0.005
-MOST_NS = (1 << 63) - 1  # what a stamp holds: 292 years
-EXCHANGES = 8  # of the clock, by default
-DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # of the clock, where its drift is wanted
-DRIFT_VIRTUAL_S = 0.1  # where time costs computing and nothing disturbs an exchange
-GOLDEN = 0.6180339887498949
+MOST_NS = (1 << 63) - 1  # largest time stamp: 292 years
+EXCHANGES = 8  # of time stamps, by default
+DRIFT_EXCHANGES, DRIFT_S = 20, 1.0  # exchanges, and their duration, to measure the drift between the clocks
+DRIFT_VIRTUAL_S = 0.1  # in virtual time, where nothing disturbs an exchange
+GOLDEN = 0.6180339887498949  # golden ratio − 1
 COUNT_TIMEOUT_S = 0.5
 # A small processor computes the table of a long excitation in seconds.
 READY_S, READY_AGAIN_S = 60.0, 0.05
 FAULT_LOG_S = 2.0
-DICTIONARY_LIMIT = 0xFFFF
-BLOCK_LIMIT = 0xFFFF
+DICTIONARY_LIMIT = BLOCK_LIMIT = 0xFFFF  # bytes: replies give the total length in 16 bits
 
 # Dictionaries that this process has read, by their hash: a device that is opened again sends only the hash.
 DICTIONARIES_KEPT = 16
@@ -228,7 +227,7 @@ class FramedDevice:
         )
 
     def count(self) -> int:
-        """Return the present encoder count, which an unarmed device sends by itself; wait at most 0.5 s for it."""
+        """Return the encoder count that an unarmed device sends; raise `DeviceRefusedError` if none comes in 0.5 s."""
         self.dictionary  # noqa: B018  (a device in BOOT sends nothing)
         for event in self._events(COUNT_TIMEOUT_S):
             if isinstance(event.message, m.State):

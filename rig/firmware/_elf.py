@@ -13,9 +13,8 @@ from zlib import crc32
 from rig.core.errors import ConfigError
 from rig.firmware._uf2 import Piece
 
-MAGIC = b"\x7fELF\x01\x01"  # 32 bits, little-endian
 _LOAD = 1  # type of a segment that is put into memory
-_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
+_HEADER = struct.Struct("<28xI10xHH6x")  # e_phoff, e_phentsize, e_phnum
 _SEGMENT = struct.Struct("<8I")
 _WORD = struct.Struct("<I")
 
@@ -49,8 +48,7 @@ def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
     Raise `ConfigError` with the file's `name` if the file is damaged.
     """
     try:
-        header = _HEADER.unpack_from(content)
-        at, size, count = header[5], header[9], header[10]
+        at, size, count = _HEADER.unpack_from(content)
         segments = [_SEGMENT.unpack_from(content, at + number * size) for number in range(count)]
     except struct.error as error:
         raise ConfigError(

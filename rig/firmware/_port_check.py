@@ -29,7 +29,7 @@ from rig.core.keyword import Keyword
 from rig.core.present import Item, reported
 from rig.devices.device import Link
 
-# port_check.h has the same numbers.
+# Message types of the test program; port_check.h has the same numbers.
 QUESTION, ANSWER, COUNTED = 0x3C, 0x3D, 0x3F
 UNITS_PER_US = 1_000 / m.TIME_UNIT_NS
 UNITS_A_SECOND = 1e6 * UNITS_PER_US
@@ -51,13 +51,15 @@ BATCH_S, BATCH_BYTES = 0.1, 5
 FILL_FRAMES, FILL_S = 2_000, 10.0
 BITES_US = (40_000, 5_000)
 ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
-EMULATED = 5.0  # times as long
+EMULATED = 5.0  # times as long as on a board
 GONE_BY_S = 0.2
+REPORTS_RESET = 7  # place of this flag in the reply to `PortProbe.BOARD`
 QUIET_S = 0.05  # of a board that gives a sign of life each millisecond
 
 _HEAD = struct.Struct("<HH")
 Progress = Callable[[str, float], None]
-Verdict = Mapping[str, Any] | str | None  # broken: the numbers of its sentence; not seen: why; kept
+# Failed: the values of its message. Not tested: the reason. Passed: None.
+Verdict = Mapping[str, Any] | str | None
 
 
 class PortProbe(IntEnum):
@@ -344,7 +346,7 @@ BY_TIME = (
     *("time_of_timer", "tick_rate", "tick_grid", "rate_kept", "edge_time", "sync_time"),
     *("read_waits_not", "write_waits_not", "watchdog_time"),
 )
-NO_ANSWER: Mapping[str, Any] = {}  # broken, and why is not known: this very object
+NO_ANSWER: Mapping[str, Any] = {}  # failed without a reply: compare with `is`
 
 
 def _check(duty: Duty, verdict: Verdict) -> Check:
@@ -363,7 +365,7 @@ def _check(duty: Duty, verdict: Verdict) -> Check:
 # ------------------------------------------------------------------ time and ticks
 
 
-def _time(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _device_clock(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     clock = trial.board.link.clock
     looks = []
     for pause_s in (0.0, trial.request.seconds):
@@ -384,7 +386,7 @@ def _time(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         yield "time_unit", None
 
 
-def _ticks(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _tick_rates(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     rates = dict.fromkeys((trial.rate_initial, min(ODD_RATE, trial.rate_maximum), trial.rate_maximum))
     drift_ppm, wrong, grid = 0.0, None, None
     for rate in [*rates, trial.rate_initial]:
@@ -418,7 +420,7 @@ def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, b
     return found, bool(accepted), (most - least - abs(newest)) / UNITS_A_SECOND
 
 
-def _refusal(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _impossible_rate(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     (accepted,) = trial.board.ask(PortProbe.RATE, UNDOABLE_RATE)
     yield "rate_refused", {"wanted": UNDOABLE_RATE} if accepted else None
     rate = trial.rate_initial
@@ -431,7 +433,7 @@ def _refusal(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     trial.board.ask(PortProbe.TICKS, rate, 1)
 
 
-def _nesting(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _nested_interrupts(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     names = ("ticks_in_poll", "polls_in_tick", "ticks_in_tick")
     seen = dict(zip(names, trial.board.ask(PortProbe.HOLD), strict=True))
     yield "not_nested", seen if any(seen.values()) else None
@@ -440,11 +442,11 @@ def _nesting(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 # ------------------------------------------------------------------ pins
 
 
-def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _wired_pins(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     encoder = ("encoder_count", "edge_time", "encoder_failed")
     if not trial.request.wired:
         why = "wire the sync outputs tick and trial to A and B, inside to the sync input, and give `wired`"
-        yield from dict.fromkeys(STEPS[_wires], why).items()
+        yield from dict.fromkeys(STEPS[_wired_pins], why).items()
         return
     moved, wrong, missed, edge_off, alarmed, failed, again, rose, sync_off, fell = trial.ask_signed(
         PortProbe.WIRES
@@ -473,7 +475,7 @@ def _wires(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 # ------------------------------------------------------------------ link
 
 
-def _writing(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _transmit_buffer(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     board, before = trial.board, _count_damaged(trial.board.statistics)
     taken, room, refused, longest, total = board.ask(PortProbe.FILL, FILL_FRAMES, wait_s=FILL_S)
     came, torn = board.counted, _count_damaged(board.statistics) - before
@@ -495,10 +497,10 @@ def _count_damaged(statistics: LinkStatistics) -> int:
     return statistics.framing_errors + statistics.crc_errors
 
 
-# ------------------------------------------------------------------ what was seen on the way
+# ------------------------------------------------------------------ observed during all tests so far
 
 
-def _meanwhile(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _observations_so_far(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     low, high, read_units, overruns, ever = trial.board.ask(PortProbe.SUMMARY)
     back = high << 32 | low
     begins_again = back > UNITS_A_SECOND
@@ -519,7 +521,7 @@ def _meanwhile(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 # ------------------------------------------------------------------ resets
 
 
-def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _watchdog(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     slow_us, fast_us = BITES_US
     lived_ms, bitten = _starve(trial.board, slow_us)
     if not bitten:
@@ -529,7 +531,7 @@ def _bites(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
         ).items()
         return
     yield "watchdog_bites", None
-    is_reported = bool(trial.board.meet_again()[7])
+    is_reported = bool(trial.board.meet_again()[REPORTS_RESET])
     yield "reset_reported", None if is_reported else {}
     found = [(lived_ms, slow_us * 1e-3)]
     lived_ms, bitten = _starve(trial.board, fast_us)
@@ -555,8 +557,8 @@ def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
 # ------------------------------------------------------------------ amplifier
 
 
-def _current(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
-    names, quanta = STEPS[_current], trial.request.current
+def _amplifier(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+    names, quanta = STEPS[_amplifier], trial.request.current
     why = _why_no_current(trial)
     if why:
         yield from dict.fromkeys(names, why).items()
@@ -599,10 +601,10 @@ def _why_no_current(trial: PortTrial) -> str:
     return ""
 
 
-# ------------------------------------------------------------------ the way out
+# ------------------------------------------------------------------ boot loader
 
 
-def _leaving(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
+def _boot_loader(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     if not trial.has_bootloader:
         yield "bootloader", "the board has no boot loader"
     elif not trial.request.bootloader:
@@ -614,16 +616,16 @@ def _leaving(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 Step = Callable[[PortTrial], Iterator[tuple[str, Verdict]]]
-# In the order in which they are tried: no current before time and watchdog are right, and the way out last.
+# In the order of execution: no current before clock and watchdog have passed, and the boot loader last.
 STEPS: dict[Step, tuple[str, ...]] = {
-    _time: ("time_unit",),
-    _ticks: ("tick_rate", "time_of_timer", "tick_grid"),
-    _refusal: ("rate_refused", "rate_kept"),
-    _nesting: ("not_nested",),
-    _wires: ("sync_bits", "encoder_count", "edge_time", "encoder_failed", "sync_time"),
-    _writing: ("write_whole", "write_waits_not", "write_room"),
-    _meanwhile: ("time_steps_back", "time_width", "read_room", "read_waits_not", "inputs_bits"),
-    _bites: ("watchdog_bites", "watchdog_time", "reset_reported"),
-    _current: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
-    _leaving: ("bootloader",),
+    _device_clock: ("time_unit",),
+    _tick_rates: ("tick_rate", "time_of_timer", "tick_grid"),
+    _impossible_rate: ("rate_refused", "rate_kept"),
+    _nested_interrupts: ("not_nested",),
+    _wired_pins: ("sync_bits", "encoder_count", "edge_time", "encoder_failed", "sync_time"),
+    _transmit_buffer: ("write_whole", "write_waits_not", "write_room"),
+    _observations_so_far: ("time_steps_back", "time_width", "read_room", "read_waits_not", "inputs_bits"),
+    _watchdog: ("watchdog_bites", "watchdog_time", "reset_reported"),
+    _amplifier: ("measured_flows", "off_until_enabled", "starts_from_zero", "zero_at_once", "off_at_once"),
+    _boot_loader: ("bootloader",),
 }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from rig.core.errors import ConfigError
 
@@ -33,6 +34,15 @@ class Piece:
 
     address: int
     data: bytes
+
+
+class _Block(NamedTuple):
+    """A block of a UF2 file; `total` counts all blocks, and `piece` is None if the block is not for the flash."""
+
+    number: int
+    total: int
+    family: int | None
+    piece: Piece | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,21 +96,18 @@ def read_uf2(content: bytes, name: str) -> Uf2:
             name, f"{len(content)} bytes are not a multiple of {BLOCK_BYTES}, the size of a block"
         )
     blocks = [_read_block(content[at : at + BLOCK_BYTES], name) for at in range(0, len(content), BLOCK_BYTES)]
-    numbers = [number for number, *_ in blocks]
-    totals = {total for _, total, *_ in blocks}
-    if numbers != list(range(len(blocks))) or totals != {len(blocks)}:
+    if any((block.number, block.total) != (place, len(blocks)) for place, block in enumerate(blocks)):
         raise _damage_error(name, "blocks are missing or out of order")
-    families = {family for *_, family, _ in blocks}
+    families = {block.family for block in blocks}
     if len(families) != 1:
         raise ConfigError(
             f"{name} contains images for several processors",
             remedy="give a UF2 file with an image for a single processor",
         )
-    return Uf2(_join(piece for *_, piece in blocks if piece is not None), families.pop())
+    return Uf2(_join(block.piece for block in blocks if block.piece is not None), families.pop())
 
 
-def _read_block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | None]:
-    """Return number, number of blocks in the file, processor family and data (None if not for flash) of a UF2 block."""
+def _read_block(block: bytes, name: str) -> _Block:
     first, second, flags, address, size, number, total, family = _HEAD.unpack_from(block)
     (last,) = struct.unpack_from("<I", block, BLOCK_BYTES - 4)
     if (first, second, last) != (MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST):
@@ -108,7 +115,7 @@ def _read_block(block: bytes, name: str) -> tuple[int, int, int | None, Piece | 
     if size > DATA_ROOM:
         raise _damage_error(name, f"block {number} has an invalid size of {size} bytes")
     piece = None if flags & NOT_FOR_FLASH else Piece(address, block[_HEAD.size : _HEAD.size + size])
-    return number, total, family if flags & FAMILY_PRESENT else None, piece
+    return _Block(number, total, family if flags & FAMILY_PRESENT else None, piece)
 
 
 def _join(pieces: Iterable[Piece]) -> tuple[Piece, ...]:

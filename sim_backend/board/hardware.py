@@ -42,7 +42,7 @@ from sim_backend.mechanics.truth import TruthLog
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
 NO_END = 1 << 62  # ticks
-World = tuple[PlantArguments, OperatorScript, Wires, Supplies]
+World = tuple[PlantArguments, OperatorScript, Wires, Supplies]  # the rig, as arguments of `run_ticks`
 _NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
 
 
@@ -50,14 +50,14 @@ _put, _at = group_at(PlantArguments)
 
 
 @kernel(types.void(types.int64, PLANT_TYPE))
-def _keep(handle: int, plant: PlantArguments) -> None:
-    # To take the group of arguments apart at each call costs Python as much as a whole tick.
+def _store_plant(handle: int, plant: PlantArguments) -> None:
+    # To unpack the group of arguments at each call costs Python as much as a whole tick.
     _put(handle, plant)
 
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
 def _advance(handle: int, command_effort: float, external_effort: float) -> int:
-    """Move the plant that `_keep` stored at the address `handle` by one tick; return the encoder count.
+    """Move the plant that `_store_plant` stored at the address `handle` by one tick; return the encoder count.
 
     `command_effort` goes to the amplifier, `external_effort` acts on the link (N·m or N).
     """
@@ -105,7 +105,7 @@ class Hardware:
         self._plant = DiscretePlant.build(model, 1.0 / rate)
         self._state = self._plant.at_rest(initial_position)
         self._memory = np.zeros(0, np.int64)
-        self._let_move()
+        self._renew_arguments()
         self._effort_quantum = model.amplifier.effort_quantum
         self._ampere_per_effort = 1.0 / model.amplifier.effort_per_ampere
         self._quantum_a = model.amplifier.current_quantum_a
@@ -113,8 +113,8 @@ class Hardware:
         self.marks = marks_of(model)
         self._script, self._row = OperatorScript.silent(), 0
         self._sessions = 0
-        self._hand: DrivenHand | None = None  # and whether its blocks are being played
-        self._hand_driven = False
+        self._hand: DrivenHand | None = None
+        self._hand_driven = False  # True while the script consists of its blocks
         self.external_effort = 0.0
         self.slip = self.leak = 0
         self.drive = self.gain = 1.0
@@ -128,12 +128,12 @@ class Hardware:
         self._state = np.concatenate(
             [self._state[: self._plant.commands.start], np.zeros(self._plant.delay_ticks)]
         )
-        self._let_move()
-        # A script is written for one length of tick. The person stays at the handle and wants nothing new.
+        self._renew_arguments()
+        # A script is valid for one tick length. Without it the hand holds still at the handle.
         self._script = OperatorScript.silent()
         self._hand_driven = False
 
-    def _let_move(self) -> None:
+    def _renew_arguments(self) -> None:
         self._moving = self._plant.arguments(self._state)
         prepare(self._moving.other)  # a board does not compile between two ticks
         self._handle = 0
@@ -143,7 +143,7 @@ class Hardware:
         prepare(_advance, current_quanta)
         self._memory = np.zeros(-(-group_bytes(PlantArguments) // 8), np.int64)
         self._handle = int(self._memory.ctypes.data)
-        _keep(self._handle, self._moving)
+        _store_plant(self._handle, self._moving)
 
     def drive_hand(self, hand: DrivenHand) -> None:
         """Replace the scripted motion of the hand by an interactive hand, from the next session on."""
@@ -160,17 +160,18 @@ class Hardware:
         self._row = 0
         self._sessions += 1
 
-    def _ask_hand(self) -> None:
+    def _request_hand_motion(self) -> None:
         """Request the next block of motion from an interactive hand, if its last block is used up."""
         if self._hand_driven and self._row == 0 and self._hand is not None:
             hand, handle = self._plant.hand_position, self._plant.handle_position
             assert hand is not None
-            self._hand.tell(*(self._state.item(place) for place in (hand, handle, handle + 1)))
+            velocity = handle + 1  # each velocity follows its position
+            self._hand.tell(*(self._state.item(place) for place in (hand, handle, velocity)))
             self._script = self._hand.next(self._state.item(hand))
 
     def advance(self, current: int) -> None:
         """Simulate one tick with the motor current `current` (quanta), then update `count` and `measured`."""
-        self._ask_hand()
+        self._request_hand_motion()
         state, script = self._state, self._script
         if len(script.rows):
             state[self._plant.intentions] = script.rows[self._row]
@@ -212,7 +213,7 @@ class Hardware:
 
         The buffers for noise and true states (in the log, None: no log) last for at least one tick.
         """
-        self._ask_hand()
+        self._request_hand_motion()
         noise = self._noise
         noise.refill()
         indices, states, rows = truth.room() if truth is not None else (_NO_INDICES, _NO_STATES, 0)
@@ -239,14 +240,15 @@ class Hardware:
 
     def power_up(self, words: Words) -> None:
         """Clear the encoder's index pulses in `words`, as at power-up, and set the limit switch by the position."""
-        # Marks are where the steel is: they follow the true count, not the one that lost counts.
+        # Index and switch are mechanical: they follow the true count, also after lost counts.
         words[TRUE_COUNT] = self.count - self.slip
         words[INDEX_EDGES] = words[INDEX_COUNT] = 0
         self.sense(words)
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
         """Take over hand, noise, count, current and log after compiled ticks have changed `world` (see `world`)."""
-        places, words = world[-1].places, software.words
+        *_, supplies = world
+        places, words = supplies.places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)
         if truth is not None:

@@ -26,19 +26,19 @@ from sim_backend.mechanics.sensors import CURRENT_QUANTA_LIMIT, current_quanta
 COUNT, EDGE_AGE, MEASURED, INPUTS, CUTS, DUE, SAMPLE_INDEX, SESSION, TIME = range(9)
 BYTES, BYTE_COUNT, RECEIVED_AT, RATE_CHANGED, SWITCHED_ON = range(9, 14)
 INDEX_EDGES, INDEX_COUNT = range(14, 16)
-TRUE_COUNT = 16  # the simulation's own: of the last sample, without what the encoder has lost
+TRUE_COUNT = 16  # only for the simulation: count of the last sample without lost or extra edges
 WORDS = 17
 
-# What changes from tick to tick beside the plant's state: row of the script, unused noise, rows of truth.
+# Indices into `Supplies.places`.
 ROW, NOISE_LEFT, TRUTH_ROWS = range(3)
 PLACES = 3
 
 _PEAK = int(CURRENT_QUANTA_LIMIT)
-# Counters of the C code wrap at 2³²; ours are 64 bits wide.
+# Counters of the C code wrap at 2³²; these words have 64 bits.
 _U32 = 0xFFFFFFFF
 _SWITCH = int(Input.LIMIT_SWITCH)
 
-_call = native_call(2)  # half a tick: (device, words), both by address
+_call = native_call(2)  # a device function with two addresses as arguments: device and words
 
 
 @group
@@ -172,7 +172,7 @@ def run_ticks(
             break
         if kept and places[TRUTH_ROWS] == len(indices):
             break
-        # The device decides with what it received up to now; the plant moves under that decision.
+        # The device computes the current from what it has received so far; the plant moves under this current.
         quanta = _call(software.drive, software.device, software.address)
         if words[CUTS] != 0:
             cut(plant)
