@@ -108,8 +108,8 @@ UNASKED: dict[State, frozenset[type[Message]]] = {
     State.FAULT: frozenset({m.State, m.Batch}),  # the batches that were still in the buffer
 }
 
-QUEUE_LIMIT = 4096  # frames received and not yet taken; beyond it the oldest go, counted
-OPEN_LIMIT = 16  # requests under way; a host has one or two
+QUEUE_LIMIT = 4096  # frames that wait for `next_event`; beyond it the oldest are dropped and counted
+OPEN_LIMIT = 16  # requests without a reply yet; a host has one or two
 
 _REQUEST_OF: dict[type[Message], int] = {reply: type_id_of(request) for request, reply in REPLIES.items()}
 _NEXT: dict[State, dict[int, State]] = {
@@ -152,7 +152,7 @@ class Received:
 class Refused:
     """Event: a request that the device must reject with `ack()`, unless it repeats the last one: resend that reply."""
 
-    request: int  # type id, possibly one that we do not know
+    request: int  # type id, possibly unknown to this version
     nonce: int
     session: int
     status: Status
@@ -192,8 +192,8 @@ class Connection:
         self.session = 0
         self.statistics = LinkStatistics()
         self.transaction = Transaction(0, 0, DONE)
-        self._requests: tuple[Message, ...] = ()  # of the transaction
-        self._session_to_open: int | None = None  # by the transaction, if it is an ARM
+        self._requests: tuple[Message, ...] = ()  # all messages of the transaction
+        self._session_to_open: int | None = None  # number in the header, if the transaction is an ARM
         self._last_session = 0
         self._splitter = FrameSplitter(self.statistics)
         self._frames: deque[bytes] = deque()

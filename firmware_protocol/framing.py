@@ -24,7 +24,7 @@ RAW_LIMIT = 252  # BATCH; with stuffing 253, below the 254 where a COBS block wo
 ENCODED_LIMIT = RAW_LIMIT + 1
 RAW_MINIMUM = HEADER_BYTES + CRC_BYTES
 
-_CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # the code byte before a run without zeros
+_CODES = [bytes([length + 1]) for length in range(RAW_LIMIT + 1)]  # COBS code before a run without zeros
 
 
 class Defect(IntEnum):

@@ -41,7 +41,7 @@ class Role(IntEnum):
 class Delivery(IntEnum):
     """Delivery class of a message: whether it gets a reply, whether the sender repeats it, whether it may be lost."""
 
-    TRANSACTION = 0  # answered; repeated by the host until it is
+    TRANSACTION = 0  # has a reply; the host repeats it until the reply arrives
     STREAM = 1  # never repeated, the newest wins, losses are counted
     BATCH = 2  # never repeated, every frame kept, gaps show in the first index
 
@@ -50,7 +50,7 @@ class Mode(IntEnum):
     """Mode that a COMMAND message requests from the device."""
 
     CURRENT = 0  # apply the current
-    SUPERVISE = 1  # the law runs on the device; the current is ignored, the watchdog fed
+    SUPERVISE = 1  # keep the law on the device running; the current is ignored
     STOP = 2  # zero current now, without a ramp; the device stays armed
 
 
@@ -65,7 +65,7 @@ class Sync(IntFlag):
     and outside of a session. With mode SUPERVISE the law on the device controls the pins.
     """
 
-    TICK = 1  # while the device works on a tick; its own, ignored in a COMMAND
+    TICK = 1  # the device computes a tick; ignored in a COMMAND
     TRIAL = 2  # the trial runs
     INSIDE = 4  # the handle is inside its wall
 

@@ -223,7 +223,7 @@ def encode_block(values: Mapping[str, Value]) -> bytes:
         value = values[parameter.name]
         _check_one(parameter, value)
         if parameter.ctype == "f32":
-            value += 0.0  # one zero only: -0.0 would be another block with the same meaning
+            value += 0.0  # converts -0.0 to 0.0, which would have other bytes
         entries.append(struct.pack(_FORMATS[parameter.ctype], parameter.id, value))
     return b"".join(entries)
 

@@ -21,7 +21,7 @@ ENDLESS = 1 << 62  # tries
 CHUNK_BYTES = data_limit(SetChunk)
 
 BEGIN, CHUNK, COMMIT = (type_id_of(cls) for cls in (SetBegin, SetChunk, SetCommit))
-DONE, REFUSED, UNANSWERED = -1, -2, -3  # what the step is afterwards
+DONE, REFUSED, UNANSWERED = -1, -2, -3  # values of `step` at the end of a transaction
 
 _OK = int(Status.OK)
 _FIRST_NS, _DOUBLINGS = round(RETRY_AFTER_S[0] * 1e9), len(RETRY_AFTER_S) - 1

@@ -24,7 +24,7 @@ from rig.core.errors import (
 if sys.platform == "linux":
     EREMOTEIO = errno.EREMOTEIO
 else:
-    EREMOTEIO = 121  # which has no name elsewhere
+    EREMOTEIO = 121  # the errno of Linux; other systems do not define it
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import time
 
 from rig.realtime.callbacks import CallbackPlugs, callback_plugs
 
-WAIT_S = 0.05  # of one call of the reader: how soon it sees that it shall end
+WAIT_S = 0.05  # longest wait of the reader, which then checks whether it must end
 CLOSE_S = 2.0
 PENDING_BYTES = 65536
 

@@ -23,7 +23,7 @@ from rig.devices.port import LoopPort
 from rig.devices.port_facts import PortFacts, port_facts, ports_in_words
 from rig.realtime.clock import Clock, MonotonicClock
 
-BUFFER_S = 0.1  # that a port may take none of what is written
+BUFFER_S = 0.1  # time for which the port may accept no bytes
 FRAME_BYTES = 64
 
 
@@ -126,7 +126,7 @@ class _Line(ThreadedLine):
 
     def receive(self) -> bytes:
         try:
-            data: bytes = self._port.read(1)  # the first, or the time-out
+            data: bytes = self._port.read(1)  # wait for the first byte, or for the timeout
             return data + self._port.read(self._port.in_waiting) if data else b""
         except (OSError, TypeError) as error:  # pyserial sets its port to None when it is closed
             raise OSError(getattr(error, "errno", None) or errno.ENODEV, os.strerror(errno.ENODEV)) from None
@@ -144,4 +144,4 @@ class _Line(ThreadedLine):
         try:
             self._port.close()
         except OSError:
-            return  # it was pulled
+            return  # the adapter was unplugged

@@ -25,7 +25,7 @@ from usb.backend import libusb1
 
 from rig.core.errors import DeviceNotFoundError
 
-TESTED = ((1, 2), (1, 3))  # of pyusb
+TESTED = ((1, 2), (1, 3))  # versions of pyusb
 _FUNCTIONS = (
     "libusb_submit_transfer",
     "libusb_cancel_transfer",

@@ -14,7 +14,7 @@ import usb.core
 from rig.devices._failures import EREMOTEIO
 from rig.devices._threaded import WAIT_S, ThreadedLine
 
-WRITE_TIMEOUT_MS = 5  # of one write of the loop
+WRITE_TIMEOUT_MS = 5  # for one write of the loop
 OUT_LIMIT_S = 0.5
 
 

@@ -28,14 +28,14 @@ class Word(IntEnum):
     CONTEXT = 0  # libusb_context *
     SUBMIT = 1  # addresses of libusb_submit_transfer,
     CANCEL = 2  # libusb_cancel_transfer
-    HANDLE_EVENTS = 3  # and libusb_handle_events_timeout_completed
+    HANDLE_EVENTS = 3  # address of libusb_handle_events_timeout_completed
     POLLED = 4  # address of an array of struct pollfd: what libusb wants to be watched
     POLLED_COUNT = 5
     IN_COUNT = 6
     OUT_COUNT = 7
-    IN_BYTES = 8  # of one IN transfer: one packet
-    OUT_BYTES = 9  # of the buffer of one OUT transfer
-    IN_HEAD = 10  # the IN transfer whose bytes come next
+    IN_BYTES = 8  # size of an IN transfer: one packet
+    OUT_BYTES = 9  # size of the buffer of an OUT transfer
+    IN_HEAD = 10  # the IN transfer with the oldest unread bytes
     IN_TAKEN = 11  # bytes of it that have been read
     IN_ERROR = 12  # errno that ended the pipe, 0 while it lives
     OUT_ERROR = 13
@@ -59,7 +59,7 @@ SLOT_WORDS = 4
 STATUS_AT, LENGTH_AT, ACTUAL_AT, USER_DATA_AT = 16, 20, 24, 40
 
 _i64, _ptr = types.int64, types.uintp
-COMPLETED_SIGNATURE = types.void(_ptr)  # of the callback of a transfer
+COMPLETED_SIGNATURE = types.void(_ptr)  # of libusb's callback at the end of a transfer
 _call_one, _call_three = native_call(1), native_call(3)
 _two_words = stack_words(2)
 _memcpy = types.ExternalFunction("memcpy", _ptr(_ptr, _ptr, types.uint64))

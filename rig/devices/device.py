@@ -35,8 +35,8 @@ __all__ = [
     "failure",
 ]
 
-STATE_BYTES = encoded_bytes(messages.State)  # of the host loop's larger frame, on the wire
-LINK_SHARE = 0.7  # of a link's capacity that a loop may use; the rest is for answers and retries
+STATE_BYTES = encoded_bytes(messages.State)  # the larger frame of the host's loop, encoded
+LINK_SHARE = 0.7  # share of a link's capacity for the loop; replies and retries need the remainder
 
 
 _SCHEME = re.compile(r"[a-z][a-z0-9+.-]*")
@@ -139,7 +139,7 @@ class Link(Protocol):
     url: DeviceUrl
     clock: Clock
     bytes_per_second: float | None  # capacity each way, None when it is not a limit
-    messages: Sequence[str]  # what could not be obtained, each with its remedy: for the user to read
+    messages: Sequence[str]  # settings that could not be made, each with its remedy, for the user
 
     def read(self, timeout_s: float) -> bytes:
         """Return the bytes that the device has sent; wait at most `timeout_s` (s) for the first; may be empty."""

@@ -35,11 +35,11 @@ class FaultKind(Enum):
     DROP = "drop"
     CORRUPT = "corrupt"  # bit `bit` of byte `byte` flips; a 0x00 may appear or vanish
     DUPLICATE = "duplicate"
-    REORDER = "reorder"  # it comes after the next frame of its direction
+    REORDER = "reorder"  # delivered after the next frame of its direction
     # only its first `byte` bytes come, without a delimiter: it runs into the next frame
     TRUNCATE = "truncate"
     DELAY = "delay"  # it, and all behind it, wait for `ticks` ticks
-    SILENCE = "silence"  # it and all that follow are lost
+    SILENCE = "silence"  # this frame and all later ones are lost
     UNPLUG = "unplug"  # the line is gone in both directions, and both ends are notified
 
 

@@ -95,14 +95,14 @@ class FramedDevice:
         self._nonce = link.clock.now_ns() // 1_000_000 % 0xFFFF
         self._dictionary: dictionaries.Dictionary | None = None
         self._dictionary_hash = 0
-        self._crc: int | None = None  # of the active parameters; None: not ours, or not known
-        self._known: dict[str, Value] = {}  # the last values that were seen active
-        self.cleared_fault: FaultReport | None = None  # what an earlier run had left latched
+        self._crc: int | None = None  # of the active parameters; None: set by another host, or unknown
+        self._known: dict[str, Value] = {}  # the last known active values
+        self.cleared_fault: FaultReport | None = None  # the latched fault of an earlier run
         self.moved_as_described = False  # under the last torque pulse (`rig.experiments.motion.pulse`)
         # position zero by its index (`rig.experiments.motion.reference`)
         self.reference_count: int | None = None
-        self._session = 0  # used last
-        self._device_replies = True  # unless the last transaction was given up
+        self._session = 0  # number of the last session
+        self._device_replies = True  # False after a transaction without a reply
         # host time of the last request's first frame, and of the last bytes read
         self._sent_ns = self._received_ns = 0
 

@@ -22,7 +22,7 @@ from rig.firmware._toolchain import find_compiler
 
 FLASH, RAM, SIZE = 0x0800_0000, 0x2000_0000, 0x8_0000
 STACK_TOP, STACK_LEAST = RAM + SIZE, RAM + SIZE - 0x4000  # memory below is free for the caller
-RETURN = FLASH + SIZE - 0x100  # where a function returns to: nothing is there
+RETURN = FLASH + SIZE - 0x100  # return address of a called function: empty flash
 # The stack is filled with this byte before the first call: bytes that still have it were never used.
 PAINT = b"\xa5"
 STRICT = (
@@ -130,7 +130,7 @@ class Simulator:
     """A simulated processor core with an image in its flash, which counts instructions and cycles of each call."""
 
     image: Image
-    counts: bool = True  # what a call costs; without, it is quicker
+    counts: bool = True  # count instructions and cycles; False is faster
     instructions: int = 0  # of the last call
     cycles: int = 0
     profile: Counter[int] | None = None  # cycles of each block, if wanted

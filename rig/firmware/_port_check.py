@@ -36,7 +36,7 @@ UNITS_A_SECOND = 1e6 * UNITS_PER_US
 UNDOABLE_RATE = 0xFFFF_FFFF
 # Tolerance of counted ticks: at least so many, those of TICKS_S, or this share of the time watched.
 TICKS_LEAST, TICKS_S, TICKS_SHARE = 20, 0.1, 0.1
-ODD_RATE = 7_001  # a prime: no timer has it by chance
+ODD_RATE = 7_001  # a prime number, which no timer has by chance (Hz)
 # Largest difference of two equal rates (share); of two clocks from one crystal (ppm).
 RATE_SHARE, CLOCKS_PPM = 0.01, 300.0
 GRID_SHARE = 0.05  # of a period, as in the self test
@@ -54,7 +54,7 @@ ANSWER_S, RETURNS_S, TRIES = 2.0, 0.5, 5
 EMULATED = 5.0  # times as long as on a board
 GONE_BY_S = 0.2
 REPORTS_RESET = 7  # place of this flag in the reply to `PortProbe.BOARD`
-QUIET_S = 0.05  # of a board that gives a sign of life each millisecond
+QUIET_S = 0.05  # a starved board sends a frame each millisecond
 
 _HEAD = struct.Struct("<HH")
 Progress = Callable[[str, float], None]
@@ -155,7 +155,7 @@ class BoardUnderTest:
     """A connection to the test program on the board; the link is reopened if a reset of the board closes it."""
 
     open_link: Callable[[], Link]
-    patience: float = 1.0  # of a wait for an answer
+    patience: float = 1.0  # factor of all waits for a reply
     link: Link = field(init=False)
     counted: list[int] = field(default_factory=list)  # numbers of the counting frames since the last question
     statistics: LinkStatistics = field(default_factory=LinkStatistics)
@@ -256,8 +256,8 @@ class PortTrial:
     noise_milliquanta: int
     has_bootloader: bool
     verdicts: dict[str, Verdict] = field(default_factory=dict)
-    time_ratio: float = 1.0  # by which device time is too fast
-    times: list[int] = field(default_factory=list)  # before and behind the watch
+    time_ratio: float = 1.0  # device time / real time
+    times: list[int] = field(default_factory=list)  # device times before and after `seconds`
     silent: bool = False
 
     @classmethod

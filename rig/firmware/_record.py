@@ -115,7 +115,7 @@ def _read(image: bytes, at: int) -> Record | None:
         return None
     try:
         facts: dict[str, Any] = json.loads(content[:text_bytes])
-        known = {name: facts[name] for name in ImageFacts.__dataclass_fields__}  # a newer record has more
+        known = {name: facts[name] for name in ImageFacts.__dataclass_fields__}  # a newer version has more
         return Record(ImageFacts(**known), content[text_bytes:])
     except (ValueError, KeyError, TypeError):
         return None

@@ -19,9 +19,9 @@ from rig.core.errors import ConfigError
 from rig.core.model import RigModel
 from rig.firmware._boards import Board
 
-CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # of the converter behind a current monitor
-LEAST_STEPS = 50  # of the output from none to the rig's peak: a coarser one is no torque output
-DAC_STEPS = 65536  # of the converter from full negative to full positive current
+CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # range and steps of the A/D converter of a current monitor
+LEAST_STEPS = 50  # of the output, from zero to the rig's peak current
+DAC_STEPS = 65536  # of the D/A converter, from full negative to full positive current
 # Settings of a board with an output, as the Pico's board.toml has them: without all nothing is known.
 SCALES = {"full_scale", "current_monitor"}
 PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "clock"}

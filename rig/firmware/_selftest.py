@@ -216,7 +216,7 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
 
 def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
     before = device.active_parameters()
-    device.configure({"verified": before["verified"]})  # one that is not configured refuses every ARM
+    device.configure({"verified": before["verified"]})  # an unconfigured device rejects every ARM
     wrong = m.Arm(0, device.dictionary_hash ^ 1, 0)
     taken = []
     if device.status_of(wrong, session=_SESSION) == Status.OK:

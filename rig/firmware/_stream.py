@@ -11,7 +11,7 @@ from firmware_protocol.packing import unpack_batch_samples
 from rig.core.answers import ok, question, refused
 from rig.core.check import Check
 
-STREAM_SHARE = 0.9  # of the ticks must be received: the rest is beginning and end
+STREAM_SHARE = 0.9  # least share of ticks with a sample: beginning and end have none
 # Share of a period. A longer tick leaves no time for faults and transactions, which this check does not run.
 LOAD_LIMIT = 0.8
 

@@ -22,7 +22,7 @@ INSTALL = (
     "gcc-arm-embedded (macOS), winget install Arm.GnuArmEmbeddedToolchain (Windows); or set "
     f"{COMPILER_VARIABLE}=/path/to/{COMPILER}"
 )
-_SHOWN_LINES = 12  # of what the compiler complains about
+_SHOWN_LINES = 12  # of the compiler's errors, in a message
 
 
 @dataclass(frozen=True, slots=True)

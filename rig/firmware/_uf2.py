@@ -21,7 +21,7 @@ PAYLOAD_BYTES = 256
 DATA_ROOM = 476
 MAGIC_FIRST, MAGIC_SECOND, MAGIC_LAST = 0x0A324655, 0x9E5D5157, 0x0AB16F30
 FAMILY_PRESENT = 0x00002000  # the last word of the head is a family, not a length
-NOT_FOR_FLASH = 0x00000001  # a comment: skip it
+NOT_FOR_FLASH = 0x00000001  # the block contains a comment
 RP2040 = 0xE48BFF56
 FAMILIES = {RP2040: "RP2040", 0xE48BFF59: "RP2350, Arm, secure", 0xE48BFF57: "RP2xxx, absolute"}
 

@@ -16,7 +16,7 @@ from rig.core.errors import ConfigError
 from rig.firmware._boards import Board, load, settings_of
 from rig.firmware._cortex import CORES, CortexCore
 
-BOARD = "rp2040"  # where no board is named: the one that this package has firmware for
+BOARD = "rp2040"  # default board: this package contains its firmware
 # Largest part of a period that a tick may take; link and host need the rest.
 SHARE = 0.4
 INTEGERS = "fdm-butterworth-fixed"

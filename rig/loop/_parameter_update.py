@@ -47,14 +47,14 @@ after_answer = kernel(TRANSACTION(TRANSACTION, _i64, _i64, _i64, _i64))(transact
 
 # Steps of an update.
 IDLE = 0
-WAITING = 1  # for free space
+WAITING = 1  # until the handle is in free space
 UNDER_WAY = 2
 COMMITTED = 3  # SET_COMMIT is due or sent, and not yet answered
 GRANTED = 4  # active from the sample `change_at` on
 
 _INSIDE_WALL = int(Status.INSIDE_WALL)
-_HEAD = struct.Struct("<qq")  # of an update: number of the set, bytes of the block
-AGAIN_NS = 2_000_000  # after the device found the handle inside a wall
+_HEAD = struct.Struct("<qq")  # head of an update: number of the set, size of the block (bytes)
+AGAIN_NS = 2_000_000  # pause after the device has found the handle inside a wall
 
 
 def update_of(number: int, block: bytes, values: Sequence[float]) -> bytes:

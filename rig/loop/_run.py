@@ -134,7 +134,7 @@ class LoopThread:
         current is not checked.
     """
 
-    compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # what thread and supervisor call
+    compiled: ClassVar[tuple[Any, ...]] = (host.run,)  # compiled functions that thread and supervisor call
 
     @classmethod
     def prepare(cls, link: Link, controller: ControllerState) -> None:

@@ -77,9 +77,9 @@ from rig.realtime.codec import STATE
 from rig.realtime.kernel import kernel
 
 _RELEASE = int(Phase.RELEASE)
-READINGS_A_TURN = 16  # of a full receive buffer, before anything else is looked at again
+READINGS_A_TURN = 16  # reads of a full receive buffer before the loop does anything else
 ROWS_A_TURN = 1024
-REST_NS = 20_000_000  # after the stop: how long to receive what is still in transit
+REST_NS = 20_000_000  # after the stop: how long to receive samples that are in transit
 SETTLE_NS = 2_000_000  # after the STATE that shows the stop active
 _CONTINUE = 0
 _ABANDONED = -1
@@ -176,7 +176,7 @@ def _show_sample(
     state[STATE.sample_index] = sample[INDEX] % WRAP
     state[STATE.device_time] = sample[TIME] % WRAP
     state[STATE.count] = sample[COUNT]
-    state[STATE.edge_time] = state[STATE.device_time]  # no batch has it
+    state[STATE.edge_time] = state[STATE.device_time]  # a BATCH does not contain it
     state[STATE.current_commanded] = sample[CURRENT]
     state[STATE.current_measured] = sample[MEASURED]
     return int(elapsed)

@@ -21,7 +21,7 @@ _LOOPS = int(  # noticed by the loop, not by the law
     RowFlag.LATE | RowFlag.GAP | RowFlag.CURRENT_FOLLOWS | RowFlag.CURRENT_DIFFERS | RowFlag.OTHER_CURRENT
 )
 
-NO_SETS = np.zeros((0, 1))  # of a run without parameter updates
+NO_SETS = np.zeros((0, 1))  # for a run without parameter updates
 
 
 @kernel(types.void(CONTROLLER_TYPE, ROWS_TYPE, ROWS_TYPE, types.float64[:, ::1]))

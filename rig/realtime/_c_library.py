@@ -31,8 +31,8 @@ if sys.platform != "win32":  # where code is relocated
     FLAGS += ("-fPIC",)
 COMPILERS = ("cc", "gcc", "clang")
 ZIG = "ziglang"  # a C compiler as a package of Python, for systems that have none
-COMPILE_S = 600.0  # which builds its C library first, once
-_SHOWN_LINES = 6  # of what a compiler says
+COMPILE_S = 600.0  # longest compilation: ziglang builds its C library first, once
+_SHOWN_LINES = 6  # of the compiler's output, in a message
 
 
 def doubles(numbers: Any) -> Any:

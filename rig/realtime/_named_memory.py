@@ -18,7 +18,7 @@ from rig.core import locks
 from rig.realtime._user_cache import user_cache
 
 ALIVE = "alive"
-_PATIENCE_S = 2.0  # with others that make or look: they need milliseconds
+_PATIENCE_S = 2.0  # for other processes that create or list memories: they need milliseconds
 _CHUNK = bytes(1 << 20)
 
 _alive: dict[int, FileIO] = {}  # lock of this process, by its number: a fork has none

@@ -24,7 +24,7 @@ MAGIC = b"RIGHAND1"
 _VALUES = struct.Struct("<qdd")  # sequence, position, press
 _MOTION = struct.Struct("<qqddd")  # number, device time, hand, handle, velocity
 _CRC = struct.Struct("<I")
-MOTIONS = 128  # that the ring holds: a quarter of a second of a simulated hand's blocks
+MOTIONS = 128  # in the ring buffer: a quarter of a second of a simulated hand's blocks
 WISH_END = len(MAGIC) + _VALUES.size + _CRC.size
 _MOTION_BYTES = _MOTION.size + _CRC.size
 SIZE = WISH_END + MOTIONS * _MOTION_BYTES
@@ -80,7 +80,7 @@ class SharedHand:
     def __init__(self, memory: mmap.mmap, path: Path) -> None:
         self.path = path
         self._memory = memory
-        motions = self._whole_motions()  # of a process that opened it before
+        motions = self._whole_motions()  # written by a process that opened the file before
         self._latest = self._seen = motions[-1][0] if motions else 0
 
     @classmethod

@@ -188,7 +188,7 @@ def kernel(
     Division by zero returns inf or NaN, as in numpy. With ``NUMBA_DISABLE_JIT=1`` the function is returned unchanged,
     for tests and coverage.
     """
-    arguments = getattr(signature, "args", ())  # a text names no group
+    arguments = getattr(signature, "args", ())  # a signature as text contains no group
     takes_group = any(isinstance(argument, numba.types.BaseNamedTuple) for argument in arguments)
     options: dict[str, Any] = {
         "nopython": True,
@@ -202,7 +202,7 @@ def kernel(
         # leave the counts of a group's members too high for ever.
         "_nrt": not (no_refcount or takes_group),
         "forceinline": inline,
-        "no_cfunc_wrapper": takes_group,  # a plug point takes none
+        "no_cfunc_wrapper": takes_group,  # a plug point cannot take a group
     }
 
     def decorate(function: F) -> F:

@@ -38,7 +38,7 @@ from rig.realtime.kernel import kernel
 MOST_BYTES = 512
 SET_FLOATS = MOST_BYTES // 8
 SLOTS = 3
-HEAD_BYTES = 64  # a cache line: the word shares it with nothing
+HEAD_BYTES = 64  # a cache line for the word alone
 SLOT_BYTES = 576  # two words, the bytes, padding to cache lines
 MAILBOX_BYTES = HEAD_BYTES + SLOTS * SLOT_BYTES
 ATTEMPTS = 4

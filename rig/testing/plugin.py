@@ -28,7 +28,7 @@ SIMULATED = "sim:"
 EVERY_FRAME = "rig_every_frame"
 VERIFIED = "--rig-verified"
 KEPT = pytest.StashKey["testing.Kept"]()
-PROPERTY = "rig_recordings"  # in the properties of a report: where a test's recordings are kept
+PROPERTY = "rig_recordings"  # property of a report: directory of the test's recordings
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -79,7 +79,7 @@ def excite(
         # Rounded to the units of a STATE message, as over the byte link.
         units = min(state[plant.edge_age] * UNITS_PER_SECOND, float(OLDEST_EDGE))
         edge_age_ns = int(np.rint(units)) * NS_NUMERATOR // NS_DENOMINATOR
-        current_active = m["current_sent"]  # no link delays it
+        current_active = m["current_sent"]  # no link delays the command
         step(controller, count, edge_age_ns * 1e-9, 1, current_active)
         if m["phase"] != TRIAL:
             return k

@@ -35,7 +35,7 @@ SIGNALS = 6
 SINGULAR = (
     1e-12  # share of the product of both sums of squares below which penetration and rate are proportional
 )
-STIFFNESS, DAMPING, VELOCITY_ERROR = range(3)  # of a `Rendering`
+STIFFNESS, DAMPING, VELOCITY_ERROR = range(3)  # indices into `rendering`
 
 
 @kernel("void(f8[:], f8[:], f8[:], f8[::1])")
@@ -103,7 +103,7 @@ def hit(
     render(shown[REACTION], shown[PENETRATION_TRUE], shown[RATE_TRUE], rendering)
     measure(
         shown[POSITION],
-        shown[POSITION, :0],  # the velocity is that of the counts
+        shown[POSITION, :0],  # no recorded velocity: it is derived from the counts
         shown[EFFORT],
         shown[PENETRATION],
         flags[first:last],

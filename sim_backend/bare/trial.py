@@ -24,7 +24,7 @@ from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, PlantArguments, advance
 
 NS_NUMERATOR, NS_DENOMINATOR = TIME_UNIT_NS.as_integer_ratio()
-UNSEEN = -1  # phase of a sample that the law never saw
+UNSEEN = -1  # phase of a sample that the law did not process
 IN_TIME = np.zeros(0, np.int64)  # ages of samples that all come at once
 _LATE, _GAP = int(RowFlag.LATE), int(RowFlag.GAP)
 
@@ -90,7 +90,7 @@ def run_ticks(
         for i in range(len(state)):  # a slice would be an array to count references to
             trace.states[k, i] = state[i]
         trace.counts[k] = count
-        trace.active[k] = m["current_sent"]  # as the STATE of this sample shows it: of the command before
+        trace.active[k] = m["current_sent"]  # set by the command before, as a STATE reports it
         trace.phases[k], trace.flags[k], trace.velocities[k] = UNSEEN, 0, 0.0
         age = ages[k] if k < len(ages) else 0
         sample = k - age

@@ -29,7 +29,7 @@ from rig.core.model import RigModel
 FIRMWARE = "simulated 1"
 
 
-@lru_cache(maxsize=64)  # a device for every trial of a rig has the same
+@lru_cache(maxsize=64)  # all devices of a rig have the same dictionary
 def describe(
     model: RigModel, name: str, rate_default: int, rate_maximum: int, law_maximum: int = 0
 ) -> dictionaries.Dictionary:

@@ -68,7 +68,7 @@ class Core:
         # Its bytes by their address: they last as long as the dictionary.
         setup = BoardSetup.of(model, self.dictionary.packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
-        for narrow in (  # by their numbers: the first that does not fit is the one that a refusal names
+        for narrow in (  # in the order of their ids: a refusal names the first that does not fit
             "motion",
             "position_rate",
             "current_limit",
@@ -245,7 +245,7 @@ class FirmwareDevice:
         enough
             Number of sent bytes after which to return.
         """
-        until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # the last unit that is not later
+        until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # rounded down to a unit
         ticks, output = 0, b""
         if most > 0 and self._seen.due <= until:
             # One call of a compiled run takes as long as three single ticks.

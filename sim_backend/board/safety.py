@@ -25,7 +25,7 @@ from rig.core.board import current_sensor, moved_mechanics, over_current
 from rig.core.model import RigModel
 from rig.realtime.groups import Floats, Ints
 
-UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # of device time
+UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # units of device time (1/16 µs)
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000
 # What a host has to send its first command after ARM, and to disarm after STOP. There is no current meanwhile, so it
 # may be long: threads start and files close on a busy machine. It ends because an amplifier should not stay enabled
@@ -39,18 +39,18 @@ SPEED_WINDOW_S = 5e-3
 NEAR_SPEED = 0.9  # share of speed_limit from which STATE warns
 NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warns
 
-FADES_A_SECOND = 2  # of an effort whose position nothing confirms
+FADES_A_SECOND = 2  # full efforts per second by which an effort without encoder motion fades
 
 # Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
 # rest.
 LARGEST_SHARE = 5
-FRICTION_SHARE = 0.25  # a twentieth, times LARGEST_SHARE
+FRICTION_SHARE = 0.25  # 1/20, times LARGEST_SHARE
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS
 
 # At the budget the current is reduced; heat well above it shows that the reduction does not help.
 THERMAL_CUT = 1.25
 
-# Faults found in one tick, gravest first: the first of them is latched, the others go into the mask.
+# Order of faults found in one tick: the first is latched, the others are reported as `later` faults.
 GRAVITY = (
     Fault.EMERGENCY_STOP,
     Fault.OVER_CURRENT,
@@ -66,21 +66,21 @@ Entry = tuple[int, int, int, int, int]  # sample index, count, current commanded
 
 _Places = namedtuple(
     "_Places",
-    # of the command and of how it fades
+    # the last command, and its ramp to zero
     "wanted expires ramp ramp_from applied ramping lost "
-    # of the limits: active current (quanta), `LimitFlag` bits that acted since they were last cleared
+    # limits: active current (quanta), `LimitFlag` bits since they were last cleared, …
     "current flags limit continuous slew confirm fade unmoved low "
-    # of the monitors
+    # monitors
     "sign peak peaks zero large stall_ticks driven still pushed ticks slot fastest near_fastest first last near_first "
     "near_last "
-    # of the fault that is latched, and the ticks before it
+    # latched fault, and number of remembered ticks
     "fault remembered",
 )
-AT: Any = _Places(*range(len(_Places._fields)))  # in `Safety.rules`
+AT: Any = _Places(*range(len(_Places._fields)))  # indices into `Safety.rules`
 HEAT, BUDGET, DECAY = range(3)
 
 _ENTRY = 5
-_PEAK = 32_767  # of a current on the wire
+_PEAK = 32_767  # largest current in a message (quanta)
 _LONGEST_WINDOW = round(BY_NAME["position_rate"].maximum * SPEED_WINDOW_S)
 _NEVER = 1 << 62
 _IDLE_LIFETIME = round(IDLE_LIFETIME_S * UNITS_PER_SECOND)
@@ -102,7 +102,7 @@ _RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _MISMATCH, _WINDOW, _TOO_HOT = (
 # What the current sensor shows while the amplifier is off is its zero: a mean over so many ticks, as long as it is
 # small. A larger one is a fault of the sensor, and shows as a mismatch once the device is armed.
 ZERO_TICKS = 64
-ZERO_SHARE = 16  # of the current that is a fault: one in so many
+ZERO_SHARE = 16  # largest zero: the over-current limit divided by this
 _ZERO_UNIT = 256
 
 
@@ -242,7 +242,7 @@ def check(
     slot, ticks = rules[AT.slot], rules[AT.ticks]
     moved = count - counts[slot]
     counts[slot] = count
-    left = not 0 <= count - rules[AT.low] <= 1  # the two neighbours
+    left = not 0 <= count - rules[AT.low] <= 1  # outside of the two neighbouring counts
     if left:
         rules[AT.low] = count if count < rules[AT.low] else count - 1
     rules[AT.unmoved] = 0 if left and rules[AT.unmoved] <= rules[AT.confirm] else rules[AT.unmoved] + 1

@@ -55,7 +55,7 @@ _Own = namedtuple(
     "rate grid_index grid_time needs_hold command_lifetime supervise_lifetime ramp",
 )
 BOARD_WORDS = WORDS + len(_Own._fields)
-OWN: Any = _Own(*range(WORDS, BOARD_WORDS))  # the device's own words, behind those of `lockstep`
+OWN: Any = _Own(*range(WORDS, BOARD_WORDS))  # indices of the device's own words, after those of `lockstep`
 
 _U32 = 0xFFFFFFFF
 _U16 = 0xFFFF
@@ -171,7 +171,7 @@ def report(board: DeviceMemory) -> bool:
         words[OWN.protocol_state],
         words[INPUTS] | _SHOWN[words[OWN.sync]],
     )
-    state[STATE.phase] = 0  # no law of its own
+    state[STATE.phase] = 0  # this device runs no law
     state[STATE.sync_time] = words[OWN.sync_time] & _U32
     words[OWN.acted] = 0  # since the last STATE
     return True

@@ -12,7 +12,7 @@ from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.socket_can import STANDARD_IDS, pad
 
 LONGEST_LINE = 254  # fw/uart_fdcanusb_micro_server.h; what is longer is thrown away
-DATA_BYTES = 64  # of a CAN FD frame
+DATA_BYTES = 64  # largest data of a CAN FD frame
 _POLYNOMIAL = 0x97  # docs/integration/uart.md
 _SEND = b"can send "
 # The texts of `_InvalidLineError` are those of the makers' firmware, word for word.

@@ -75,7 +75,7 @@ WANTS_REPLY = 0x80  # docs/protocol/can.md, of the source
 FIRMWARE = 0x010000  # 1.0.0, CHANGELOG.md
 MAP_VERSION = 5  # fw/moteus_controller.cc, kRegisterMapVersion
 CONSOLE_CHANNEL = 1  # fw/moteus.cc
-STREAM_BYTES = 41  # that an answer on the stream holds at most: mjlib/multiplex/micro_server.cc
+STREAM_BYTES = 41  # largest reply on the stream: mjlib/multiplex/micro_server.cc
 UNCONFIGURED_TORQUE_CONSTANT = 0.1  # N·m/A, fw/bldc_servo_control.h, kDefaultTorqueConstant
 OTHER_MASTER = 2  # source of the frames of a second host, where one is simulated
 
@@ -117,7 +117,7 @@ class SimulatedMoteus:
     """
 
     rate_hz = RATE_HZ
-    next_due: int | None = None  # it never sends unrequested
+    next_due: int | None = None  # a moteus sends only replies
 
     def __init__(self, model: RigModel, options: MoteusOptions = MoteusOptions()) -> None:
         self._words = np.zeros(WORDS)
@@ -125,7 +125,7 @@ class SimulatedMoteus:
         self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
         self._options = options
         self.settings = MoteusSettings(defaults(self.motor.counts_per_turn, self._kt))
-        self._kind = self.settings.values["motor_position.sources.0.type"]  # of the encoder
+        self._kind = self.settings.values["motor_position.sources.0.type"]  # type of the encoder
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
                 raise ConfigError(

@@ -265,7 +265,7 @@ def _follow(w: Words, target: float, velocity: float, top: float, accel: float) 
         w[W.trajectory_done] = 1.0 if done else 0.0
     w[W.control_position] += 0.5 * (before + w[W.control_velocity]) * _DT if not free else velocity * _DT
     if w[W.trajectory_done] != 0.0:
-        w[W.command_position] = math.nan  # from here on the velocity alone
+        w[W.command_position] = math.nan  # from here on only the velocity is followed
     elif not math.isnan(target):
         w[W.command_position] = target + velocity * _DT
     slip = w[W.max_position_slip]

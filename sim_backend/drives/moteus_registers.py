@@ -11,7 +11,7 @@ import math
 from sim_backend.drives.moteus_law import MODES, W
 from sim_backend.drives.multiplex import FLOAT, NOT_WRITEABLE, UNKNOWN_REGISTER, scale, unscale
 
-Steps = tuple[float, float, float]  # of one step as int8, int16, int32
+Steps = tuple[float, float, float]  # value of one step as int8, int16, int32
 CURRENT: Steps = (1.0, 0.1, 0.001)
 TORQUE: Steps = (0.5, 0.01, 0.001)
 VOLTAGE: Steps = (0.5, 0.1, 0.001)
@@ -27,7 +27,7 @@ WHOLE: Steps = (1, 1, 1)
 MODE, FAULT_REGISTER, HOME_STATE = 0x000, 0x00F, 0x00C
 SET_NEAREST, SET_EXACT, REQUIRE_REINDEX, RECAPTURE = range(0x130, 0x134)
 UUID_MASK = range(0x154, 0x158)
-NOT_MEANT = -1  # of the writes of a frame: its mask is another board's, and the frame does nothing
+NOT_MEANT = -1  # error of a write whose mask names another board: the frame is ignored
 
 Q_CURRENT, D_CURRENT, ABSOLUTE_POSITION, ELECTRICAL_POWER = range(0x004, 0x008)
 MOTOR_TEMPERATURE, TORQUE_ERROR, ENCODER_VALIDITY, MILLISECONDS = 0x00A, 0x03D, 0x058, 0x070
@@ -35,7 +35,7 @@ Q_COMMAND, D_COMMAND = 0x01C, 0x01D
 POSITION_REGISTER, VELOCITY_REGISTER, FEEDFORWARD_TORQUE, KP_SCALE, KD_SCALE = range(0x020, 0x025)
 MAX_TORQUE, STOP_POSITION, TIMEOUT_REGISTER, VELOCITY_LIMIT, ACCEL_LIMIT = range(0x025, 0x02A)
 ILIMIT_SCALE, IGNORE_BOUNDS = 0x02B, 0x02D
-LOWER_BOUND, UPPER_BOUND = 0x040, 0x041  # of the mode stay-within
+LOWER_BOUND, UPPER_BOUND = 0x040, 0x041  # for the mode stay-within
 ENCODER_POSITIONS, ENCODER_VELOCITIES = (0x050, 0x052, 0x054), (0x051, 0x053, 0x055)
 GPIO_STATUS, DRIVER_FAULTS = (0x05E, 0x05F), (0x140, 0x141)
 MODEL_NUMBER, FIRMWARE_VERSION, MAP_VERSION_REGISTER = range(0x100, 0x103)

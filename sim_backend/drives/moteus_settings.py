@@ -14,7 +14,7 @@ Value = int | float
 
 ONBOARD_COUNTS = 16384  # docs/reference/configuration.md, aux[12].spi.mode 0
 SPI, QUADRATURE = 1, 3  # docs/reference/configuration.md, motor_position.sources.X.type
-PHASE_OHM = 0.05  # of the motor, phase to star point: assumed; only the mode "brake" depends on it
+PHASE_OHM = 0.05  # phase to star point, assumed; only the mode "brake" depends on it
 # N·m/A times rev/min/V: fw/bldc_servo.cc, kTorqueFactor
 TORQUE_TIMES_KV = 1.5 / math.sqrt(3.0) * 60.0 / (2.0 * math.pi)
 

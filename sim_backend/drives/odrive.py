@@ -38,8 +38,8 @@ from sim_backend.drives.odrive_law import CLOSED_LOOP, IDLE, POSITION_CONTROL, R
 
 FIRMWARE = (0, 6, 11)
 HARDWARE = (4, 4, 58)  # product line, version, variant: an ODrive Pro (odrive 0.6.11, data/odrive-v4.4.json)
-PROTOCOL = 2  # of CAN Simple: the maker's example reads it and compares nothing
-ONBOARD_COUNTS = 16384  # of the absolute encoder on the board
+PROTOCOL = 2  # version of CAN Simple: the maker's example reads it and compares nothing
+ONBOARD_COUNTS = 16384  # counts per turn of the absolute encoder on the board
 REBOOT, SAVE, ERASE = range(3)  # ODriveArduino, src/ODriveCAN.h
 TICKS_A_MS = RATE_HZ // 1000
 

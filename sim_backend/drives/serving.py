@@ -18,7 +18,7 @@ from sim_backend.drives.faults import HOST_BUS_OFF, STALE, DriveEvent, DriveScri
 from sim_backend.drives.socket_can import BUS_OFF
 from sim_backend.ends.channel import ScriptedLine as FailingLine
 
-IDLE_NS = 5_000_000  # without a unit
+IDLE_NS = 5_000_000  # longest time without an advance of the drive
 LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up
 _MS, _SECOND = 1_000_000, 1_000_000_000
 

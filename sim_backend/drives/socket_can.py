@@ -18,7 +18,7 @@ STANDARD_IDS = 0x7FF
 BUS_OFF = 0x40  # class of an error frame: include/uapi/linux/can/error.h
 _ID = 0x1FFFFFFF
 _FRAME = struct.Struct("=IBB2x64s")
-_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # of the data of CAN FD
+_LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # lengths of data that CAN FD allows
 
 
 def pad(data: bytes, padding: int = 0) -> bytes:

@@ -36,16 +36,16 @@ from sim_backend.board.lockstep import (
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments
 
-SLICE_NS = 10_000_000  # in which a signal or a wish to stop is heard
+SLICE_NS = 10_000_000  # time of one compiled call: a signal or stop request acts after it
 # After a longer pause (a suspended process) the grid restarts: the simulated world stood still too.
 LONGEST_PAUSE_NS = 1_000_000_000
 LATE_NS = 50_000  # beyond what it takes to wake
 # of faster ticks several pass at once: a process that is woken more often does little else
 SHORTEST_STEP_NS = 250_000
-PENDING_BYTES = 1 << 16  # that the host has not read yet: BATCH of 100 ms and more
-OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
-RECEIVED_BYTES = 1 << 12  # that are taken from the host in one go
-BURST_BYTES = 1 << 12  # that end a run of ticks to be written
+PENDING_BYTES = 1 << 16  # unread output: BATCH messages of 100 ms and more
+OUTPUT_BYTES = 1 << 16  # largest output of a device in one tick
+RECEIVED_BYTES = 1 << 12  # largest read from the host
+BURST_BYTES = 1 << 12  # output after which a run of ticks ends to write it
 
 # What a call shares with the next one: device time 0 on the clock (ns), half of what one pass may make up (ns), when
 # the last pass was (ns), ticks that may pass before Python is asked, bytes that wait for the host, whether it is gone,
@@ -171,7 +171,7 @@ def keep_time(
             # No tick is left out. Late ones are made up at twice the pace and no faster, so that a host that was there
             # all the time can answer each and is not found silent.
             since_boot_ns = min(now_ns, due_ns + 2 * step_ns - 1) - grid[BOOT_NS]
-            until = (_UNITS * since_boot_ns + 1) // _UNITS_NS  # the last unit that is not later
+            until = (_UNITS * since_boot_ns + 1) // _UNITS_NS  # rounded down to a unit
             while words[DUE] <= until and grid[MOST] > 0:
                 ticks = run_ticks(software, plant, script, wires, supplies, until, grid[MOST], BURST_BYTES)
                 grid[MOST] = grid[MOST] - ticks if ticks != 0 else 0
@@ -278,7 +278,7 @@ class BoardTime:
         """Refill the buffers that ticks use up; return the arguments of `lockstep.run_ticks` for the next ticks."""
         device, grid = self.device, self._grid
         software, world = device.compiled()
-        boot_ns = device.elapsed_ns - device.time_ns  # of the simulated time; a reset moves it
+        boot_ns = device.elapsed_ns - device.time_ns  # simulated time at the last reset
         grid[BOOT_NS] += boot_ns - self._boot_ns
         self._boot_ns = boot_ns
         period_ns = 1_000_000_000 // device.rate

@@ -47,7 +47,7 @@ STALE, CLOSED, ARRIVED, DISCARDED, TICKS, MOST = range(6)
 PROGRESS = 6
 
 LONGEST_RUN = 10_000  # ticks after which a change that Python makes to the device meanwhile is seen
-OUTPUT_BYTES = 1 << 16  # that a device says in one go at most
+OUTPUT_BYTES = 1 << 16  # largest output of a device in one tick
 _BROKEN = -errno.EIO
 _SERVE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_size_t)
 _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
@@ -129,7 +129,7 @@ def _pass(handle: int, deadline_ns: int) -> int:
     while True:
         end = _at(handle)
         words, progress = end.software.words, end.progress
-        until = (_UNITS * (deadline_ns - end.origin_ns) + 1) // _UNITS_NS  # the last unit that is not later
+        until = (_UNITS * (deadline_ns - end.origin_ns) + 1) // _UNITS_NS  # rounded down to a unit
         before = progress[ARRIVED] + progress[DISCARDED]
         ticks = run_ticks(
             end.software, end.plant, end.script, end.wires, end.supplies, until, progress[MOST], 1

@@ -24,8 +24,8 @@ from sim_backend.ends.real_time import READ_BYTES, sleep_until
 
 assert sys.platform == "linux"
 
-PENDING_BYTES = 8192  # answers of the readable device that the host has not read yet
-WAITING_HOSTS = 8  # for their turn at a socket
+PENDING_BYTES = 8192  # unread output of the device in Python
+WAITING_HOSTS = 8  # largest number of hosts that wait at a socket
 
 
 class Line:
@@ -113,7 +113,7 @@ class PseudoTerminal(Line):
         master, slave = os.openpty()
         super().__init__(os.ttyname(slave), master)
         tty.setraw(slave)
-        os.close(slave)  # from now on a hang-up shows that no host has it open
+        os.close(slave)  # from now on a read error (EIO) means that no host has the terminal open
 
     def next_host(self) -> None:
         """Discard the bytes that the last host has not read: the terminal driver stores up to 4 KiB."""

@@ -47,7 +47,7 @@ OPTIONS: dict[str, Callable[[str], Any]] = {
 }
 CLOCK_PPM_MAXIMUM = 1000.0
 SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
-BUFFER_BYTES = 1 << 16  # of unread input, as in a driver; further bytes are lost
+BUFFER_BYTES = 1 << 16  # unread input, as in a driver; further bytes are lost
 
 _BILLION = 1_000_000_000
 _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns

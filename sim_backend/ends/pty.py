@@ -30,8 +30,8 @@ if sys.platform == "linux":
 assert sys.platform == "linux"
 
 POSITION_RATE_DEFAULT = 1_000
-POSITION_RATE_MAXIMUM = 4_000  # that a host answers tick by tick, as an ordinary kernel wakes it
-FIRMWARE_RATE_MAXIMUM = 20_000  # of a law on the device; beyond, a line of 3 Mbaud is full
+POSITION_RATE_MAXIMUM = 4_000  # Hz; faster, an ordinary kernel wakes a host too late to reply in each tick
+FIRMWARE_RATE_MAXIMUM = 20_000  # Hz, with the law on the device; faster, a line of 3 Mbaud is full
 
 
 def serve(
@@ -98,7 +98,7 @@ def serve(
         position_rate_default=rate,
         position_rate_maximum=maximum,
         seed=seed,
-        keep_truth=False,  # it would grow without bound, and could not be read
+        keep_truth=False,  # the record would grow without bound, and no caller could read it
     )
     for message in messages:
         print(message, file=sys.stderr)

@@ -26,7 +26,7 @@ ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x01
 FULL_SPEED_PACKET, HIGH_SPEED_PACKET = 64, 512
 POSITION_RATE_DEFAULT = 1_000
 POSITION_RATE_MAXIMUM = 4_000
-PENDING_BYTES = 8192  # answers that the host has not fetched yet
+PENDING_BYTES = 8192  # unread output of the device
 SOCKET_BYTES = 2304  # doubled by the kernel to its least: a handful of packets, as a device would hold
 
 _DEVICE, _CONFIGURATION, _STRING, _INTERFACE, _ENDPOINT = 1, 2, 3, 4, 5
@@ -195,6 +195,6 @@ def serve(
         position_rate_default=rate,
         position_rate_maximum=POSITION_RATE_MAXIMUM,
         seed=seed,
-        keep_truth=False,  # it would grow without bound, and could not be read
+        keep_truth=False,  # the record would grow without bound, and no caller could read it
     )
     RealTime(device, UsbPort(end, packet), stop_event or threading.Event()).run(duration_s)

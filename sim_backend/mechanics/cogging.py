@@ -53,7 +53,7 @@ def expand_states(rig: StateSpace) -> StateSpace:
     a, b = np.zeros((WANTED, WANTED)), np.zeros((WANTED, INPUTS))
     a[np.ix_(states, states)], b[np.ix_(states, inputs)] = rig.a, rig.b
     if rigid:
-        b[LINK + 1, RUBS_LINK] = 1.0  # the mass of the one that is not there: any
+        b[LINK + 1, RUBS_LINK] = 1.0  # any value above 0: a rigid rig has no second mass
     return replace(
         rig,
         a=a,

@@ -20,12 +20,12 @@ from sim_backend.mechanics.operator import PRESS_HZ, REPEAT_S, OperatorScript, R
 
 # A mouse moves in jerks and an arrow key in steps, a hand does not: it follows critically damped, without overshoot.
 FOLLOW_HZ = 3.0  # chosen: a step of 10 mm then goes at 7 cm/s at most, about as fast as the scripted reach
-BLOCK_S = 0.002  # a wish acts after this time at most
+BLOCK_S = 0.002  # length of a block: the largest delay of a command
 # After this time without a new wish the hand stays where it is and presses no more: its page may have been closed.
 SILENT_S = 1.0
 REACH_M_S = 0.1  # at the handle, chosen: what a step of 14 mm reaches by itself; a longer one goes no faster
-BACK_M = 0.05  # at the handle: how far behind its start a hand goes
-AHEAD_M, AHEAD_N = 0.05, 10.0  # and beyond where the scripted one goes: so far, or so hard on its own spring
+BACK_M = 0.05  # at the handle: travel of a hand behind its start
+AHEAD_M, AHEAD_N = 0.05, 10.0  # travel and force beyond those of the scripted hand
 PRESS_N = 10.0  # more than a firm grip's press
 
 
@@ -73,7 +73,7 @@ class DrivenHand:
         # A wish from before the session may be years old: only a new one shows that a person is there.
         self._newest_wish = self._wish() or Wish(0, reach.start, 0.0)
         self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
-        self._led = reach.start  # on its way to the goal: what the hand follows
+        self._led = reach.start  # moving target that the hand follows
         self._times: Rows = np.arange(1.0, 1.5 + round(BLOCK_S / tick_s), dtype=np.float64) * tick_s
         around: Rows = (np.arange(round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
         generator = np.random.default_rng([reach.seed, session])

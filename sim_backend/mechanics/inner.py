@@ -24,10 +24,10 @@ GRAVITY_EFFORT = 3  # weight of the end mass along the motion (N·m or N)
 COULOMB = 4  # Coulomb level of the motor side, or of the whole rigid rig (N·m or N)
 COULOMB_LINK = 5  # Coulomb level of the link side (N·m or N)
 RESOLUTION = 6  # travel for one count (rad or m)
-OFFSET = 7  # where position zero lies in its encoder cell (count)
+OFFSET = 7  # position zero within its encoder cell (count)
 SIGN = 8  # direction of counting, ±1
-MEAN = 9  # of a motor that cogs: the weight of a step's last effort in its mean over the step, the rest its first's
-RIPPLE = 10  # and where its ripple begins, behind its cogging
+MEAN = 9  # cogging motor: weight of a step's last effort in its mean; the first effort has the remainder
+RIPPLE = 10  # cogging motor: index of the ripple's parameters, after those of the cogging
 PARAMETERS = 11  # both come after these, as harmonics
 
 _VECTOR = types.float64[::1]

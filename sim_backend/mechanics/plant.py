@@ -339,8 +339,8 @@ def _advance_two_mass(
 _callback = ctypes.CFUNCTYPE(None)(lambda: None)
 _address = ctypes.cast(_callback, ctypes.c_void_p).value
 assert _address is not None
-_NO_HAND = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point takes no null
-_OTHER = {  # by the states of a plant
+_NO_HAND = NativeFunction(_address, ADVANCE, keep=_callback)  # a plug point cannot be null
+_OTHER = {  # function that moves a plant, by its states
     RIGID_ORDER: _NO_HAND,  # never called
     TWO_MASS_ORDER: _NO_HAND,
     RIGID_ORDER + HAND_ORDER: coupled_hand.advance_rigid,

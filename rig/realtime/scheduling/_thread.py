@@ -19,9 +19,9 @@ from rig.realtime.scheduling._rights import Rights
 
 assert sys.platform == "linux"
 
-STACK_BYTES = 512 * 1024  # from the top: frames of Python and of the loop, and what they call
+STACK_BYTES = 512 * 1024  # from the top: frames of Python, of the loop and of the functions that they call
 SHORTEST_SLACK_NS = 1
-SHORTEST_SLICE_NS = 100_000  # what the kernel grants at least
+SHORTEST_SLICE_NS = 100_000  # smallest slice that the kernel grants
 _POLICIES = {
     getattr(os, name): name
     for name in ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
