@@ -130,12 +130,12 @@ class Fault(Described):
     )
 
 
-# Faults that a port finds by itself and explains in its dictionary, such as those of a drive behind a bridge. Beyond 31
-# there is no bit for one that comes later.
+# Faults that a port detects and explains in its dictionary, such as those of a drive behind a bridge. The mask of later
+# faults has no bit beyond 31.
 PORT_FAULTS = range(20, 32)
 
-# Names of faults that a moment without processor or link makes: another time the same run may end as usual. The last
-# is a port's own: what is behind it did not answer.
+# Names of faults that a short pause of processor or link causes: repeated, the same run may end as usual. The last is
+# a fault of a port: the drive behind it did not reply.
 OUT_OF_TIME = frozenset({Fault.TICK_OVERRUN.name, Fault.LINK_LOST.name, "DRIVE_SILENT"})
 
 

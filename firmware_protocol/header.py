@@ -25,7 +25,7 @@ from firmware_protocol.replies import REMEMBERED
 from firmware_protocol.wire import FORMATS, wire_fields
 
 CORE = Path(__file__).with_name("firmware") / "core"
-# A byte that is no state's number.
+# A byte that is not the number of a state.
 NO_TRANSITION = 0xFF
 
 _MADE = "/* Made by `python -m firmware_protocol.codegen` from the tables that run: do not edit. */"

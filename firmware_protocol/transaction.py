@@ -14,10 +14,10 @@ from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit
 from firmware_protocol.packing import data_limit, type_id_of
 
-# How long a host waits for a reply before it sends the request again; after the last repeat the last time once more.
+# Time that a host waits for a reply before it repeats the request; the last time also applies after the last repeat.
 RETRY_AFTER_S = (0.020, 0.040, 0.080)
 MOST_TRIES = 1 + len(RETRY_AFTER_S)
-ENDLESS = 1 << 62  # tries
+ENDLESS = 1 << 62  # number of tries without a limit
 CHUNK_BYTES = data_limit(SetChunk)
 
 BEGIN, CHUNK, COMMIT = (type_id_of(cls) for cls in (SetBegin, SetChunk, SetCommit))

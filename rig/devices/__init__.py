@@ -60,7 +60,7 @@ def backends() -> list[Backend]:
     """Return the backends that are available on this system: built-in ones, then those of extras and plug-ins."""
     ours = {row.name: row.target for row in extras.added("schemes").values() if _is_of_this_system(row)}
     own = BUILT_IN | {scheme: target for scheme, target in ours.items() if scheme not in BUILT_IN}
-    # The reason why a broken extra lacks a scheme is that of `broken`.
+    # `broken` explains why a scheme of a broken extra is missing.
     own |= {scheme: "" for scheme, extra in RESERVED.items() if extra in extras.broken()}
     table = [Backend(scheme, target, DISTRIBUTION) for scheme, target in own.items()]
     return table + [

@@ -82,7 +82,7 @@ EINVAL, EACCES, ENOENT, EBUSY, ENOMEM = 22, 13, 2, 16, 12
 _INTERRUPTED = -10
 
 
-# By `enum libusb_transfer_status`, and by minus `enum libusb_error`.
+# Errno by `enum libusb_transfer_status`, and by the negated `enum libusb_error`.
 _OF_STATUS = (0, EIO, ETIMEDOUT, ECANCELED, EPIPE, ENODEV, EOVERFLOW)
 _OF_CODE = (0, EIO, EINVAL, EACCES, ENODEV, ENOENT, EBUSY, ETIMEDOUT, EOVERFLOW, EPIPE, EIO, ENOMEM)
 

@@ -232,7 +232,7 @@ def _extra(word: int, taken: int) -> int:
     return 0
 
 
-# Long instructions: masks and values of both halves, cycles beyond one, and whether a jump comes on top.
+# 32-bit instructions: masks and values of both halves, cycles above one, True to add the cost of a jump.
 _WIDE = (
     (0xF800, 0xF000, 0xD000, 0xD000, 2, False),  # call
     (0xF800, 0xF000, 0xD000, 0x9000, 0, True),  # jump

@@ -22,7 +22,7 @@ from rig.firmware._boards import Board
 CONVERTER_V, CONVERTER_STEPS = 3.3, 4096  # range and steps of the A/D converter of a current monitor
 LEAST_STEPS = 50  # of the output, from zero to the rig's peak current
 DAC_STEPS = 65536  # of the D/A converter, from full negative to full positive current
-# Settings of a board with an output, as the Pico's board.toml has them: without all nothing is known.
+# Settings of a board with an output (the Pico's board.toml); if one is missing, the step is unknown.
 SCALES = {"full_scale", "current_monitor"}
 PULSE_WIDTH = {"duty_minimum", "duty_maximum", "set_point", "pwm_frequency", "clock"}
 

@@ -52,7 +52,7 @@ SUPERVISION = np.dtype(
         ("refused_status", "<i8"),
         ("refused_detail", "<i8"),
         ("parameters_crc", "<i8"),  # of the device's whole block after the last change, -1 before one
-        # the device's current beside the law's (rig.loop._device_host_agreement)
+        # comparison of the device's current with the host law's (rig.loop._device_host_agreement)
         ("sent", "<i8"),  # current of the law in the last row
         ("comparable", "<i8"),  # 1 when the next sample shows what the device computed
         ("forgetting", "<i8"),  # ticks until a gap is forgotten

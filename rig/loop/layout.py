@@ -45,7 +45,7 @@ class EndReason(IntEnum):
     DEVICE_CONTRADICTS = 17  # the device's reports are inconsistent (rig.loop._contradictions)
     DEVICE_RESTARTED = 18  # the device's sample index started again
     LIMIT_SWITCH = 19  # the end of the travel was reached, or the switch's wire is broken
-    # nothing but commands older than their lifetime came, for a lifetime (rig.loop._link_delay)
+    # all commands of one command lifetime arrived later than this lifetime (rig.loop._link_delay)
     LINK_DELAYED = 20
     UNMOVED = 21  # the motor must have moved the rig by itself, and the count stands still
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 LAYOUT_VERSION = 4
 CONTROL_BYTES = 512
 
-# STOP of a loop that its owner has given up: link and descriptors may be reused, so it touches no more.
+# Value of STOP after the owner has stopped waiting: link and descriptors may be reused, the loop must not use them.
 ABANDONED = 2
 
 # word                 writer       meaning

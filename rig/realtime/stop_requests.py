@@ -32,13 +32,13 @@ if sys.platform == "win32":
 else:
     STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-# Words of the table: requests so far, the last signal, runs now, a signal whose default action waits for them, whose
-# runs they are (a forked child has a copy); then by the number of a signal the handler that stood there.
+# Words of the table: number of requests, last signal, runs in progress, signal whose default action waits for these
+# runs, process number (a forked child has a copy); then, by signal number, the handler that was installed before.
 _REQUESTS, _LAST, _RUNS, _DEFERRED, _PROCESS, _DISPLACED = 0, 1, 2, 3, 4, 8
 _TABLE_WORDS = 64
 _SIG_DFL, _SIG_IGN = 0, 1
 _SA_SIGINFO, _SA_ONSTACK, _SA_RESTART = 0x4, 0x08000000, 0x10000000
-LEAVE_S = 20.0  # how long a program that ends waits until its runs are at rest and their recordings sealed
+LEAVE_S = 20.0  # longest wait of an ending program for its runs and their recordings
 _POLL_S = 0.01
 
 _i64, _ptr = types.int64, types.uintp

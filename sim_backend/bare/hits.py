@@ -80,7 +80,7 @@ def hit(
     ticks = run_ticks(controller, plant, script, ages, external_effort, start_units, tick_units, trace)
     states, counts, phases, flags = trace.states, trace.counts, trace.phases, trace.flags
     c = controller.control[0]
-    # A run that filled the arrays was cut off, in homing or later: nothing of it is measured.
+    # A run that filled the arrays was cut off, in homing or later: it is not measured.
     first = 0 if phases[ticks - 1] == DONE else ticks
     while first < ticks and phases[first] != TRIAL:
         first += 1
@@ -161,7 +161,7 @@ class RigOfHits:
                 f"is not finite, {ticks * plant.tick_s:.4g} s into the hit",
                 remedy="correct the law, or check its settings",
             )
-        # A guard that trips in the release must not change the verdict of the push before it.
+        # A safety limit that acts in the release must not change the verdict on the trial before it.
         pushed = ticks > 1 and trace.phases[ticks - 2] == Phase.RELEASE
         thrown_out = bool(ended & THROWN_OUT) and not pushed
         return SimulatedHit(

@@ -65,7 +65,7 @@ class Core:
         self._output = ctypes.create_string_buffer(OUTPUT_BYTES)
         self.dictionary = describe(model, name or model.name, rate, maximum, law_maximum)
         self.hash = self.dictionary.hash
-        # Its bytes by their address: they last as long as the dictionary.
+        # The struct has the address of `packed`: the dictionary must exist as long as the firmware.
         setup = BoardSetup.of(model, self.dictionary.packed, self.hash, rate)
         library.host_setup(self.address, ctypes.byref(setup))
         for narrow in (  # in the order of their ids: a refusal names the first that does not fit

@@ -103,7 +103,7 @@ def sense(words: Words, count: int, wires: Wires) -> None:
     before, first, every = words[TRUE_COUNT], wires.index_first, wires.index_counts
     words[TRUE_COUNT] = count
     if every and count != before:
-        # From above an index begins with its own count, from below after the last one.
+        # The pulse is the cell of the index count: in both directions it begins when the count reaches this value.
         back = 1 if count < before else 0
         place, left = (count - back - first) // every, (before - back - first) // every
         if place != left:

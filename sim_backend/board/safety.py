@@ -27,8 +27,8 @@ from rig.realtime.groups import Floats, Ints
 
 UNITS_PER_SECOND = round(1e9 / TIME_UNIT_NS)  # units of device time (1/16 µs)
 UNITS_PER_US = UNITS_PER_SECOND // 1_000_000
-# What a host has to send its first command after ARM, and to disarm after STOP. There is no current meanwhile, so it
-# may be long: threads start and files close on a busy machine. It ends because an amplifier should not stay enabled
+# Time in which a host must send its first command after ARM, and DISARM after STOP. There is no current meanwhile, so
+# it may be long: threads start and files close on a busy machine. It ends because an amplifier should not stay enabled
 # for a host that died.
 IDLE_LIFETIME_S = 0.5
 NO_SLEW_LIMIT = 65_535  # value of slew_limit that means none
@@ -41,8 +41,8 @@ NEAR_EDGE = 0.05  # share of the position window at each end in which STATE warn
 
 FADES_A_SECOND = 2  # full efforts per second by which an effort without encoder motion fades
 
-# Up to the described friction, and a twentieth of the limit for what friction may be beside that, an automated rig may
-# rest.
+# A current up to the described friction plus a twentieth of the limit (for unknown friction) need not move an
+# automated rig.
 LARGEST_SHARE = 5
 FRICTION_SHARE = 0.25  # 1/20, times LARGEST_SHARE
 STALL_MARGIN = 3.0  # times the longest time in which the free rig passes STALL_COUNTS

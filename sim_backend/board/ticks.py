@@ -45,13 +45,13 @@ UNARMED_STATES_HZ = 100  # STATE frames a second while the device is not armed: 
 
 _Own = namedtuple(
     "_Own",
-    # what the tick found (faults as bits 1 << code) and drove, limits that acted since the last STATE, sync outputs
+    # found faults (bits 1 << code), motor current, limits that acted since the last STATE, sync outputs
     "found driven acted sync "
-    # of the active command
+    # the active command
     "command_sequence command_index command_sync "
-    # what Python counts, and where the protocol is
+    # values that Python counts, and the state of the protocol
     "worst_execution_time missed_ticks sync_time protocol_state "
-    # the grid of time, and settings
+    # time grid and settings
     "rate grid_index grid_time needs_hold command_lifetime supervise_lifetime ramp",
 )
 BOARD_WORDS = WORDS + len(_Own._fields)

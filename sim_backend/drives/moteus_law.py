@@ -83,7 +83,7 @@ class _MoteusWords(NamedTuple):
     lower: int
     upper: int
     q_command: int
-    # what it is doing
+    # state of the drive
     mode: int
     fault: int
     position: int
@@ -104,7 +104,7 @@ class _MoteusWords(NamedTuple):
     error: int
     error_rate: int
     output_shift: int
-    # the world
+    # supply and temperature; injected fault
     voltage: int
     temperature: int
     struck: int

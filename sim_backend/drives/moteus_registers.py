@@ -42,7 +42,7 @@ MODEL_NUMBER, FIRMWARE_VERSION, MAP_VERSION_REGISTER = range(0x100, 0x103)
 SERIAL_NUMBER, UUID = range(0x120, 0x123), range(0x150, 0x154)
 UUID_MASK_CAPABILITY = 0x158
 
-# What is read off the law's words.
+# Registers that are read from the memory of the law.
 _STATUS: dict[int, tuple[int, Steps]] = {
     0x000: (W.mode, WHOLE),
     0x001: (W.position, TURNS),
@@ -64,7 +64,7 @@ _STATUS: dict[int, tuple[int, Steps]] = {
     0x03C: (W.error_rate, TURNS_A_SECOND),
 }
 
-# What a command consists of: its word, scale and default (fw/bldc_servo_structs.h), and the shadows of the page.
+# Registers of a command: word of the law, scale and default (fw/bldc_servo_structs.h), and the shadows of the page.
 COMMAND: dict[int, tuple[int, Steps, float]] = {
     Q_COMMAND: (W.q_command, CURRENT, 0.0),
     POSITION_REGISTER: (W.command_position, TURNS, 0.0),

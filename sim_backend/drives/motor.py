@@ -25,11 +25,11 @@ from sim_backend.mechanics.plant import DiscretePlant, PlantArguments, advance
 
 Words = NDArray[np.float64]
 
-# What a drive computes in a tick: its words, encoder count and torque at its shaft (N·m) in; torque wanted there out.
+# Signature of a drive's law: (memory, encoder count, shaft torque in N·m) -> wanted shaft torque (N·m).
 LAW = types.float64(types.float64[::1], types.int64, types.float64)
 
-SCRIPT_HZ = 1000  # rows a second of what a hand wants
-# the encoder's count; row of the script, ticks it lasts; counts gained or lost
+SCRIPT_HZ = 1000  # rows per second of the hand's scripted motion
+# Indices into `Shaft.places`: encoder count, row of the script, remaining ticks of the row, slip (counts).
 COUNT, ROW, ROW_LEFT, SLIP = range(4)
 PLACES = 4
 

@@ -58,7 +58,7 @@ class _OdriveWords(NamedTuple):
     input_vel: int
     input_torque: int
     requested: int
-    # what it is doing
+    # state of the drive
     state: int
     active_errors: int
     disarm_reason: int
@@ -75,7 +75,7 @@ class _OdriveWords(NamedTuple):
     vel_integrator: int
     torque_target: int
     torque: int
-    # the world
+    # supply and temperature; injected fault
     voltage: int
     temperature: int
     struck: int

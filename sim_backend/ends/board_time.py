@@ -39,21 +39,21 @@ from sim_backend.mechanics.plant import PLANT_TYPE, PlantArguments
 SLICE_NS = 10_000_000  # time of one compiled call: a signal or stop request acts after it
 # After a longer pause (a suspended process) the grid restarts: the simulated world stood still too.
 LONGEST_PAUSE_NS = 1_000_000_000
-LATE_NS = 50_000  # beyond what it takes to wake
-# of faster ticks several pass at once: a process that is woken more often does little else
+LATE_NS = 50_000  # lateness beyond that of an ordinary wake-up
+# Faster ticks run several at once: a process that is woken more often does little else.
 SHORTEST_STEP_NS = 250_000
 PENDING_BYTES = 1 << 16  # unread output: BATCH messages of 100 ms and more
 OUTPUT_BYTES = 1 << 16  # largest output of a device in one tick
 RECEIVED_BYTES = 1 << 12  # largest read from the host
 BURST_BYTES = 1 << 12  # output after which a run of ticks ends to write it
 
-# What a call shares with the next one: device time 0 on the clock (ns), half of what one pass may make up (ns), when
-# the last pass was (ns), ticks that may pass before Python is asked, bytes that wait for the host, whether it is gone,
-# whether a late tick has waited for it.
+# Indices into `grid`, which one call leaves to the next: clock at device time 0 (ns), half of the longest time that one
+# pass makes up (ns), time of the last pass (ns), most ticks before Python is called, bytes that wait for the host, 1 if
+# the host hung up, 1 if a late tick has waited for the host.
 BOOT_NS, STEP_NS, PASSED_NS, MOST, PENDING, HUNG_UP, WAITED = range(7)
 GRID = 7
 
-AGAIN, ASK, GONE = range(3)  # why the call returned: its time is up; Python has to look; the host hung up
+AGAIN, ASK, GONE = range(3)  # result of a call: time is up; Python must act; the host hung up
 
 _UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
 _receive = native_call(2)
@@ -64,7 +64,7 @@ _put, _at = group_at(LoopPort)
 
 @kernel(types.void(types.int64, PORT_TYPE))
 def _keep(line: int, port: LoopPort) -> None:
-    # To take its five functions apart at each call costs Python most of a tick.
+    # To unpack its five functions at each call costs Python most of a tick.
     _put(line, port)
 
 
@@ -159,17 +159,17 @@ def keep_time(
             return GONE
         if words[RATE_CHANGED] != 0 or words[SWITCHED_ON] != 0:
             return ASK
-        # A board's timer is never late, a process is. A host that stood still with it answers first, and what came
-        # before the late tick is handed over before it passes, so that the watchdog is fed first.
-        if late_ns > LATE_NS and grid[WAITED] == 0:  # a host that stood still too answers first
+        # A board's timer is never late, a process is. After a pause of this computer the host may reply first, and
+        # bytes that came before the late tick are passed on before it, so that the watchdog is fed first.
+        if late_ns > LATE_NS and grid[WAITED] == 0:  # wait once for the host, which was paused too
             grid[WAITED], grid[PASSED_NS] = 1, now_ns - step_ns + step_ns // 4
         elif late_ns >= 0:
             grid[WAITED] = 0
             if now_ns - due_ns > LONGEST_PAUSE_NS:
                 grid[BOOT_NS] += now_ns - due_ns
                 due_ns = now_ns
-            # No tick is left out. Late ones are made up at twice the pace and no faster, so that a host that was there
-            # all the time can answer each and is not found silent.
+            # No tick is left out. Late ones run at twice the pace and no faster, so that a host that was not paused can
+            # reply to each and is not considered silent.
             since_boot_ns = min(now_ns, due_ns + 2 * step_ns - 1) - grid[BOOT_NS]
             until = (_UNITS * since_boot_ns + 1) // _UNITS_NS  # rounded down to a unit
             while words[DUE] <= until and grid[MOST] > 0:

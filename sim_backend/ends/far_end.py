@@ -41,8 +41,8 @@ from sim_backend.board.lockstep import (
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import PlantArguments
 
-# What changes: whether Python had the device last; nothing moves any more; bytes that wait for the host, and those
-# that found no room; ticks that have passed, and how many may before Python is asked.
+# Indices into `FarEnd.progress`: 1 if Python used the device last; 1 if the link is closed; bytes that wait for the
+# host; bytes lost for lack of room; executed ticks; most ticks before Python is called.
 STALE, CLOSED, ARRIVED, DISCARDED, TICKS, MOST = range(6)
 PROGRESS = 6
 

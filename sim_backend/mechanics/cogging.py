@@ -33,15 +33,15 @@ from sim_backend.mechanics.inner import (
 )
 from sim_backend.mechanics.sensors import cell
 
-# States of a rig written in full; then what the hand wants, and the age of the last edge.
+# States of two masses in a hand; then the intention of the hand, and the age of the last edge.
 MOTOR, LINK, EFFORT, HAND, WANTED, EDGE_AGE = 0, 2, 4, 5, 7, 10
 COMMAND, EXTERNAL, RUBS_MOTOR, RUBS_LINK, INPUTS = 0, 1, 2, 3, 7
 
 _FLOAT, _MATRIX = types.float64, types.float64[:, ::1]
 
 
-# One kernel serves all structures, held or not: a plant is first written in the states of the largest, and what a rig
-# does not have moves nothing.
+# One kernel serves all structures, with and without a hand: a plant is expanded to the states of the largest, and
+# those of missing masses stay zero.
 def expand_states(rig: StateSpace) -> StateSpace:
     """Return a rig's matrices with the states of two masses in a hand; states that the rig does not have stay zero."""
     held, rigid = rig.hand_position is not None, len(rig.friction) == 1

@@ -70,7 +70,7 @@ class DrivenHand:
         self._at, self._rate = reach.start, 0.0
         self._press, self._press_rate = 0.0, 0.0
         self._tick = 0
-        # A wish from before the session may be years old: only a new one shows that a person is there.
+        # A command from before the session may be years old: only a new one shows that a person is present.
         self._newest_wish = self._wish() or Wish(0, reach.start, 0.0)
         self._silent_s, self._alone, self._goal = SILENT_S, True, reach.start
         self._led = reach.start  # moving target that the hand follows
@@ -85,14 +85,14 @@ class DrivenHand:
         """Return the hand's intended motion for the next block of ticks; `hand` is its present position (rad or m)."""
         if not self._leads:
             self._leads = True
-            # While the rig homes the hand goes along, whatever is wished: one that pulls elsewhere would keep the
-            # handle from its start.
+            # While the rig homes, the hand follows the handle and ignores commands: pulling elsewhere, it would keep
+            # the handle from its start.
             return OperatorScript(rows=self._follow_homing())
         times = self._times
         places = (self._tick + np.arange(len(times))) % self._tremor.shape[1]
         self._tick += len(times)
         wanted, press = self._read_wish(hand)
-        # What the hand follows moves at this speed at most, so the hand is never faster either.
+        # The target that the hand follows has this highest speed, so the hand has it too.
         most = REACH_M_S / self._radius * float(times[-1])
         goal = self._led = self._led + min(max(wanted - self._led, -most), most)
         at, rate = follow(self._at - goal, self._rate, times)
