@@ -36,12 +36,13 @@ from rig.firmware._stream import judge_stream
 
 DRIFT_LIMIT_PPM = 300.0  # two crystals differ by less than 200; an RC oscillator by thousands
 RATE_LIMIT_PPM = 300.0
-JITTER_LIMIT = 0.05  # of a period: the time between two samples is what a velocity is divided by
-INPUTS_S, INPUTS_LOOKS = 0.05, 20
-MOVE_COUNTS = 20  # a hand moves farther; one channel alone, or noise, does not
-MOVE_LOOK_S, REST_S = 0.1, 0.5
+JITTER_LIMIT = 0.05  # share of a period: velocities are divided by the time between two samples
+INPUTS_S, INPUTS_LOOKS = 0.05, 20  # duration of one read of STATE frames, and most reads
+MOVE_COUNTS = 20  # less than a hand moves, more than noise or a single encoder channel shows
+MOVE_LOOK_S, REST_S = 0.1, 0.5  # duration of one read while the handle moves, and until it rests
 MOVE_LOOKS = 2_000  # STATE frames of an unarmed device: twenty seconds
-_SESSION = 0xFF  # asked for by an ARM that must be refused
+LEAST_SAMPLES = 3  # for a rate and its jitter
+_SESSION = 0xFF  # in the header of an ARM that must be refused
 
 Progress = Callable[[str, float], None]
 
@@ -157,7 +158,7 @@ def selftest(
     )
 
 
-# ------------------------------------------------------------------ who it is
+# ------------------------------------------------------------------ identity
 
 
 def _protocol(device: FramedDevice, _request: SelfTestRequest) -> Check:
@@ -181,11 +182,11 @@ def _rig(device: FramedDevice, request: SelfTestRequest) -> Check:
     return found
 
 
-# ------------------------------------------------------------------ what it remembers
+# ------------------------------------------------------------------ fault memory and parameters
 
 
 def _fault_memory(device: FramedDevice, _request: SelfTestRequest) -> Check:
-    device.identify()  # brings its state
+    device.identify()  # the reply contains the state
     report = device.fault_report()
     stopped_at = device.statistics().stopped_at
     place = f", at {stopped_at:#010x}" if stopped_at else ""
@@ -209,9 +210,7 @@ def _parameters(device: FramedDevice, _request: SelfTestRequest) -> Check:
     back = device.configure(kept)
     if changed.values != {**before, "ramp_us": other} or back.values != before:
         return refused("parameters read back differ from those set", "flash the device again")
-    return ok(
-        f"{len(before)} parameters are active; a change was read back and undone",
-    )
+    return ok(f"{len(before)} parameters are active; a change was read back and undone")
 
 
 def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
@@ -241,7 +240,7 @@ def _refusals(device: FramedDevice, _request: SelfTestRequest) -> Check:
     return ok("a wrong ARM and a current out of range are refused without effect")
 
 
-# ------------------------------------------------------------------ its time
+# ------------------------------------------------------------------ clock and ticks
 
 
 def _clock(device: FramedDevice, _request: SelfTestRequest) -> Check:
@@ -257,9 +256,9 @@ def _ticks(device: FramedDevice, request: SelfTestRequest) -> Check:
     rate = request.rate or device.dictionary.position_rate_maximum
     with _at_rate(device, rate):
         states = device.states(request.seconds)
-    if len(states) < 3:
+    if len(states) < LEAST_SAMPLES:
         return refused(
-            f"only {len(states)} samples arrived in {request.seconds:g} s; at least 3 are needed",
+            f"only {len(states)} samples arrived in {request.seconds:g} s; at least {LEAST_SAMPLES} are needed",
             "flash current firmware: rig firmware build, then rig firmware flash",
         )
     unit_s = device.dictionary.time_unit_ns * 1e-9
@@ -294,7 +293,7 @@ def _at_rate(device: FramedDevice, rate: int) -> Iterator[None]:
         device.configure({**kept, "position_rate": before["position_rate"]})
 
 
-# ------------------------------------------------------------------ its inputs, encoder and link
+# ------------------------------------------------------------------ inputs and encoder
 
 
 def _inputs(device: FramedDevice, _request: SelfTestRequest) -> Check:
@@ -358,7 +357,7 @@ def _describe_motion(first: int, last: int, span: int, model: RigModel | None) -
     return f"{text}: the position {direction} by {abs(way):.4g} {unit_of('position', model.motion)}"
 
 
-# ------------------------------------------------------------------ the law on the device
+# ------------------------------------------------------------------ law on the device, and link
 
 
 def _stream(device: FramedDevice, request: SelfTestRequest) -> Check:

@@ -55,7 +55,7 @@ GRID = 7
 
 AGAIN, ASK, GONE = range(3)  # result of a call: time is up; Python must act; the host hung up
 
-_UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
+_UNITS, _UNITS_NS = 2, 125  # 2 units of device time are 125 ns
 _receive = native_call(2)
 _take = native_call(3)
 _INTS, _BYTES = types.int64[::1], types.uint8[::1]

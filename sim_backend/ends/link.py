@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,15 @@ OPTIONS: dict[str, Callable[[str], Any]] = {
     "firmware": int,
     "sync": _parse_times,
 }
+RATE_MINIMUM, RATE_MAXIMUM = 50, 50_000  # Hz
 CLOCK_PPM_MAXIMUM = 1000.0
-SYNC_PULSE_S = 1e-3  # how long a pulse on the sync input lasts, unless the next one comes sooner
+SYNC_PULSE_S = 1e-3  # length of a pulse on the sync input, unless the next one comes sooner
 BUFFER_BYTES = 1 << 16  # unread input, as in a driver; further bytes are lost
 
 _BILLION = 1_000_000_000
-_UNITS, _UNITS_NS = 2, 125  # of device time: 62.5 ns
+_UNITS, _UNITS_NS = 2, 125  # 2 units of device time are 125 ns
 _URL = DeviceUrl("sim", "", {}, "sim://")
-_LONG = 1 << 62  # ticks: without an end
+_NEVER = 1 << 62  # as a tick or a time (ns)
 
 
 class LinkedDevice(Protocol):
@@ -124,7 +125,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None, faults: Faults | No
         )
     options = _parse(url)
     if "offset" in options:
-        model = _with_offset(url, model, options.pop("offset"))
+        model = replace(model, encoder=replace(model.encoder, offset=options.pop("offset")))
     clock_ppm = options.pop("clock_ppm", 0.0)
     sync_s = options.pop("sync", ())
     firmware = options.pop("firmware", None)
@@ -164,8 +165,8 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         "seed": lambda value: value >= 0,
         "initial_position": np.isfinite,
         "offset": lambda value: 0.0 <= value < 1.0,
-        "position_rate_default": lambda value: 50 <= value <= 50_000,
-        "position_rate_maximum": lambda value: 50 <= value <= 50_000,
+        "position_rate_default": lambda value: RATE_MINIMUM <= value <= RATE_MAXIMUM,
+        "position_rate_maximum": lambda value: RATE_MINIMUM <= value <= RATE_MAXIMUM,
         "clock_ppm": lambda value: abs(value) <= CLOCK_PPM_MAXIMUM,
         "incremental": lambda value: value in (0, 1),
         "firmware": lambda value: value in (0, 1),
@@ -175,25 +176,26 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
         if not allowed[name](value):
             raise ConfigError(
                 f"{url.text}: the option {name} = {value} is out of range",
-                remedy="allowed: offset 0 … 1, rates 50 … 50000 Hz, clock_ppm ±1000, "
+                remedy=f"allowed: offset 0 … 1, rates {RATE_MINIMUM} … {RATE_MAXIMUM} Hz, clock_ppm ±1000, "
                 "firmware and incremental 0 or 1, seed 0 or more, times of sync (s) above 0 and rising",
             )
 
 
-def _with_offset(url: DeviceUrl, model: RigModel, offset: float) -> RigModel:
-    return replace(model, encoder=replace(model.encoder, offset=offset))
+class _SyncEdge(NamedTuple):
+    at_ns: int  # on the scale of `elapsed_ns`
+    is_rising: bool
 
 
-def _sync_edges(starts_s: Sequence[float], origin_ns: int) -> deque[tuple[int, bool]]:
-    """Return time (ns, on the scale of `elapsed_ns`) and level of each edge of the sync input.
-
-    `starts_s` are the starts of the pulses (s after power-up), `origin_ns` is the time of power-up.
-    """
-    levels: deque[tuple[int, bool]] = deque()
+def _sync_edges(starts_s: Sequence[float], origin_ns: int) -> deque[_SyncEdge]:
+    """Return the edges of the sync input for pulses that start at `starts_s` (s after power-up, at `origin_ns`)."""
+    edges: deque[_SyncEdge] = deque()
     for start, following in pairwise((*starts_s, np.inf)):
         end = start + min(SYNC_PULSE_S, 0.5 * (following - start))
-        levels += [(origin_ns + round(start * 1e9), True), (origin_ns + round(end * 1e9), False)]
-    return levels
+        edges += [
+            _SyncEdge(origin_ns + round(start * 1e9), True),
+            _SyncEdge(origin_ns + round(end * 1e9), False),
+        ]
+    return edges
 
 
 class MemoryLink:
@@ -242,9 +244,9 @@ class MemoryLink:
         self.clock = VirtualClock()
         self._device = device
         self.line = None if faults is None else ScriptedLine(faults.frames)
-        self._happenings = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
+        self._events = sorted(faults.device if faults else (), key=lambda fault: fault.tick)
         self._start_ns = device.elapsed_ns
-        self._levels = _sync_edges(sync_s, self._start_ns)
+        self._sync_edges = _sync_edges(sync_s, self._start_ns)
         self._pace = _BILLION + round(clock_ppm * 1000)  # device nanoseconds in a second of the link
         self._progress = np.zeros(PROGRESS, np.int64)
         self._arrived = np.zeros(BUFFER_BYTES + OUTPUT_BYTES, np.uint8)
@@ -258,7 +260,7 @@ class MemoryLink:
 
         Python is needed for scripted faults, sync pulses, a clock error, and the device in Python.
         """
-        scripted = self.line is not None or self._happenings or self._levels or self._pace != _BILLION
+        scripted = self.line is not None or self._events or self._sync_edges or self._pace != _BILLION
         if scripted or not isinstance(device, FirmwareDevice):
             return None
         start_ns = self._start_ns
@@ -371,7 +373,6 @@ class MemoryLink:
         return max(device.time, since_boot_ns * _UNITS // _UNITS_NS)
 
     def _catch_up(self) -> None:
-        """Advance the device to the virtual time, which a sleeping host has moved."""
         now_ns = self.clock.now_ns()
         while self._next_tick_ns() <= now_ns:
             self._run(now_ns)
@@ -396,12 +397,12 @@ class MemoryLink:
         Return the time of the last tick on the link's clock (ns).
         """
         device = self._device
-        most = self._until_something_happens()
+        most = self._apply_events()
         until_ns = self._start_ns + deadline_ns * self._pace // _BILLION
-        output, ticks = device.run(min(until_ns, self._until_a_level_changes()), most)
+        output, ticks = device.run(min(until_ns, self._apply_sync_edges()), most)
         self._progress[TICKS] += ticks
         if self.line is None:
-            self._keep(output)
+            self._buffer_for_host(output)
         else:
             late = self.line.receive(Direction.TO_DEVICE, self._progress.item(TICKS))
             if late:
@@ -409,38 +410,38 @@ class MemoryLink:
             self._to_host(output)
         return self._link_time(device.elapsed_ns)
 
-    def _until_something_happens(self) -> int:
+    def _apply_events(self) -> int:
         """Apply the scripted events of the device that are due; return the ticks to the next event, at least 1."""
         passed = self._progress.item(TICKS)
-        while self._happenings and self._happenings[0].tick <= passed:
-            happening = self._happenings.pop(0)
-            if not isinstance(happening, DeviceFault):
-                happening.act(self._device)
-            elif happening.fault is Fault.EMERGENCY_STOP:
+        while self._events and self._events[0].tick <= passed:
+            event = self._events.pop(0)
+            if not isinstance(event, DeviceFault):
+                event.act(self._device)
+            elif event.fault is Fault.EMERGENCY_STOP:
                 self._device.press_emergency_stop()
             else:
-                self._device.inject_fault(happening.fault)
-        due = passed + _LONG if self.line is None else self.line.next_due() or passed + _LONG
-        if self._happenings:
-            due = min(due, self._happenings[0].tick)
+                self._device.inject_fault(event.fault)
+        due = passed + _NEVER if self.line is None else self.line.next_due() or passed + _NEVER
+        if self._events:
+            due = min(due, self._events[0].tick)
         return max(1, due - passed)
 
-    def _until_a_level_changes(self) -> int:
+    def _apply_sync_edges(self) -> int:
         """Apply the sync input's edges up to the next sample; return the time before the next edge (ns)."""
         device = self._device
-        while self._levels and self._levels[0][0] <= device.next_tick_ns:
-            at_ns, high = self._levels.popleft()
-            since_boot_ns = at_ns - (device.elapsed_ns - device.time_ns)
-            device.sync_input(high, max(device.time, since_boot_ns * _UNITS // _UNITS_NS))
-        return self._levels[0][0] - 1 if self._levels else _LONG
+        while self._sync_edges and self._sync_edges[0].at_ns <= device.next_tick_ns:
+            edge = self._sync_edges.popleft()
+            since_boot_ns = edge.at_ns - (device.elapsed_ns - device.time_ns)
+            device.sync_input(edge.is_rising, max(device.time, since_boot_ns * _UNITS // _UNITS_NS))
+        return self._sync_edges[0].at_ns - 1 if self._sync_edges else _NEVER
 
     def _to_host(self, data: bytes) -> None:
         if self.line is not None:
             self.line.send(Direction.TO_HOST, data, self._progress.item(TICKS))
             data = self.line.receive(Direction.TO_HOST, self._progress.item(TICKS))
-        self._keep(data)
+        self._buffer_for_host(data)
 
-    def _keep(self, data: bytes) -> None:
+    def _buffer_for_host(self, data: bytes) -> None:
         if not data:
             return
         waiting = self._progress.item(ARRIVED)
