@@ -181,7 +181,7 @@ class LoopThread:
     def start(self) -> None:
         """Set the first heartbeat, and start the thread."""
         self._started = True
-        self._live()
+        self._set_heartbeat()
         self._thread.start()
 
     def stop(self) -> None:
@@ -204,14 +204,14 @@ class LoopThread:
                 requested_at = time.monotonic() if requested_at is None else requested_at
                 if time.monotonic() - requested_at > JOIN_S:
                     return
-            self._live()
+            self._set_heartbeat()
             self._attend()
             if progress is not None:
                 progress(self.ring.get(control_words.TICKS), self.ring.get(control_words.PHASE))
 
     def _is_requested_to_stop(self) -> bool:
-        counted_at = self._settings.stop_requests
-        return counted_at != 0 and read_word(counted_at) != self._settings.stop_requests_before
+        counter = self._settings.stop_requests
+        return counter != 0 and read_word(counter) != self._settings.stop_requests_before
 
     def _stopper(self) -> str:
         if self._is_requested_to_stop():
@@ -219,7 +219,7 @@ class LoopThread:
         process = -self.ring.get(control_words.STOP)
         return f" by process {process} (`rig stop`, or STOP of a console)" if process > 0 else ""
 
-    def _live(self) -> None:
+    def _set_heartbeat(self) -> None:
         if self._heartbeat_ns:
             self.ring.put(control_words.HEARTBEAT, self._link.clock.now_ns() + self._heartbeat_ns)
 
@@ -243,12 +243,12 @@ class LoopThread:
         reason = EndReason.STUCK if stuck else EndReason(self.ring.get(control_words.END_REASON))
         failure = self._error or self._link.failure()
         counters = {name: self.ring.get(word) for name, word in COUNTERS.items()}
-        c, m = self._controller.control[0], self._controller.memory[0]
+        control, memory = self._controller.control[0], self._controller.memory[0]
         watched = {
-            "energy": float(m["energy"]),
-            "energy_limit": float(c["energy_limit"]),
-            "oscillations": float(m["oscillations"]),
-            "oscillation_s": float(c["oscillation_ticks"] * c["tick_s"]),
+            "energy": float(memory["energy"]),
+            "energy_limit": float(control["energy_limit"]),
+            "oscillations": float(memory["oscillations"]),
+            "oscillation_s": float(control["oscillation_ticks"] * control["tick_s"]),
         }
         found = Contradiction(int(self._buffers.progress[0]["contradiction"]))
         return LoopEnd(reason, failure, counters, found.text, self._stopper(), watched)

@@ -32,9 +32,8 @@ from rig.testing.fault_words import FaultWords
 
 # Time after a hit in which the current must become zero (s); the longest watchdog acts before (PROTOCOL.md).
 WATCH_S = 1.0
-STEP_S = 0.0005
-# An unarmed device sends a hundred State messages per second.
-LOOK_S = 0.01
+STEP_S = 0.0005  # resolution of this time in simulation
+LOOK_S = 0.01  # the same on a real rig: an unarmed device sends a hundred State messages per second
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,25 +82,25 @@ class Hit:
     @property
     def verdict(self) -> Verdict:
         """Return the verdict that is computed from the recorded signals (stable, unstable or invalid)."""
-        return self._left.judgement.verdict
+        return self._recorded_hit.judgement.verdict
 
     @property
     def verdict_true(self) -> Verdict | None:
         """Return the verdict that is computed from the simulation's exact signals; None on a real rig."""
-        return self._left.judgement.verdict_true
+        return self._recorded_hit.judgement.verdict_true
 
     @property
     def recording(self) -> Recording:
         """Return the recording of this run, read into memory."""
-        return self._left.recording
+        return self._recorded_hit.recording
 
     @property
     def path(self) -> Path:
         """Return the path of this run's recording; ``--rig-record`` selects which recordings remain after a test."""
-        return self._left.path
+        return self._recorded_hit.path
 
     @property
-    def _left(self) -> Recorded:
+    def _recorded_hit(self) -> Recorded:
         if self.recorded is None:
             raise AssertionError(
                 f"the hit has no recording, because the run failed before it moved: {self.error}"
@@ -262,9 +261,9 @@ class Hits:
                     "a script of faults is given, but the device is already open",
                     remedy="omit device=, so that rig_hit opens a simulated device with these faults",
                 )
-            return _describe_end(request, request.device, may_end=may_end)
+            return _run_and_observe(request, request.device, may_end=may_end)
         with self._rigs.device(request.experiment, script) as device:
-            return _describe_end(replace(request, device=device), device, may_end=may_end)
+            return _run_and_observe(replace(request, device=device), device, may_end=may_end)
 
 
 def end_all(stopped: StoppedError) -> NoReturn:
@@ -272,7 +271,7 @@ def end_all(stopped: StoppedError) -> NoReturn:
     pytest.exit(str(stopped), returncode=stopped.exit_code)
 
 
-def _describe_end(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
+def _run_and_observe(request: HitRequest, device: FramedDevice, *, may_end: bool) -> Hit:
     """Run a hit on the wall; return its result with the device's state afterwards. A person's stop ends all tests."""
     recorded, counters, error = None, {}, None
     try:
