@@ -172,7 +172,7 @@ class Connection:
     Parameters
     ----------
     role
-        The end of the link that this connection serves.
+        HOST or DEVICE: the end of the link at which this object is used.
 
     Attributes
     ----------

@@ -112,7 +112,7 @@ class ExcitedPlant:
         inner_s = min(model.simulation.inner_step_s, 1.0 / MIN_INNER_RATE_HZ)
         # Minus 1e-9: a quotient that rounding left just above a whole number must not add a step.
         self._steps_per_tick = max(1, math.ceil(tick_s / inner_s - 1e-9))
-        # The plant's tick is now an inner step, so the same delay in seconds is more of its ticks.
+        # The plant's tick is now an integration step, so the same delay in seconds is more of its ticks.
         delay = model.simulation.computation_delay_ticks * self._steps_per_tick
         finer = replace(model, simulation=replace(model.simulation, computation_delay_ticks=delay))
         self._plant = DiscretePlant.build(finer, tick_s / self._steps_per_tick)

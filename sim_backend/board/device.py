@@ -206,7 +206,7 @@ class SimulatedDevice:
 
     @property
     def next_tick_ns(self) -> int:
-        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due (ns since the device was created, not reset)."""
         return self._epoch_ns + int(self.board.words[DUE]) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
@@ -244,7 +244,7 @@ class SimulatedDevice:
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
         """Simulate ticks until the device sends a frame; return the frame (or b"") and the number of ticks.
 
-        No tick is simulated that is due after `until_ns` (ns, on the scale of `elapsed_ns`), and at most `most` ticks.
+        No tick is simulated that is due after `until_ns` (ns since the device was created), and at most `most` ticks.
         """
         for ticks in range(most):
             if self.next_tick_ns > until_ns:

@@ -193,7 +193,7 @@ class FirmwareDevice:
 
     @property
     def next_tick_ns(self) -> int:
-        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due (ns since the device was created, not reset)."""
         return self._epoch_ns + int(self._seen.due) * _NS_NUMERATOR // _NS_DENOMINATOR
 
     @property
@@ -239,7 +239,7 @@ class FirmwareDevice:
         Parameters
         ----------
         until_ns
-            No tick is simulated that is due later (ns, on the scale of `elapsed_ns`).
+            No tick is simulated that is due later (ns since the device was created, like `elapsed_ns`).
         most
             Largest number of ticks.
         enough

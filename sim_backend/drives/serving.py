@@ -51,7 +51,7 @@ class Serving:
     stop
         Ends the run when it is set.
     clock
-        Returns the time (ns), on the scale of the port's deadlines.
+        Returns the time (ns) of the clock that the port's deadlines use.
 
     Attributes
     ----------

@@ -76,7 +76,7 @@ class LinkedDevice(Protocol):
 
     @property
     def next_tick_ns(self) -> int:
-        """Return the simulated time at which the next sample is due, on the scale of `elapsed_ns` (ns)."""
+        """Return the simulated time at which the next sample is due (ns since the device was created, not reset)."""
         ...
 
     def run(self, until_ns: int, most: int) -> tuple[bytes, int]:
@@ -182,7 +182,7 @@ def _check(url: DeviceUrl, options: Mapping[str, Any]) -> None:
 
 
 class _SyncEdge(NamedTuple):
-    at_ns: int  # on the scale of `elapsed_ns`
+    at_ns: int  # since the device was created
     is_rising: bool
 
 

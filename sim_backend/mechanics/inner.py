@@ -1,4 +1,4 @@
-"""Define what the inner steps of all simulated plants share: parameter indices, Coulomb friction, encoder edges.
+"""Define what the integration steps of all simulated plants share: parameters, Coulomb friction, encoder edges.
 
 The functions must not allocate: compiled ticks call them at every integration step.
 """
@@ -17,8 +17,8 @@ from sim_backend.mechanics.sensors import cell
 Vector = NDArray[np.float64]
 
 # Indices of `DiscretePlant.parameters`.
-STEP_S = 0  # inner step (s)
-STEPS = 1  # inner steps in a tick
+STEP_S = 0  # integration step (s)
+STEPS = 1  # integration steps in a tick
 EFFORT_LIMIT = 2  # the amplifier's saturation (N·m or N)
 GRAVITY_EFFORT = 3  # weight of the end mass along the motion (N·m or N)
 COULOMB = 4  # Coulomb level of the motor side, or of the whole rigid rig (N·m or N)

@@ -1,4 +1,4 @@
-"""Simulate the mechanics of a rig: exact between inner steps, with implicit Coulomb friction, one kernel call a tick.
+"""Simulate the mechanics of a rig: exact over an integration step, implicit Coulomb friction, one kernel call a tick.
 
 Devices call `advance` from Python and sweeps call it from compiled code; with the same arrays both give the same bits.
 Everything that changes is in one flat array, so a copy of that array is a copy of the plant. The array contains the
@@ -77,12 +77,12 @@ PLANT_TYPE = type_of(PlantArguments)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiscretePlant:
-    """A discretised rig: x ← phi x + gamma u in each inner step, with the parameters that `advance` needs.
+    """A discretised rig: x ← phi x + gamma u in each integration step, with the parameters that `advance` needs.
 
     Attributes
     ----------
     phi, gamma
-        Discrete matrices over one inner step, states and inputs in the order of `rig.core.model`.
+        Discrete matrices over one integration step, states and inputs in the order of `rig.core.model`.
     parameters
         Friction, encoder and limits, at the indices that `sim_backend.mechanics.inner` names.
     tick_s
@@ -110,8 +110,8 @@ class DiscretePlant:
     def build(cls, model: RigModel, tick_s: float) -> DiscretePlant:
         """Return a rig discretised for ticks of `tick_s` seconds. Results are cached: do not write to the arrays.
 
-        Raise `ConfigError` if the tick is not above zero, or the inner step is too long for the vibration mode of the
-        capstan.
+        Raise `ConfigError` if the tick is not above zero, or the integration step is too long for the vibration mode of
+        the capstan.
         """
         if not (tick_s > 0.0 and math.isfinite(tick_s)):
             raise ConfigError(
