@@ -16,10 +16,10 @@ from rig.devices.fault_script import Direction
 from sim_backend.drives.bus import DriveModel, Frame, SimulatedAdapter
 from sim_backend.drives.faults import HOST_BUS_OFF, STALE, DriveEvent, DriveScript
 from sim_backend.drives.socket_can import BUS_OFF
-from sim_backend.ends.channel import ScriptedLine as FailingLine
+from sim_backend.ends.channel import ScriptedLine
 
 IDLE_NS = 5_000_000  # longest time without an advance of the drive
-LONGEST_STEP_NS = 15_000_000  # beyond it, this process was held up
+LONGEST_STEP_NS = 15_000_000  # a longer time between two advances counts as a pause of this process
 _MS, _SECOND = 1_000_000, 1_000_000_000
 
 
@@ -75,16 +75,16 @@ class Serving:
         self._port = port
         self._stop = stop
         self._splitter = adapter.splitter()
-        self._failing = FailingLine(script.frames) if script.frames else None
-        self._to_fail = adapter.splitter()
+        self._faulty_line = ScriptedLine(script.frames) if script.frames else None
+        self._fault_splitter = adapter.splitter()
         self._events = list(script.events)
-        self._stale = self._is_off = False
-        self._answered: deque[list[Frame]] = deque(maxlen=1)
-        self._units = 0
+        self._repeats_reply = self._host_is_off = False
+        self._last_replies: deque[list[Frame]] = deque(maxlen=1)
+        self._unit_count = 0  # lines or frames from the host
         self._unplugged = False
-        self._first_ns: int | None = None
+        self._first_byte_ns: int | None = None
         self._started_ns = self._seen_ns = clock()
-        self._first_tick = drive.ticks
+        self._start_tick = drive.ticks
         self.held_up_ns = 0
 
     def run(self, duration_s: float | None = None) -> None:
@@ -92,11 +92,11 @@ class Serving:
         end_ns = None if duration_s is None else self._started_ns + round(duration_s * 1e9)
         while not self._stop.is_set():
             data = self._port.read(self._deadline_ns())
-            self._keep_up()
-            self._happen()
-            if data and self._first_ns is None:
-                self._first_ns = self._seen_ns
-            self._take(data)
+            self._advance_drive()
+            self._apply_due_events()
+            if data and self._first_byte_ns is None:
+                self._first_byte_ns = self._seen_ns
+            self._receive(data)
             if end_ns is not None and self._seen_ns >= end_ns:
                 return
 
@@ -105,87 +105,87 @@ class Serving:
         due = self._drive.next_due
         if due is not None:
             # Rounded up: woken before the tick, the loop would find nothing due and spin.
-            after_ns = -((self._first_tick - due) * _SECOND // self._drive.rate_hz)  # rounded up
+            after_ns = -((self._start_tick - due) * _SECOND // self._drive.rate_hz)
             deadline = min(deadline, self._started_ns + self.held_up_ns + after_ns)
-        if self._failing is not None and (late := self._failing.next_due()) is not None:
-            deadline = min(deadline, (self._first_ns or 0) + late * _MS)
+        if self._faulty_line is not None and (late := self._faulty_line.next_due()) is not None:
+            deadline = min(deadline, (self._first_byte_ns or 0) + late * _MS)
         return deadline
 
-    def _keep_up(self) -> None:
+    def _advance_drive(self) -> None:
         now = self._clock()
         # This process was kept from a processor: the simulated world stood still, so that no watchdog of the drive
         # expires because this computer was late.
         self.held_up_ns += max(0, now - self._seen_ns - LONGEST_STEP_NS)
         self._seen_ns = now
         passed_ns = now - self._started_ns - self.held_up_ns
-        self._send_frames(self._drive.run(self._first_tick + passed_ns * self._drive.rate_hz // _SECOND))
+        self._send_frames(self._drive.run(self._start_tick + passed_ns * self._drive.rate_hz // _SECOND))
 
     @property
     def _tick(self) -> int:
         """Return the time since the host's first byte (ms), 0 before that byte."""
-        return 0 if self._first_ns is None else (self._seen_ns - self._first_ns) // _MS
+        return 0 if self._first_byte_ns is None else (self._seen_ns - self._first_byte_ns) // _MS
 
-    def _take(self, data: bytes) -> None:
-        failing = self._failing
-        if failing is None:
+    def _receive(self, data: bytes) -> None:
+        faulty = self._faulty_line
+        if faulty is None:
             units = self._splitter.split(data) if data else []
         else:
-            for unit in self._to_fail.split(data):
-                failing.send_frame(Direction.TO_DEVICE, unit, self._tick)
-            units = self._splitter.split(failing.receive(Direction.TO_DEVICE, self._tick))
+            for unit in self._fault_splitter.split(data):
+                faulty.send_frame(Direction.TO_DEVICE, unit, self._tick)
+            units = self._splitter.split(faulty.receive(Direction.TO_DEVICE, self._tick))
         for unit in units:
-            self._happen()
-            if self._is_off:
+            self._apply_due_events()
+            if self._host_is_off:
                 continue
-            self._units += 1
+            self._unit_count += 1
             frame, line = self._adapter.open(unit)
-            for answer in self._answer(frame) if frame is not None else ():
-                line += self._adapter.close(answer)
+            for reply in self._reply(frame) if frame is not None else ():
+                line += self._adapter.close(reply)
             self._send(line)
-        if failing is not None:
+        if faulty is not None:
             self._send([])
-            if failing.unplugged and not self._unplugged:
+            if faulty.unplugged and not self._unplugged:
                 self._unplugged = True
                 self._port.unplug()
 
-    def _answer(self, frame: Frame) -> list[Frame]:
-        answers = self._drive.receive(frame)
-        if self._stale and answers and self._answered:
-            self._stale = False
-            return self._answered[0]
-        if answers:
-            self._answered.append(answers)
-        return answers
+    def _reply(self, frame: Frame) -> list[Frame]:
+        replies = self._drive.receive(frame)
+        if self._repeats_reply and replies and self._last_replies:
+            self._repeats_reply = False
+            return self._last_replies[0]
+        if replies:
+            self._last_replies.append(replies)
+        return replies
 
-    def _happen(self) -> None:
+    def _apply_due_events(self) -> None:
         for event in self._events[:]:
             if self._is_due(event):
                 self._events.remove(event)
                 if event.name == STALE:
-                    self._stale = True
+                    self._repeats_reply = True
                 elif event.name == HOST_BUS_OFF:
                     self._send_frames([Frame(BUS_OFF, bytes(8), error=True)])
-                    self._is_off = True
+                    self._host_is_off = True
                 else:
                     self._send_frames(self._drive.happen(event.name, event.value))
 
     def _is_due(self, event: DriveEvent) -> bool:
         if event.tick is not None:
-            return self._first_ns is not None and event.tick <= self._tick
-        return event.frame == self._units
+            return self._first_byte_ns is not None and event.tick <= self._tick
+        return event.frame == self._unit_count
 
     def _send_frames(self, frames: list[Frame]) -> None:
         if frames:
             self._send([unit for frame in frames for unit in self._adapter.close(frame)])
 
     def _send(self, units: list[bytes]) -> None:
-        if self._is_off:
+        if self._host_is_off:
             return
-        if self._failing is None:
+        if self._faulty_line is None:
             if units:
                 self._port.write(b"".join(units))
             return
         for unit in units:
-            self._failing.send_frame(Direction.TO_HOST, unit, self._tick)
-        if out := self._failing.receive(Direction.TO_HOST, self._tick):
+            self._faulty_line.send_frame(Direction.TO_HOST, unit, self._tick)
+        if out := self._faulty_line.receive(Direction.TO_HOST, self._tick):
             self._port.write(out)
