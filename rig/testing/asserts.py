@@ -32,7 +32,7 @@ def assert_stable(subject: Subject) -> None:
         rows = found.rows(experiment)
         width = max(len(row.label) for row in rows)
         lines = "\n".join(f"  {row.label:<{width}}  {row.text}" for row in rows)
-        raise AssertionError(f"the hit is {found.verdict.kind}, not stable\n{lines}\n{_where(recording)}")
+        raise AssertionError(f"the hit is {found.verdict.kind}, not stable\n{lines}\n{_path_line(recording)}")
 
 
 def assert_safe(subject: Subject, *, within_ms: float) -> None:
@@ -49,7 +49,7 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
         recording = recording_of(subject)
         if not recording.complete or recording.trailer is None:
             raise AssertionError(
-                f"not safe: the recording is incomplete and gives no reason for its end\n{_where(recording)}"
+                f"not safe: the recording is incomplete and gives no reason for its end\n{_path_line(recording)}"
             )
         _check_rows(recording, within_ms)
     if not hasattr(subject, "rest"):
@@ -81,9 +81,9 @@ def assert_limit(subject: Subject, **most: float) -> None:
     if not most:
         limits = _experiment_of(recording).rig.limits
         most = {"effort_applied": limits.effort, "velocity": limits.speed}
-    problems = [text for name, bound in most.items() if (text := _beyond(recording, name, bound))]
+    problems = [text for name, bound in most.items() if (text := _describe_excess(recording, name, bound))]
     if problems:
-        raise AssertionError("\n".join([*problems, _where(recording)]))
+        raise AssertionError("\n".join([*problems, _path_line(recording)]))
 
 
 def assert_passive(subject: Subject) -> None:
@@ -98,14 +98,14 @@ def assert_passive(subject: Subject) -> None:
     rows = recording.rows[np.isin(recording.rows["phase"], (Phase.TRIAL, Phase.RELEASE))]
     if len(rows) < 2:
         raise AssertionError(
-            f"passivity cannot be observed: the recording has no rows of a trial\n{_where(recording)}"
+            f"passivity cannot be observed: the recording has no rows of a trial\n{_path_line(recording)}"
         )
     excess = _energy_given(rows, _experiment_of(recording), recording.header["identity"]["current_quantum_a"])
     worst = int(excess.argmax())
     if excess[worst] > 0.0:
         raise AssertionError(
             f"the wall gave {written(float(excess[worst]))} J more than reading errors explain, "
-            f"{_at(recording, rows, worst)}\n{_where(recording)}"
+            f"{_describe_row(recording, rows, worst)}\n{_path_line(recording)}"
         )
 
 
@@ -156,13 +156,15 @@ def _check_rows(recording: Recording, within_ms: float) -> None:
     faulty = rows["fault"] != 0
     if faulty.any():
         since_ns = rows["device_time"] - rows["device_time"][faulty.argmax()]
-        _refuse(recording, since_ns, "the device latched a fault", within_ms)
+        _check_zero_effort(recording, since_ns, "the device latched a fault", within_ms)
     period_ns = round(1e9 / _experiment_of(recording).controller.position_rate)
     age_ns = np.where(rows["command_age"] == NEVER, 0, rows["command_age"] * period_ns)
-    _refuse(recording, age_ns, "the newest command", within_ms)
+    _check_zero_effort(recording, age_ns, "the newest command", within_ms)
 
 
-def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within_ms: float) -> None:
+def _check_zero_effort(
+    recording: Recording, since_ns: NDArray[np.int64], what: str, within_ms: float
+) -> None:
     """Raise `AssertionError` if an effort is active more than `within_ms` (ms) after an event.
 
     `since_ns` is the time since the event in each row (ns), and `what` names the event in the message.
@@ -172,12 +174,12 @@ def _refuse(recording: Recording, since_ns: NDArray[np.int64], what: str, within
         row = int(wrong.argmax())
         raise AssertionError(
             f"not safe: effort_applied was {_value(recording, 'effort_applied', row)} {duration(int(since_ns[row]))} "
-            f"after {what}, {_at(recording, recording.rows, row)}; zero is due within {within_ms:g} ms\n"
-            f"{_where(recording)}"
+            f"after {what}, {_describe_row(recording, recording.rows, row)}; zero is due within {within_ms:g} ms\n"
+            f"{_path_line(recording)}"
         )
 
 
-def _beyond(recording: Recording, name: str, bound: float) -> str:
+def _describe_excess(recording: Recording, name: str, bound: float) -> str:
     values = np.abs(recording.column(name))
     # Not `values > bound`: NaN exceeds every bound, too.
     wrong = ~(values <= bound)
@@ -186,8 +188,8 @@ def _beyond(recording: Recording, name: str, bound: float) -> str:
     first, worst = int(wrong.argmax()), int(np.nan_to_num(values, nan=np.inf).argmax())
     return (
         f"{name} exceeds {bound:g} {recording.units[name]} in {np.count_nonzero(wrong)} of {len(values)} rows: first "
-        f"{_value(recording, name, first)}, {_at(recording, recording.rows, first)}; "
-        f"most {_value(recording, name, worst)}, {_at(recording, recording.rows, worst)}"
+        f"{_value(recording, name, first)}, {_describe_row(recording, recording.rows, first)}; "
+        f"most {_value(recording, name, worst)}, {_describe_row(recording, recording.rows, worst)}"
     )
 
 
@@ -195,10 +197,10 @@ def _value(recording: Recording, name: str, row: int) -> str:
     return f"{written(recording.rows[name][row].item(), 6)} {recording.units[name]}"
 
 
-def _at(recording: Recording, rows: NDArray[np.void], row: int) -> str:
+def _describe_row(recording: Recording, rows: NDArray[np.void], row: int) -> str:
     passed_ns = int(rows["device_time"][row] - recording.rows["device_time"][0])
     return f"in tick {rows['tick'][row]} ({duration(passed_ns)}, {phase_name(int(rows['phase'][row]))})"
 
 
-def _where(recording: Recording) -> str:
+def _path_line(recording: Recording) -> str:
     return f"recording: {recording.path}"

@@ -97,8 +97,8 @@ def difference(golden: Recording, today: Recording, tolerance: Mapping[str, floa
             remedy=f"choose one of the columns: {', '.join(names)}",
         )
     rows = min(len(golden), len(today))
-    apart = {name: _apart(golden, today, name, rows, tolerance.get(name)) for name in names}
-    first = min((int(found.argmax()) for found in apart.values() if found.any()), default=rows)
+    differing = {name: _differing_rows(golden, today, name, rows, tolerance.get(name)) for name in names}
+    first = min((int(found.argmax()) for found in differing.values() if found.any()), default=rows)
     if first == rows:
         return (
             ""
@@ -107,30 +107,30 @@ def difference(golden: Recording, today: Recording, tolerance: Mapping[str, floa
         )
     passed = duration(int(golden.rows["device_time"][first] - golden.rows["device_time"][0]))
     phase = phase_name(int(golden.rows["phase"][first]))
-    columns = sum(found.any() for found in apart.values())
+    columns = sum(found.any() for found in differing.values())
     lines = [
         f"differs from the golden recording from row {first} on ({passed}, {phase}), in {columns} columns; there:"
     ]
     for name in names:
-        if apart[name][first]:
+        if differing[name][first]:
             was, now = golden.rows[name][first].item(), today.rows[name][first].item()
             line = f"  {name}: {now!r} {golden.units[name]}, was {was!r} (by {written(now - was)}"
-            allowed = 0.0 if isinstance(was, int) else _allow(golden, name, tolerance.get(name))
+            allowed = 0.0 if isinstance(was, int) else _allowed_difference(golden, name, tolerance.get(name))
             lines.append(f"{line}, allowed {written(allowed, 2)})")
     return "\n".join(lines)
 
 
-def _apart(
+def _differing_rows(
     golden: Recording, today: Recording, name: str, rows: int, tolerance: float | None
 ) -> NDArray[np.bool_]:
     was, now = golden.column(name)[:rows], today.column(name)[:rows]
     if was.dtype.kind != "f" and tolerance is None:
         return np.asarray(was != now)
-    allowed = _allow(golden, name, tolerance)
+    allowed = _allowed_difference(golden, name, tolerance)
     return np.asarray(~np.isclose(now, was, rtol=0.0, atol=allowed, equal_nan=True))
 
 
-def _allow(golden: Recording, name: str, tolerance: float | None) -> float:
+def _allowed_difference(golden: Recording, name: str, tolerance: float | None) -> float:
     """Return the allowed difference of a column: `tolerance`, or if it is None, the rounding errors of all ticks."""
     if tolerance is not None:
         return tolerance

@@ -172,8 +172,8 @@ class FirmwareDevice:
         self._epoch_ns = 0
         self._words = np.zeros(WORDS, np.int64)
         self._lockstep = self.core.lockstep(self._words)
-        self._look_around()
-        self._show_world()
+        self._read_power_up_inputs()
+        self._pass_measurements()
         self.core.start()
         self._start()
 
@@ -245,7 +245,7 @@ class FirmwareDevice:
         enough
             Number of sent bytes after which to return.
         """
-        until = (2 * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # rounded down to a unit
+        until = (_NS_DENOMINATOR * (until_ns - self._epoch_ns) + 1) // _NS_NUMERATOR  # rounded down to a unit
         ticks, output = 0, b""
         if most > 0 and self._seen.due <= until:
             # One call of a compiled run takes as long as three single ticks.
@@ -288,35 +288,35 @@ class FirmwareDevice:
         # stand apart and the plant moves in between, so a current acts from its sample on.
         library.host_set_inputs(address, self.inputs)
         current = library.host_drive(address)
-        self._act()
+        self._apply_requests()
         self.hardware.advance(current)
         self.time = int(self._seen.due)
         self.hardware.sense(self._words)
         self.inputs = self._words.item(INPUTS)
-        self._show_world()
+        self._pass_measurements()
         library.host_sample(address)
         library.host_report(address)
-        self._act()
+        self._apply_requests()
         if self._truth is not None and self._seen.session:
             self.hardware.log(self._truth, self.sample_index)
         return self.core.take()
 
-    # ------------------------------------------------------------------ the conversation
+    # ------------------------------------------------------------------ messages
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
         """Process bytes from the host and return the device's replies.
 
         `received_at` is the device time of their arrival (1/16 µs); by default that of the last sample.
         """
-        self._show_world()
+        self._pass_measurements()
         self.core.library.host_set_clock(
             self.core.address, self.time if received_at is None else received_at, 0
         )
         answers = self.core.receive(data)
-        self._act()
+        self._apply_requests()
         return answers
 
-    # ------------------------------------------------------------------ the world
+    # ------------------------------------------------------------------ inputs, faults and resets
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
         """Press the emergency stop of the simulated board, or release it."""
@@ -339,7 +339,7 @@ class FirmwareDevice:
     def inject_fault(self, fault: Fault) -> None:
         """Make the hardware layer report a fault: the firmware sets the effort to zero and latches FAULT."""
         self.core.library.host_fault(self.core.address, int(fault))
-        self._act()
+        self._apply_requests()
 
     def reset(self) -> None:
         """Reboot the device: it loses parameters, homing, session and time. The handle moves on without effort."""
@@ -347,11 +347,11 @@ class FirmwareDevice:
         self.time = 0
         self.hardware.cut()
         self.hardware.reset()
-        self._look_around()
-        self._show_world()
+        self._read_power_up_inputs()
+        self._pass_measurements()
         self.core.library.host_set_sync_time(self.core.address, 0)
         self.core.library.host_restart(self.core.address)
-        self._act()
+        self._apply_requests()
         self._start()
 
     def brown_out(self) -> None:
@@ -374,12 +374,12 @@ class FirmwareDevice:
         self._words[INPUTS] = self.inputs
         self.core.library.host_set_inputs(self.core.address, self.inputs)
 
-    def _look_around(self) -> None:
+    def _read_power_up_inputs(self) -> None:
         self._words[INPUTS] = self.inputs
         self.hardware.power_up(self._words)
         self.inputs = self._words.item(INPUTS)
 
-    def _show_world(self) -> None:
+    def _pass_measurements(self) -> None:
         hardware, words, library = self.hardware, self._words, self.core.library
         # Before the first edge its age is infinite; the C code has unsigned time since boot.
         edge_age = round(min(hardware.edge_age_s * UNITS_PER_SECOND, self.time))
@@ -388,7 +388,7 @@ class FirmwareDevice:
         )
         library.host_set_index(self.core.address, words.item(INDEX_EDGES), words.item(INDEX_COUNT))
 
-    def _act(self) -> None:
+    def _apply_requests(self) -> None:
         """Apply the firmware's changes of tick rate and amplifier (disabled, enabled) to the simulated hardware."""
         before, self._seen = self._seen, self.core.status
         if self._seen.rate != before.rate:

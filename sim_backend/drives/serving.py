@@ -121,8 +121,7 @@ class Serving:
         self._send_frames(self._drive.run(self._start_tick + passed_ns * self._drive.rate_hz // _SECOND))
 
     @property
-    def _tick(self) -> int:
-        """Return the time since the host's first byte (ms), 0 before that byte."""
+    def _since_first_byte_ms(self) -> int:
         return 0 if self._first_byte_ns is None else (self._seen_ns - self._first_byte_ns) // _MS
 
     def _receive(self, data: bytes) -> None:
@@ -131,8 +130,8 @@ class Serving:
             units = self._splitter.split(data) if data else []
         else:
             for unit in self._fault_splitter.split(data):
-                faulty.send_frame(Direction.TO_DEVICE, unit, self._tick)
-            units = self._splitter.split(faulty.receive(Direction.TO_DEVICE, self._tick))
+                faulty.send_frame(Direction.TO_DEVICE, unit, self._since_first_byte_ms)
+            units = self._splitter.split(faulty.receive(Direction.TO_DEVICE, self._since_first_byte_ms))
         for unit in units:
             self._apply_due_events()
             if self._host_is_off:
@@ -171,7 +170,7 @@ class Serving:
 
     def _is_due(self, event: DriveEvent) -> bool:
         if event.tick is not None:
-            return self._first_byte_ns is not None and event.tick <= self._tick
+            return self._first_byte_ns is not None and event.tick <= self._since_first_byte_ms
         return event.frame == self._unit_count
 
     def _send_frames(self, frames: list[Frame]) -> None:
@@ -186,6 +185,6 @@ class Serving:
                 self._port.write(b"".join(units))
             return
         for unit in units:
-            self._faulty_line.send_frame(Direction.TO_HOST, unit, self._tick)
-        if out := self._faulty_line.receive(Direction.TO_HOST, self._tick):
+            self._faulty_line.send_frame(Direction.TO_HOST, unit, self._since_first_byte_ms)
+        if out := self._faulty_line.receive(Direction.TO_HOST, self._since_first_byte_ms):
             self._port.write(out)

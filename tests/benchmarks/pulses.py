@@ -114,7 +114,7 @@ class TickByTick(FirmwareDevice):
         """Have another rig than the one that it was built for."""
         self.hardware = hardware
         self._truth = None
-        self._show_world()
+        self._pass_measurements()
 
 
 def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
