@@ -82,7 +82,7 @@ TRANSITIONS: dict[State, dict[type[Message], State]] = {
     },
     State.FAULT: {
         **dict.fromkeys(_QUESTIONS, State.FAULT),
-        m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._find_objection
+        m.Disarm: State.CONFIGURED,  # only with CLEAR_FAULT: see Connection._find_rejection
         m.EnterBootloader: State.BOOT,
     },
 }
@@ -197,10 +197,10 @@ class Connection:
         self._last_session = 0
         self._splitter = FrameSplitter(self.statistics)
         self._frames: deque[bytes] = deque()
-        self._to_send: dict[int, int] = {}  # type id → sequence of the next frame
-        self._received: dict[int, int] = {}  # stream type id → sequence of the newest frame delivered
+        self._next_sequences: dict[int, int] = {}  # type id → sequence of the next frame
+        self._newest_sequences: dict[int, int] = {}  # stream type id → sequence of the newest frame delivered
         # (type id, nonce) of each request without a reply yet → session in its header
-        self._open: dict[tuple[int, int], int] = {}
+        self._open_requests: dict[tuple[int, int], int] = {}
 
     # ------------------------------------------------------------------ receiving
 
@@ -218,12 +218,12 @@ class Connection:
         the connection stays usable.
         """
         while self._frames:
-            event = self._event(self._frames.popleft())
+            event = self._process_frame(self._frames.popleft())
             if event is not None:
                 return event
         return None
 
-    def _event(self, raw: bytes) -> Event | None:
+    def _process_frame(self, raw: bytes) -> Event | None:
         major, type_id, _, session, sequence = HEADER.unpack_from(raw)
         # IDENTIFY is answered whatever its major version: a host must be able to read which device it has found.
         if major != MAJOR and not (type_id == _IDENTIFY and self.role is Role.DEVICE):
@@ -239,10 +239,10 @@ class Connection:
             self.statistics.unknown_type += 1
             return self._refuse(raw, Status.UNSUPPORTED)
         if layout.delivery is Delivery.TRANSACTION:
-            return self._transaction(layout, raw, session, sequence)
-        return self._stream(layout, raw, session, sequence)
+            return self._process_transaction(layout, raw, session, sequence)
+        return self._process_stream_frame(layout, raw, session, sequence)
 
-    def _stream(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
+    def _process_stream_frame(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
         statistics = self.statistics
         if session != self.session:
             # Frames of a process that died cannot belong to the next run. Transactions are taken from any session: a
@@ -264,15 +264,15 @@ class Connection:
                 statistics.malformed += 1
                 return None
             after = _STATES[message.state]
-        if not self._is_news(layout, sequence):
+        if not self._must_deliver(layout, sequence):
             return None
         if after is not self.state:
             self._enter_state(after)
         return Received(message, session, sequence)
 
-    def _is_news(self, layout: Layout, sequence: int) -> bool:
+    def _must_deliver(self, layout: Layout, sequence: int) -> bool:
         """Return True if a stream frame must be delivered; count lost, repeated and late frames by their sequence."""
-        newest = self._received.get(layout.type_id)
+        newest = self._newest_sequences.get(layout.type_id)
         step = 1 if newest is None else (sequence - newest) & 0xFFFF
         if step == 0:
             self.statistics.duplicated += 1
@@ -282,26 +282,26 @@ class Connection:
             # An older BATCH fills a gap in a recording; an older STATE or COMMAND must not act.
             return layout.delivery is Delivery.BATCH
         self.statistics.lost += step - 1
-        self._received[layout.type_id] = sequence
+        self._newest_sequences[layout.type_id] = sequence
         return True
 
-    def _transaction(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
+    def _process_transaction(self, layout: Layout, raw: bytes, session: int, sequence: int) -> Event | None:
         message = self._unpack(layout, raw)
         if message is None:
             return self._refuse(raw, Status.BAD_LENGTH)
         event = Received(message, session, sequence)
         if self.role is Role.HOST:
-            self._handle_answer(message)
+            self._handle_reply(message)
             self.transaction = after_answer(self.transaction, event.nonce, *self._as_ack(message))
             return event
-        objection = self._find_objection(event)
-        if objection is not None:
+        rejection = self._find_rejection(event)
+        if rejection is not None:
             self.statistics.out_of_state += 1
-            return self._refuse(raw, *objection)
-        self._begin(layout.type_id, event.nonce, session)
+            return self._refuse(raw, *rejection)
+        self._store_open_request(layout.type_id, event.nonce, session)
         return event
 
-    def _find_objection(self, event: Received) -> tuple[Status, int] | None:
+    def _find_rejection(self, event: Received) -> tuple[Status, int] | None:
         """Return the status, and its detail, with which the device must reject a request now; None if it is allowed."""
         if event.request not in _NEXT[self.state]:
             return Status.BAD_STATE, int(self.state)
@@ -362,18 +362,18 @@ class Connection:
         if self.role is Role.HOST:
             number = self._session_of_request(layout, session)
         else:
-            self._check_unasked(layout)
+            self._check_unrequested(layout)
             number = self.session
-        sequence = self._to_send.get(type_id, 0)
+        sequence = self._next_sequences.get(type_id, 0)
         frame = encode_frame(HEADER.pack(MAJOR, type_id, 0, number, sequence) + layout.pack(message))
-        self._to_send[type_id] = (sequence + 1) & 0xFFFF
+        self._next_sequences[type_id] = (sequence + 1) & 0xFFFF
         if type_id == _COMMAND:
             self.state = State.RUNNING
         elif layout.delivery is Delivery.TRANSACTION:
             if self.role is Role.HOST:
-                self._begin(type_id, message.nonce, number)  # type: ignore[attr-defined]
+                self._store_open_request(type_id, message.nonce, number)  # type: ignore[attr-defined]
             else:
-                self._handle_answer(message)
+                self._handle_reply(message)
         return frame
 
     def begin(self, *requests: Message, session: int | None = None) -> None:
@@ -444,22 +444,22 @@ class Connection:
             f"the message {layout.name} is not allowed in state {self.state.name}, only in {', '.join(allowed)}"
         )
 
-    def _check_unasked(self, layout: Layout) -> None:
+    def _check_unrequested(self, layout: Layout) -> None:
         if layout.delivery is not Delivery.TRANSACTION and layout.cls not in UNASKED[self.state]:
             raise self._not_allowed(layout)
 
     # ------------------------------------------------------------------ transactions and states, both roles
 
-    def _begin(self, request: int, nonce: int, session: int) -> None:
-        self._open.pop((request, nonce), None)
-        if len(self._open) >= OPEN_LIMIT:
-            del self._open[next(iter(self._open))]
-        self._open[request, nonce] = session
+    def _store_open_request(self, request: int, nonce: int, session: int) -> None:
+        self._open_requests.pop((request, nonce), None)
+        if len(self._open_requests) >= OPEN_LIMIT:
+            del self._open_requests[next(iter(self._open_requests))]
+        self._open_requests[request, nonce] = session
 
-    def _handle_answer(self, reply: Message) -> None:
+    def _handle_reply(self, reply: Message) -> None:
         """Change the state if a reply answers an open request; a repeated reply changes nothing."""
         request = reply.request if isinstance(reply, m.Ack) else _REQUEST_OF[type(reply)]
-        session = self._open.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
+        session = self._open_requests.pop((request, reply.nonce), None)  # type: ignore[attr-defined]
         if session is None:
             return
         if self.role is Role.HOST:
@@ -468,7 +468,7 @@ class Connection:
         if after is None or (isinstance(reply, m.Ack) and reply.status != Status.OK):
             return
         if request == _ARM:
-            self._open_session(session)
+            self._set_session(session)
         self._enter_state(after)
 
     def _adopt_state(self, reply: Message) -> None:
@@ -480,20 +480,20 @@ class Connection:
 
     def _enter_state(self, after: State) -> None:
         if self.session and after < State.ARMED:
-            self._open_session(0)
+            self._set_session(0)
         self.state = after
 
-    def _open_session(self, session: int) -> None:
+    def _set_session(self, session: int) -> None:
         self.session = session
         if session:
             self._last_session = session
         for type_id in LAYOUTS:
             if m.delivery_of(type_id) is not Delivery.TRANSACTION:
                 # The sequences of a stream begin at 0 with each session.
-                self._to_send.pop(type_id, None)
-                self._received.pop(type_id, None)
+                self._next_sequences.pop(type_id, None)
+                self._newest_sequences.pop(type_id, None)
 
-    # ------------------------------------------------------------------ events of our own
+    # ------------------------------------------------------------------ changes by the caller
 
     def fault(self) -> None:
         """Device: enter the state FAULT. The session stays open, so the host still accepts STATE frames."""
@@ -504,27 +504,27 @@ class Connection:
         """Device: mark a request as answered before, so that sending its reply again does not change the state."""
         self._require_role(Role.DEVICE, "resend")
         # Otherwise a late repeat of a DISARM would clear a fault that occurred in between.
-        self._open.pop((event.request, event.nonce), None)
+        self._open_requests.pop((event.request, event.nonce), None)
 
     def reset(self) -> None:
         """Return to the state BOOT, after a reset of the device or a reopened port; the counters keep their values."""
         self.state = State.BOOT
-        self._open_session(0)
+        self._set_session(0)
         self._last_session = 0
-        self._to_send.clear()
-        self._open.clear()
+        self._next_sequences.clear()
+        self._open_requests.clear()
         self._frames.clear()
         self._splitter.reset()
 
     def sequence_to_send(self, cls: type[Message]) -> int:
         """Return the number of the next frame of message class `cls`, from which a compiled loop continues to count."""
-        return self._to_send.get(LAYOUT_OF[cls].type_id, 0)
+        return self._next_sequences.get(LAYOUT_OF[cls].type_id, 0)
 
     @property
     def answered(self) -> int:
         """Host: return the sequence number of the newest STATE message, 0 without one; the next COMMAND repeats it."""
         self._require_role(Role.HOST, "answered")
-        return self._received.get(_STATE, 0)
+        return self._newest_sequences.get(_STATE, 0)
 
     def resume(self, *, next_command: int, newest_state: int, state: State) -> None:
         """Host: continue with sequence numbers and state after a compiled loop has used the link.
@@ -541,8 +541,8 @@ class Connection:
         self._require_role(Role.HOST, "resume")
         self._splitter.reset()
         self._frames.clear()
-        self._to_send[_COMMAND] = next_command & 0xFFFF
-        self._received[_STATE] = newest_state & 0xFFFF
+        self._next_sequences[_COMMAND] = next_command & 0xFFFF
+        self._newest_sequences[_STATE] = newest_state & 0xFFFF
         self._enter_state(state)
 
     def _require_role(self, role: Role, what: str) -> None:

@@ -95,19 +95,19 @@ class FrameSplitter:
     def __init__(self, statistics: LinkStatistics | None = None) -> None:
         self.statistics = statistics if statistics is not None else LinkStatistics()
         self._pending = bytearray()
-        self._skipping = False  # inside something too long: wait for its end
+        self._skipping = False  # inside a frame that is too long: ignore bytes to its end
 
     def feed(self, data: bytes) -> list[bytes]:
         """Accept received bytes; return the raw frames (header and payload) that are now complete, oldest first."""
         *ends, tail = data.split(b"\0")
         frames = []
         for piece in ends:
-            encoded = self._finish(piece)
+            encoded = self._complete_frame(piece)
             if encoded:
                 raw = self._decode(encoded)
                 if raw is not None:
                     frames.append(raw)
-        self._keep(tail)
+        self._store_unfinished(tail)
         return frames
 
     def reset(self) -> None:
@@ -115,7 +115,7 @@ class FrameSplitter:
         self._pending.clear()
         self._skipping = False
 
-    def _finish(self, piece: bytes) -> bytes | bytearray:
+    def _complete_frame(self, piece: bytes) -> bytes | bytearray:
         if self._skipping:
             self._skipping = False
             return b""
@@ -125,7 +125,7 @@ class FrameSplitter:
         self._pending.clear()
         return encoded
 
-    def _keep(self, tail: bytes) -> None:
+    def _store_unfinished(self, tail: bytes) -> None:
         if self._skipping or not tail:
             return
         if len(self._pending) + len(tail) > ENCODED_LIMIT:

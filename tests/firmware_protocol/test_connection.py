@@ -502,7 +502,7 @@ def test_arbitrary_bytes_give_events_or_remote_protocol_errors(role: Role, state
     assert single.statistics == whole.statistics
     assert whole.state in State
     assert len(whole._splitter._pending) <= ENCODED_LIMIT
-    assert len(whole._open) <= OPEN_LIMIT
+    assert len(whole._open_requests) <= OPEN_LIMIT
     for event in received:
         if role is Role.DEVICE and not isinstance(event, str) and event.request < 0x40:
             whole.send(event.ack() if isinstance(event, Refused) else event.ack(Status.UNSUPPORTED))
@@ -513,14 +513,14 @@ def test_untaken_frames_are_bounded_and_counted(pair: Pair) -> None:
     pair.device.receive_data(frame * (QUEUE_LIMIT + 10))
     assert pair.device.statistics.overrun == 10
     assert len(list(iter(pair.device.next_event, None))) == QUEUE_LIMIT
-    assert len(pair.device._open) == 1
+    assert len(pair.device._open_requests) == 1
 
 
 def test_open_requests_are_bounded(pair: Pair) -> None:
     pair.bring_to(State.IDENTIFIED)
     for nonce in range(10 * OPEN_LIMIT):
         pair.host.send(m.GetTime(nonce, 0))
-    assert len(pair.host._open) == OPEN_LIMIT
+    assert len(pair.host._open_requests) == OPEN_LIMIT
 
 
 def test_reset_starts_anew_and_keeps_the_counters(pair: Pair) -> None:
