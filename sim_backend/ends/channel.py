@@ -28,21 +28,21 @@ class ScriptedLine:
         self.unplugged = False
         self.frames = dict.fromkeys(Direction, 0)
         self.acted: Counter[FaultKind] = Counter()
-        self._faults: dict[tuple[Direction, int], list[FrameFault]] = {}
-        self._waiting: dict[Direction, list[FrameFault]] = {direction: [] for direction in Direction}
+        self._faults_by_frame: dict[tuple[Direction, int], list[FrameFault]] = {}
+        self._faults_by_tick: dict[Direction, list[FrameFault]] = {direction: [] for direction in Direction}
         self.add(faults)
         self._silent: set[Direction] = set()
         self._unfinished = dict.fromkeys(Direction, b"")
-        self._held: dict[Direction, list[bytes]] = {direction: [] for direction in Direction}
-        self._under_way: dict[Direction, deque[tuple[int, bytes]]] = {d: deque() for d in Direction}
+        self._reordered: dict[Direction, list[bytes]] = {direction: [] for direction in Direction}
+        self._in_transit: dict[Direction, deque[tuple[int, bytes]]] = {d: deque() for d in Direction}
 
     def add(self, faults: Iterable[FrameFault]) -> None:
         """Add faults to the script; allowed also during a run."""
         for fault in faults:
             if fault.frame is None:
-                self._waiting[fault.direction].append(fault)
+                self._faults_by_tick[fault.direction].append(fault)
             else:
-                self._faults.setdefault((fault.direction, fault.frame), []).append(fault)
+                self._faults_by_frame.setdefault((fault.direction, fault.frame), []).append(fault)
 
     def send(self, direction: Direction, data: bytes, tick: int) -> None:
         """Send bytes in a direction at tick `tick`; an incomplete frame waits for its remaining bytes."""
@@ -53,7 +53,7 @@ class ScriptedLine:
 
     def receive(self, direction: Direction, tick: int) -> bytes:
         """Return the bytes sent in a direction (to the host or to the device) that have arrived by tick `tick`."""
-        queue = self._under_way[direction]
+        queue = self._in_transit[direction]
         out = b""
         while queue and queue[0][0] <= tick and not self.unplugged:
             out += queue.popleft()[1]
@@ -61,44 +61,44 @@ class ScriptedLine:
 
     def next_due(self) -> int | None:
         """Return the tick at which the next delayed bytes arrive; None if no bytes are delayed."""
-        due = [queue[0][0] for queue in self._under_way.values() if queue]
+        due = [queue[0][0] for queue in self._in_transit.values() if queue]
         return min(due) if due and not self.unplugged else None
 
     def send_frame(self, direction: Direction, frame: bytes, tick: int) -> None:
         """Send one complete frame, of any format, in a direction at tick `tick`, with the faults of the script."""
         number = self.frames[direction]
         self.frames[direction] = number + 1
-        behind, self._held[direction] = self._held[direction], []
+        reordered, self._reordered[direction] = self._reordered[direction], []
         pieces = [frame]
-        for fault in self._due(direction, number, tick):
+        for fault in self._find_due(direction, number, tick):
             self.acted[fault.kind] += 1
-            pieces, tick = self._strike(fault, pieces, tick)
+            pieces, tick = self._apply(fault, pieces, tick)
         if direction in self._silent:
-            pieces, behind = [], []
-        queue = self._under_way[direction]
+            pieces, reordered = [], []
+        queue = self._in_transit[direction]
         if queue:
-            tick = max(tick, queue[-1][0])  # a line keeps the order: a delayed frame holds up those behind it
-        queue.extend((tick, piece) for piece in pieces + behind)
+            tick = max(tick, queue[-1][0])  # a line keeps the order: a delayed frame delays those behind it
+        queue.extend((tick, piece) for piece in pieces + reordered)
 
-    def _due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
+    def _find_due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
         """Return the faults of frame `number`, sent at `tick`: those for this number, and those for ticks so far."""
-        waiting = self._waiting[direction]
+        waiting = self._faults_by_tick[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
-        # A fault at a tick strikes the first frame after it, once.
-        self._waiting[direction] = [fault for fault in waiting if fault not in now]
-        return [*self._faults.get((direction, number), ()), *now]
+        # A fault at a tick acts on the first frame after it, once.
+        self._faults_by_tick[direction] = [fault for fault in waiting if fault not in now]
+        return [*self._faults_by_frame.get((direction, number), ()), *now]
 
-    def _strike(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
+    def _apply(self, fault: FrameFault, pieces: list[bytes], tick: int) -> tuple[list[bytes], int]:
         """Apply a fault to the `pieces` of a frame; return the pieces that are delivered, and the tick of delivery."""
         if fault.kind is FaultKind.REORDER:
-            self._held[fault.direction] = pieces
+            self._reordered[fault.direction] = pieces
         elif fault.kind is FaultKind.SILENCE:
             self._silent |= set(Direction) if fault.both else {fault.direction}
         elif fault.kind is FaultKind.UNPLUG:
             self.unplugged = True
         elif fault.kind is FaultKind.DELAY:
             tick += fault.ticks
-        leave = _LEFT.get(fault.kind)
+        leave = _DELIVERED.get(fault.kind)
         return [left for piece in pieces for left in leave(piece, fault)] if leave else [], tick
 
 
@@ -109,7 +109,7 @@ def _flip(frame: bytes, fault: FrameFault) -> bytes:
 
 
 # Pieces of a frame that each kind of fault still delivers; the other kinds deliver nothing.
-_LEFT: dict[FaultKind, Callable[[bytes, FrameFault], list[bytes]]] = {
+_DELIVERED: dict[FaultKind, Callable[[bytes, FrameFault], list[bytes]]] = {
     FaultKind.CORRUPT: lambda frame, fault: [_flip(frame, fault)],
     FaultKind.DUPLICATE: lambda frame, _: [frame, frame],
     FaultKind.TRUNCATE: lambda frame, fault: [frame[: fault.byte % len(frame)]],

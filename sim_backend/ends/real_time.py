@@ -57,7 +57,7 @@ class RealTime:
             if end_ns is not None and deadline_ns > end_ns:
                 return
             received, came_at = self._listen(deadline_ns)
-            self._keep_up()
+            self._miss_late_ticks()
             self._tick()
             if received:
                 self._port.write(self.device.receive(received, received_at=came_at))
@@ -77,7 +77,7 @@ class RealTime:
         sleep_until(deadline_ns)
         return received, came_at
 
-    def _keep_up(self) -> None:
+    def _miss_late_ticks(self) -> None:
         """Run late ticks without sending a STATE and count them as missed; keep the last four (`CATCH_UP_TICKS`)."""
         device = self.device
         late_ns = time.monotonic_ns() - self._origin_ns - device.next_tick_ns
