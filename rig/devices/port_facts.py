@@ -158,7 +158,7 @@ def _line_facts(descriptor: int, driver: str | None) -> dict[str, bool | None]:
         return {}
 
 
-def _node(device: str, root: Path) -> Path | None:
+def _sysfs_directory(device: str, root: Path) -> Path | None:
     """Return the sysfs directory of a serial port's device; None if it is missing, as for pseudo-terminals."""
     if is_pseudo(device):
         return None
@@ -167,7 +167,7 @@ def _node(device: str, root: Path) -> Path | None:
 
 
 def _driver(device: str, root: Path) -> str | None:
-    node = _node(device, root)
+    node = _sysfs_directory(device, root)
     if node is None or not (node / "driver").exists():
         return None
     return (node / "driver").resolve().name
@@ -175,7 +175,7 @@ def _driver(device: str, root: Path) -> str | None:
 
 def _usb_device(device: str, root: Path) -> Path | None:
     """Return the sysfs directory of a port's USB device (the nearest parent directory with a vendor id), else None."""
-    node = _node(device, root)
+    node = _sysfs_directory(device, root)
     while node is not None and node != node.parent:
         if (node / "idVendor").exists():
             return node

@@ -106,7 +106,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
     bus = UsbBus()
     try:
         device = _choose_device(bus, url, vendor, product, serial)
-        pipes = _pipes(device)
+        pipes = _find_interface(device)
         if pipes is None:
             raise IncompatibleDeviceError(
                 f"{url.text} is not a haptic rig: it has no interface of vendor class with one bulk endpoint each way",
@@ -118,7 +118,7 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> UsbLink:
         except BaseException:
             _release(device, pipes, detached)
             raise
-        number = _text(device, "serial") or None
+        number = _read_descriptor_text(device, "serial") or None
         return UsbLink(url, bus, transfers, lambda: _release(device, pipes, detached), number)
     except BaseException:
         bus.close()
@@ -148,7 +148,7 @@ def _choose_device(bus: UsbBus, url: DeviceUrl, vendor: int, product: int, seria
             remedy=f"plug the device in. {_list_rigs(bus)}",
         )
     if serial:
-        numbers = [_text(device, "serial") for device in found]
+        numbers = [_read_descriptor_text(device, "serial") for device in found]
         matching = [device for device, number in zip(found, numbers, strict=True) if number == serial]
         if not matching:
             there = ", ".join(number or "a device without a number" for number in numbers)
@@ -173,28 +173,28 @@ def _list_rigs(bus: UsbBus) -> str:
 
 
 def _describe(device: Any) -> UsbDevice:
-    is_rig = _pipes(device) is not None
+    is_rig = _find_interface(device) is not None
     return UsbDevice(
         vid=device.idVendor,
         pid=device.idProduct,
-        serial=_text(device, "serial", ask=is_rig),
-        product=_text(device, "product", ask=is_rig),
-        path=_path(device),
+        serial=_read_descriptor_text(device, "serial", ask=is_rig),
+        product=_read_descriptor_text(device, "product", ask=is_rig),
+        path=_sysfs_name(device),
         is_rig=is_rig,
     )
 
 
-def _path(device: Any) -> str:
+def _sysfs_name(device: Any) -> str:
     """Return the name of a USB device's directory in sysfs, such as "1-2.3", from its bus and ports."""
     ports = device.port_numbers or (device.address,)
     return f"{device.bus}-{'.'.join(map(str, ports))}"
 
 
-def _text(device: Any, which: str, *, ask: bool = True) -> str:
+def _read_descriptor_text(device: Any, which: str, *, ask: bool = True) -> str:
     """Return a USB device's serial number or product name (`which`) from sysfs or (`ask`) the device; may be empty."""
     # From sysfs first: a request to the device would disturb another program that has it open.
     with suppress(OSError):
-        return (SYSFS / _path(device) / which).read_text("utf-8", "replace").strip()
+        return (SYSFS / _sysfs_name(device) / which).read_text("utf-8", "replace").strip()
     if ask:
         with suppress(usb.core.USBError, ValueError, NotImplementedError):  # ValueError: no permission to ask
             text = device.serial_number if which == "serial" else device.product
@@ -202,7 +202,7 @@ def _text(device: Any, which: str, *, ask: bool = True) -> str:
     return ""
 
 
-def _pipes(device: Any) -> _Pipes | None:
+def _find_interface(device: Any) -> _Pipes | None:
     """Return the device's first interface of vendor class with one bulk endpoint in each direction, else None."""
     try:
         interfaces = list(device[0]) if device.bNumConfigurations else []

@@ -188,8 +188,7 @@ class Simulator:
     @property
     def stack(self) -> int:
         """Return the largest number of stack bytes that the calls so far have used."""
-        painted = bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST))
-        return len(painted) - (len(painted) - len(painted.lstrip(PAINT)))
+        return len(bytes(self.uc.mem_read(STACK_LEAST, STACK_TOP - STACK_LEAST)).lstrip(PAINT))
 
 
 # Cycles of the M0+ (Armv6-M, two stages; Cortex-M0+ Technical Reference Manual, table 3-1): a load or store 2, one of n
