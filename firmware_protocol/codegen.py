@@ -2,8 +2,8 @@
 
 ``python -m firmware_protocol.codegen`` rewrites the sections between the markers of PROTOCOL.md, PORTING.md, FMEA.md
 and HARDWARE.md, and the firmware's ``protocol.h`` and ``protocol.c``. With ``--check`` it changes nothing and exits
-with 1 if a file is out of date. The text outside of the markers is written by hand. Developers run it after a change of
-these tables; no other program imports it. It must not write outside the markers.
+with 1 if a file is out of date. Developers run it after a change of these tables. It must not write outside of the
+markers, where the text is written by hand.
 """
 
 from __future__ import annotations

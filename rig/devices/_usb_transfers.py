@@ -306,10 +306,7 @@ def _sleep_until_event(block: int, deadline_ns: int) -> int:
 
 @kernel(WAIT_SIGNATURE)
 def usb_wait(block: int, deadline_ns: int) -> int:
-    """Wait for received bytes until CLOCK_MONOTONIC reaches `deadline_ns` (ns).
-
-    Return 1 if bytes are available, 0 at the deadline, or a negative errno.
-    """
+    """Wait for received bytes until `deadline_ns` (CLOCK_MONOTONIC, ns); return 1 (bytes), 0 (deadline) or -errno."""
     while True:
         ready = _look(block)
         if ready == 0:

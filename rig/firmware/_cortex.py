@@ -196,10 +196,7 @@ class Simulator:
 # has the fast multiplier). M4F and M7: a load or store 2, a taken branch 3, a division of integers 8, of floats and a
 # root 14, everything else 1; the M7 often issues two instructions per cycle, so its number is an upper bound.
 def _count_block(address: int, words: list[int], small: bool) -> BasicBlock:
-    """Return instructions and cycles of the basic block at `address`, from its 16-bit `words`.
-
-    `small` is True for the core M0+, which has a shorter pipeline.
-    """
+    """Return instructions and cycles of the basic block `words` (16 bits each) at `address`; `small`: the core M0+."""
     taken = 1 if small else 2  # more for a branch that is taken
     instructions = cycles = at = jump = 0
     while at < len(words):

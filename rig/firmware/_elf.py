@@ -43,10 +43,7 @@ def seal(content: bytes, behind: int) -> bytes:
 
 
 def read_segments(content: bytes, name: str) -> tuple[Segment, ...]:
-    """Return the segments of an ELF file (`content`) in order of their load address.
-
-    Raise `ConfigError` with the file's `name` if the file is damaged.
-    """
+    """Return the segments of an ELF file in order of load address; `ConfigError` with the file's `name` if damaged."""
     try:
         at, size, count = _HEADER.unpack_from(content)
         segments = [_SEGMENT.unpack_from(content, at + number * size) for number in range(count)]

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from annotated_types import Ge, Le
 
@@ -202,10 +202,7 @@ class BoardUnderTest:
         return numbers if kind == ANSWER and _HEAD.unpack_from(body)[0] == self._nonce else None
 
     def meet(self) -> tuple[int, ...]:
-        """Return the board's properties (reply to `PortProbe.BOARD`); repeat the request until the board replies.
-
-        Raise `NoAnswerError` if it never does.
-        """
+        """Return the board's properties; repeat the request, and raise `NoAnswerError` if the board never replies."""
         for _ in range(TRIES - 1):
             with suppress(NoAnswerError):
                 return self.ask(PortProbe.BOARD, wait_s=ANSWER_S / TRIES)
@@ -407,24 +404,28 @@ def _tick_rates(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     yield "tick_grid", grid if wrong is None else "not judged: the tick rate is not the set rate"
 
 
-def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> tuple[float, bool, float]:
-    """Set the tick rate `rate` (Hz; 0: keep the present one), then count ticks, of which `expected` are due per second.
+class _MeasuredTicks(NamedTuple):
+    """Measured tick rate (Hz, an error of the board's clock is corrected), and the jitter of the ticks (s)."""
 
-    Return the measured rate (Hz; an error of the board's clock is corrected), True if the board accepted `rate`, and
-    the jitter (s).
-    """
+    rate: float
+    is_rate_accepted: bool
+    jitter_s: float
+
+
+def _measure_ticks(trial: PortTrial, rate: int, expected: int) -> _MeasuredTicks:
+    """Set the tick rate `rate` (Hz; 0: keep the present one), then measure ticks, `expected` per second."""
     wanted = max(TICKS_LEAST, round(min(TICKS_S, TICKS_SHARE * trial.request.seconds) * expected))
     accepted, count, passed, *off = trial.ask_signed(PortProbe.TICKS, rate, wanted)
     least, most, newest = off
     found = count * UNITS_A_SECOND / (passed % 2**32) * trial.time_ratio if count and passed else 0.0
-    return found, bool(accepted), (most - least - abs(newest)) / UNITS_A_SECOND
+    return _MeasuredTicks(found, bool(accepted), (most - least - abs(newest)) / UNITS_A_SECOND)
 
 
 def _impossible_rate(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
     (accepted,) = trial.board.ask(PortProbe.RATE, UNDOABLE_RATE)
     yield "rate_refused", {"wanted": UNDOABLE_RATE} if accepted else None
     rate = trial.rate_initial
-    found = rate if accepted else _measure_ticks(trial, 0, rate)[0]
+    found = rate if accepted else _measure_ticks(trial, 0, rate).rate
     broken = {"wanted": UNDOABLE_RATE, "found": found, "rate": rate}
     if accepted:
         yield "rate_kept", "not judged: no rate was refused"
@@ -543,10 +544,7 @@ def _watchdog(trial: PortTrial) -> Iterator[tuple[str, Verdict]]:
 
 
 def _starve(board: BoardUnderTest, bite_us: int) -> tuple[int, bool]:
-    """Stop feeding the board's watchdog, whose time-out is `bite_us` (µs).
-
-    Return how long the board kept running (ms), and True if the watchdog reset it.
-    """
+    """Let the watchdog expire after `bite_us` (µs); return how long the board ran (ms), and True if it was reset."""
     try:
         (lived_ms,) = board.ask(PortProbe.BITE, bite_us, wait_s=8e-6 * bite_us + 0.2, quiet_s=QUIET_S)
     except (NoAnswerError, LinkLostError):

@@ -40,10 +40,7 @@ class Compiler:
             raise ToolchainError(f"the firmware cannot be built:\n{shown}\n", remedy=_remedy(done.stderr))
 
     def tool(self, name: str, arguments: Sequence[str], directory: Path) -> str:
-        """Run a tool that came with the compiler, such as ``nm``, in a directory, and return what it printed.
-
-        Raise `ToolchainError` if the tool fails.
-        """
+        """Run a tool of the compiler, such as ``nm``; return what it printed. Raise `ToolchainError` if it fails."""
         done = _call([f"{self.path.removesuffix('gcc')}{name}", *arguments], directory)
         if done.returncode != 0:
             raise ToolchainError(f"the compiler's tool {name} failed: {done.stderr.strip()}", remedy=INSTALL)

@@ -7,6 +7,7 @@ current. All decisions belong to the device: this file only simulates the hardwa
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import types
@@ -42,8 +43,16 @@ from sim_backend.mechanics.truth import TruthLog
 _NOISE_BLOCK = 4096
 _PEAK = int(CURRENT_QUANTA_LIMIT)
 NO_END = 1 << 62  # ticks
-World = tuple[PlantArguments, OperatorScript, Wires, Supplies]  # the rig, as arguments of `run_ticks`
 _NO_INDICES, _NO_STATES = np.zeros(0, np.int64), np.zeros((0, 0))
+
+
+class World(NamedTuple):
+    """A rig as arguments of `lockstep.run_ticks`, in their order."""
+
+    plant: PlantArguments
+    script: OperatorScript
+    wires: Wires
+    supplies: Supplies
 
 
 _put, _at = group_at(PlantArguments)
@@ -220,7 +229,7 @@ class Hardware:
         places = np.zeros(PLACES, np.int64)
         places[ROW], places[NOISE_LEFT], places[TRUTH_ROWS] = self._row, noise.left, rows
         supplies = Supplies(noise=noise.drawn, places=places, indices=indices, states=states)
-        return self._moving, self._script, self._wires(), supplies
+        return World(self._moving, self._script, self._wires(), supplies)
 
     def _wires(self) -> Wires:
         return Wires(
@@ -247,8 +256,7 @@ class Hardware:
 
     def passed(self, software: Lockstep, world: World, truth: TruthLog | None) -> None:
         """Take over hand, noise, count, current and log after compiled ticks have changed `world` (see `world`)."""
-        *_, supplies = world
-        places, words = supplies.places, software.words
+        places, words = world.supplies.places, software.words
         self._row, self._noise.left = places.item(ROW), places.item(NOISE_LEFT)
         self.count, self.measured = words.item(COUNT), words.item(MEASURED)
         if truth is not None:

@@ -303,10 +303,7 @@ def _regulate(w: Words, kp_scale: float, kd_scale: float, ilimit_scale: float, f
 
 @kernel(_F(_V, _F, _F), no_refcount=True)
 def _limit_torque(w: Words, torque: float, most: float) -> float:
-    """Return `torque` (N·m) after all limits; store the code of an active limit as the fault.
-
-    `most` is the command's own limit (N·m); NaN: no limit.
-    """
+    """Return `torque` (N·m) after the drive's limits and `most` (N·m; NaN: none); store the code of an active limit."""
     if abs(torque) > most:  # NaN: no limit
         torque = math.copysign(most, torque)
         _limit(w, MAX_TORQUE)
@@ -398,10 +395,7 @@ def _work(w: Words) -> float:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Compute one control cycle from encoder count and measured shaft torque (N·m); return the wanted torque (N·m).
-
-    `w` is the memory of the drive's law.
-    """
+    """Compute a control cycle from memory `w`, encoder count and shaft torque (N·m); return the wanted torque (N·m)."""
     if w[W.source_valid] != 0.0:
         _filter(w, count)
     # Torque at the output as the drive estimates it, from the true torque at the shaft.

@@ -230,10 +230,7 @@ def _change_state(w: Words) -> None:
 
 @kernel(LAW, no_refcount=True)
 def law(w: Words, count: int, measured: float) -> float:
-    """Compute one control cycle from encoder count and measured shaft torque (N·m); return the wanted torque (N·m).
-
-    `w` is the memory of the drive's law.
-    """
+    """Compute a control cycle from memory `w`, encoder count and shaft torque (N·m); return the wanted torque (N·m)."""
     if w[W.encoder_valid] != 0.0:
         _estimate(w, count)
     share = w[W.torque_constant] / w[W.motor_constant]  # configured over true constant of the motor
