@@ -202,7 +202,7 @@ def _inflate(packed: bytes) -> bytes:
     plain = inflater.decompress(packed, PLAIN_LIMIT)
     if not inflater.eof or inflater.unused_data:
         raise ValueError(
-            f"the compressed text is truncated, followed by other bytes, or longer than {PLAIN_LIMIT} bytes"
+            f"the compressed dictionary is truncated, followed by other bytes, or above {PLAIN_LIMIT} bytes of text"
         )
     return plain
 
