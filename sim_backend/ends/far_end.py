@@ -23,6 +23,7 @@ from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import native_call
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE
 from sim_backend.board.firmware import FirmwareDevice
+from sim_backend.board.hardware import World
 from sim_backend.board.lockstep import (
     BYTE_COUNT,
     BYTES,
@@ -284,7 +285,7 @@ class CompiledPort:
 
     def _note(self) -> None:
         end = self._end
-        self._device.passed((end.plant, end.script, end.wires, end.supplies))
+        self._device.passed(World(end.plant, end.script, end.wires, end.supplies))
 
     def _put(self) -> FarEnd:
         device = self._device
