@@ -159,31 +159,31 @@ class BuildResult:
         return [Row("set-point step", f"{self.set_point_step_a:.3g}", "A", note)]
 
 
-def _percent_of(taken: int, room: int) -> str:
-    return f"{100 * taken / room:.3g} % of {room // 1024} KiB"
+def _percent_of(used: int, room: int) -> str:
+    return f"{100 * used / room:.3g} % of {room // 1024} KiB"
 
 
 def _warnings(request: BuildRequest, budget: TickBudget | None, step_a: float | None) -> tuple[str, ...]:
     """Return warnings if the law is slower than the experiment's tick rate, or the output coarser than a command."""
-    found, own, quantum = [], request.controller, request.model.amplifier.current_quantum_a
-    if budget is not None and own is not None and own.loop == "device":
-        most = budget.rate_maximum(own.estimator)
-        if own.position_rate > most:
-            found.append(
-                f"the law of {request.model.name} is too slow for {own.position_rate} Hz: "
-                f"{budget.text(own.estimator)}; choose a rate of at most {math.floor(most)} Hz, or the estimator "
-                f"{INTEGERS} (at most {math.floor(budget.rate_maximum(INTEGERS))} Hz)"
+    warnings, controller, quantum_a = [], request.controller, request.model.amplifier.current_quantum_a
+    if budget is not None and controller is not None and controller.loop == "device":
+        fastest = budget.rate_maximum(controller.estimator)
+        if controller.position_rate > fastest:
+            warnings.append(
+                f"the law of {request.model.name} is too slow for {controller.position_rate} Hz: "
+                f"{budget.text(controller.estimator)}; choose a rate of at most {math.floor(fastest)} Hz, or the "
+                f"estimator {INTEGERS} (at most {math.floor(budget.rate_maximum(INTEGERS))} Hz)"
             )
-    if step_a is not None and step_a > COARSE_STEP * quantum:
-        found.append(
-            f"one step of the set-point is {step_a:.3g} A, {step_a / quantum:.3g} times the rig's "
-            f"current_quantum_a = {quantum:g} A: simulation, theory and maps would assume a finer resolution; set "
+    if step_a is not None and step_a > COARSE_STEP * quantum_a:
+        warnings.append(
+            f"one step of the set-point is {step_a:.3g} A, {step_a / quantum_a:.3g} times the rig's "
+            f"current_quantum_a = {quantum_a:g} A: simulation, theory and maps would assume a finer resolution; set "
             f"rig.amplifier.current_quantum_a = {step_a:.3g}, or lower full_scale there and in the amplifier"
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
-def build(request: BuildRequest, on_progress: Progress = lambda _what, _percent_of: None) -> BuildResult:
+def build(request: BuildRequest, on_progress: Progress = lambda _step, _share: None) -> BuildResult:
     """Build a firmware image and write its files.
 
     Parameters
@@ -204,8 +204,8 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _percent_
     """
     board = load(request.board)
     # The port check runs on the files of the device's port, which it tests.
-    ports = DEVICE if request.application == PORT_CHECK else request.application
-    if ports not in board.applications:
+    port_program = DEVICE if request.application == PORT_CHECK else request.application
+    if port_program not in board.applications:
         raise ConfigError(
             f"board {board.name} has no program {request.application!r}",
             remedy=f"choose one of its programs: {', '.join(board.applications)}",
@@ -213,15 +213,15 @@ def build(request: BuildRequest, on_progress: Progress = lambda _what, _percent_
     _make_directory(request.output)
     compiler = find_compiler()
     profile = amplifiers.load(request.model.amplifier.profile)
-    usual = {name: value for name, value in profile.settings.items() if name in board.settings}
-    settings = settings_of(board, {**usual, **dict(request.model.board), **request.settings})
+    of_amplifier = {name: value for name, value in profile.settings.items() if name in board.settings}
+    settings = settings_of(board, {**of_amplifier, **dict(request.model.board), **request.settings})
     step_a = check_scales(board, request.model, settings)
-    sources = (*shared_sources(request.application), *board.sources(ports))
+    sources = (*shared_sources(request.application), *board.sources(port_program))
     config = configure(board, request.model, settings, package=package_version(), sources=sources_hash(board))
     with scratch("firmware") as place:
         content = _compile(compiler, board, sources, config, place, on_progress)
     segments = read_segments(content, "the new program")
-    return _write(request, board, compiler, config, content, segments, settings, step_a)
+    return _write_files(request, board, compiler, config, content, segments, settings, step_a)
 
 
 def shared_sources(application: str = DEVICE) -> tuple[Path, ...]:
@@ -274,8 +274,8 @@ def _compile(
     names = [_path_in_tree(path, board).as_posix() for path in sources] + ["board_config.c"]
     include = ["-I.", *(f"-Ifirmware/{part}" for part in SHARED), "-Iboard"]
     # The debugger's notes contain paths too, which would make the bytes differ from machine to machine.
-    nowhere = f"-ffile-prefix-map={os.path.realpath(scratch)}=."
-    common = [*WARNINGS, *CODE, nowhere, *board.processor, *board.compile, *include]
+    without_path = f"-ffile-prefix-map={os.path.realpath(scratch)}=."
+    common = [*WARNINGS, *CODE, without_path, *board.processor, *board.compile, *include]
     objects = [f"{number}.o" for number in range(len(names))]
 
     def compile_one(number: int) -> None:
@@ -296,7 +296,7 @@ def _compile(
     return content if board.sealed_behind is None else seal(content, board.sealed_behind)
 
 
-def _write(
+def _write_files(
     request: BuildRequest,
     board: Board,
     compiler: Compiler,
@@ -307,8 +307,8 @@ def _write(
     step_a: float | None,
 ) -> BuildResult:
     flash_bytes, ram_bytes = _sizes(board, segments)
-    pieces = tuple(segment.load for segment in segments if segment.load.data)
-    image = flat(pieces)
+    loaded = tuple(segment.load for segment in segments if segment.load.data)
+    image = flat(loaded)
     suffix = "" if request.application == DEVICE else f"-{request.application}"
     stem = request.output / f"haptic-rig-{board.name}-{_file_name(request.model.name)}{suffix}"
     paths = {kind: stem.with_name(f"{stem.name}.{kind}") for kind in ("elf", "bin", "uf2", "json")}
@@ -344,7 +344,7 @@ def _write(
         paths["elf"].write_bytes(content)
         paths["bin"].write_bytes(image)
         if board.uf2_family is not None:
-            paths["uf2"].write_bytes(write_uf2(pieces, board.uf2_family))
+            paths["uf2"].write_bytes(write_uf2(loaded, board.uf2_family))
         paths["json"].write_text(json.dumps(facts, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise _write_error(request.output, error) from None
@@ -376,10 +376,10 @@ def _sizes(board: Board, segments: tuple[Segment, ...]) -> tuple[int, int]:
                 f"the program has initialised data at {begin:#x}, where board {board.name} has no flash",
                 remedy="place it in flash (`AT >` in the linker script), and copy it in the start-up code",
             )
-    stored = [s for s in segments if flash.origin <= s.load.address < flash.origin + flash.bytes]
-    flash_bytes = max((s.load.address + len(s.load.data) - flash.origin for s in stored), default=0)
-    held = [s for s in segments if ram.origin <= s.address < ram.origin + ram.bytes]
-    ram_bytes = sum(s.memory_bytes for s in held)
+    stored = [one for one in segments if flash.origin <= one.load.address < flash.origin + flash.bytes]
+    flash_bytes = max((one.load.address + len(one.load.data) - flash.origin for one in stored), default=0)
+    in_ram = [one for one in segments if ram.origin <= one.address < ram.origin + ram.bytes]
+    ram_bytes = sum(one.memory_bytes for one in in_ram)
     return flash_bytes, ram_bytes
 
 

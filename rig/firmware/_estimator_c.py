@@ -21,9 +21,9 @@ from rig.core.errors import ConfigError
 from rig.firmware._boards import FIRMWARE
 
 LAW = FIRMWARE / "law"
-HEADERS = ("law.h", "estimators.h", "numbers.h")
-ALWAYS = "law_count_difference"
-FIXED = "fdm-butterworth-fixed"
+HEADERS = ("law.h", "estimators.h", "numbers.h")  # whose needed lines are exported
+ALWAYS = "law_count_difference"  # the function that each estimator needs
+FIXED = "fdm-butterworth-fixed"  # the only estimator in integers
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,15 +111,21 @@ def estimator_c(prepared: Prepared) -> EstimatorC:
         ) from None
     form, prefix = _FORMS[name], re.sub(r"\W", "_", name)
     per_count = float(prepared.parameters[RESOLUTION] / prepared.parameters[PERIOD])
-    whole = name == FIXED
+    in_integers = name == FIXED
     sources = [LAW / file for file in (*HEADERS, form.source)]
     parts = excerpt(sources, (ALWAYS, *form.wanted), prefix)
-    blocks = (parts, _numbers(form, values), _functions(form, prefix, whole=whole, per_count=per_count))
+    blocks = (
+        parts,
+        _define_numbers(form, values),
+        _define_functions(form, prefix, in_integers=in_integers, per_count=per_count),
+    )
     text = "\n".join(block for block in blocks if block)
     includes = ["stdint.h", *(["math.h"] if re.search(r"\b(sqrtf|fabsf)\b", parts) else [])]
     code = "\n".join(f"#include <{each}>" for each in sorted(includes)) + "\n\n" + _prefix_names(text, prefix)
-    scale = per_count * velocity_format(prepared).lsb if whole else 1.0
-    return EstimatorC(prefix, "int32_t" if whole else "float", scale, code, prepared.estimator.uses_effort)
+    scale = per_count * velocity_format(prepared).lsb if in_integers else 1.0
+    return EstimatorC(
+        prefix, "int32_t" if in_integers else "float", scale, code, prepared.estimator.uses_effort
+    )
 
 
 def _prefix_names(text: str, prefix: str) -> str:
@@ -128,19 +134,19 @@ def _prefix_names(text: str, prefix: str) -> str:
     )
 
 
-def _numbers(form: _Form, values: dict[str, Value]) -> str:
+def _define_numbers(form: _Form, values: dict[str, Value]) -> str:
     """Return the C definition of the constant struct with the designed numbers; "" if the estimator has no numbers."""
     if not form.numbers:
         return ""
     if form.numbers == "law_low_pass":
         return _low_pass(values)
-    own = {_field(name): value for name, value in values.items() if name != "estimator"}
+    own = {_member_name(name): value for name, value in values.items() if name != "estimator"}
     if form.numbers == "law_foaw":
         own.setdefault("least_squares", 0)
-    return _object(form.numbers, [f".{name} = {_literal(value)}," for name, value in own.items()])
+    return _define_struct(form.numbers, [f".{name} = {_literal(value)}," for name, value in own.items()])
 
 
-def _field(parameter: str) -> str:
+def _member_name(parameter: str) -> str:
     """Return the name of the struct member in law.h that corresponds to a device parameter."""
     kind, _, name = parameter.partition("_")
     return f"gain_{name}" if kind == "kalman" and name != "input" else name
@@ -153,10 +159,10 @@ def _low_pass(values: dict[str, Value]) -> str:
     for n in range(1, sections + 1):
         numbers = [_literal(values.get(f"low_pass_{part}_{n}", 0.0)) for part in ("inner", "band", "low")]
         lines.append(f"    {{{', '.join(numbers)}, {1 if 2 * n > order else 2}}},")
-    return _object("law_low_pass", [*lines, "},"])
+    return _define_struct("law_low_pass", [*lines, "},"])
 
 
-def _object(kind: str, lines: list[str]) -> str:
+def _define_struct(kind: str, lines: list[str]) -> str:
     body = "\n".join(f"    {line}" for line in lines)
     return f"/* As designed. */\nstatic const {kind} NUMBERS = {{\n{body}\n}};\n"
 
@@ -170,8 +176,8 @@ def c_float(value: float) -> str:
     return f"{np.float32(value)!s}f"
 
 
-def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> str:
-    returns = "int32_t" if whole else "float"
+def _define_functions(form: _Form, prefix: str, *, in_integers: bool, per_count: float) -> str:
+    returns = "int32_t" if in_integers else "float"
     members = [f"{form.memory} memory;"] if form.memory else []
     members += (
         ["uint32_t window; /* velocity periods that the last estimate spans */"]
@@ -192,9 +198,9 @@ def _functions(form: _Form, prefix: str, *, whole: bool, per_count: float) -> st
         members.remove("int started;")
     else:
         body.append("e->started = 1;")
-    body.append("return velocity;" if whole else f"return {c_float(per_count)} * velocity;")
+    body.append("return velocity;" if in_integers else f"return {c_float(per_count)} * velocity;")
     begin = [f"*e = ({prefix}_estimator){{0}};"]
-    begin += ["law_biquad_reset(&e->memory, &NUMBERS);"] if whole else []
+    begin += ["law_biquad_reset(&e->memory, &NUMBERS);"] if in_integers else []
     effort = "float effort, " if re.search(r"\beffort\b", form.call) else ""
     unit = "; effort: mean of the motor's since the call before (N·m or N)" if effort else ""
     return f"""typedef struct {{

@@ -48,12 +48,12 @@ event.register("numba:compile", _Compilations())
 @contextlib.contextmanager
 def _without_collections() -> Iterator[None]:
     # A compiler makes millions of objects that live as long as the program: scanning them takes time and frees none.
-    collects = gc.isenabled()
+    was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if collects:
+        if was_enabled:
             gc.enable()
 
 
@@ -73,7 +73,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         pipeline = self._compiler.pipeline_class
         self._compiler = PartCompiler(py_func, self.targetdescr, self.targetoptions, self.locals, pipeline)
         self._parts: dict[Any, tuple[Any, Any]] = {}
-        self._plugged: dict[int, tuple[Any, Any]] = {}
+        self._results_for_pointers: dict[int, tuple[Any, Any]] = {}
 
     def enable_caching(self) -> None:
         """Store the machine code of this compiled function on disk, in a directory named after its module."""
@@ -93,14 +93,14 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
             typeinfer.register_dispatcher(self),
         ):
             if self._can_compile:
-                with self._alone():
+                with self._while_no_other_process_compiles():
                     for signature in self.declared:
                         self.compile(signature)
                 self.disable_compile()
 
-    def _alone(self) -> contextlib.AbstractContextManager[None]:
-        kept = self._cache
-        return kept.alone() if isinstance(kept, KernelCache) else contextlib.nullcontext()
+    def _while_no_other_process_compiles(self) -> contextlib.AbstractContextManager[None]:
+        machine_code = self._cache
+        return machine_code.alone() if isinstance(machine_code, KernelCache) else contextlib.nullcontext()
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         if self.prepared:
@@ -137,13 +137,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         """Return numba's compile result (types, machine code) for a call of this function by a function pointer."""
         # numba asks at each call with a plug point and compares all types then. Each plug point has one signature
         # object, so its identity suffices; it is stored with the result, or another object could get its id.
-        known = self._plugged.get(id(sig))
+        known = self._results_for_pointers.get(id(sig))
         if known is None:
             prepare(self)
             result = super().get_compile_result(sig)
             library = result.library
             library.get_pointer_to_function = functools.cache(library.get_pointer_to_function)
-            known = self._plugged[id(sig)] = (sig, result)
+            known = self._results_for_pointers[id(sig)] = (sig, result)
         return known[1]
 
     def get_function_type(self) -> Any:

@@ -35,21 +35,21 @@ from rig.core.errors import ConfigError, RigError
 from rig.realtime.atomics import compare_exchange_word, load_word, read_word, store_word, write_word
 from rig.realtime.kernel import kernel
 
-MOST_BYTES = 512
-SET_FLOATS = MOST_BYTES // 8
+MOST_BYTES = 512  # longest message
+SET_FLOATS = MOST_BYTES // 8  # most law parameters in one message
 SLOTS = 3
 HEAD_BYTES = 64  # a cache line for the word alone
 SLOT_BYTES = 576  # two words, the bytes, padding to cache lines
 MAILBOX_BYTES = HEAD_BYTES + SLOTS * SLOT_BYTES
-ATTEMPTS = 4
+ATTEMPTS = 4  # of `claim`
 PATIENCE_S = 1.0  # how long a writer waits for another one, who needs microseconds
 
 FRESH = 1 << 6
-NUMBER = 8  # shift
+NUMBER = 8  # lowest bit of the message number
 EMPTY = 0 | 1 << 2 | 2 << 4  # each slot where it begins, nothing posted
 
-_WORD = 8
-_BYTES = 2 * _WORD  # place of the bytes in a slot
+_WORD = 8  # bytes
+_BYTES = 2 * _WORD  # offset of the message in a slot, after its number and length
 _i64, _address, _bytes = types.int64, types.uintp, types.uint8[::1]
 # A lock on a descriptor excludes other processes but not other threads of this one.
 _writers = threading.Lock()

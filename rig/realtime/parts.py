@@ -27,8 +27,8 @@ from rig.core.locks import lock
 from rig.realtime import compiling
 from rig.realtime.handlers import interrupts_now
 
-PATIENCE_S = 60.0  # for another process: longer than the largest kernel takes
-POLL_S = 0.01
+PATIENCE_S = 60.0  # how long to wait for another process: longer than it compiles the largest kernel
+POLL_S = 0.01  # interval at which the lock of the other process is tried again
 
 
 class _Linked:
@@ -85,7 +85,7 @@ class Whole(_Linked, codegen.JITCodeLibrary):  # type: ignore[misc]
         super().finalize()
 
 
-class _Common(compiler.Flags):  # type: ignore[misc]
+class _SharedFlags(compiler.Flags):  # type: ignore[misc]
     """Compiler flags of numba's own functions (`min`, …), as one object for all kernels, so that each compiles once."""
 
     # numba compiles `min` once for each set of flags of a caller, and looks it up by comparing them for each operator.
@@ -96,17 +96,17 @@ class _Common(compiler.Flags):  # type: ignore[misc]
         return self is other
 
 
-class _Flags(compiler.Flags):  # type: ignore[misc]
-    """Compiler flags of one kernel (compiled function); numba's own functions in it get the flags `_Common` instead."""
+class _KernelFlags(compiler.Flags):  # type: ignore[misc]
+    """Compiler flags of one kernel (compiled function); numba's own functions in it get `_SharedFlags` instead."""
 
-    def copy(self) -> _Common:
+    def copy(self) -> _SharedFlags:
         """Return the compiler flags for numba's own functions that the kernel calls."""
-        return _common(self.nrt)
+        return _shared_flags(self.nrt)
 
 
 @cache
-def _common(nrt: bool) -> _Common:
-    flags = _Common()
+def _shared_flags(nrt: bool) -> _SharedFlags:
+    flags = _SharedFlags()
     cpu_target.options.parse_as_flags(flags, {"nopython": True, "nogil": True, "error_model": "numpy"})
     flags.nrt = nrt
     return flags
@@ -117,12 +117,12 @@ def load_implementations() -> None:
     """Load the modules that numba's compiler needs, but not scipy.linalg, whose import takes the longest."""
     # numba imports a BLAS there for ``numpy.cov``, which takes longer than all the rest.
     linalg = import_module("numba.np.linalg")
-    ask = linalg.ensure_blas
+    load_blas = linalg.ensure_blas
     linalg.ensure_blas = lambda: None  # type: ignore[attr-defined]
     try:
         cpu_target.target_context.refresh()
     finally:
-        linalg.ensure_blas = ask  # type: ignore[attr-defined]
+        linalg.ensure_blas = load_blas  # type: ignore[attr-defined]
 
 
 class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defined]
@@ -131,22 +131,22 @@ class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defi
     def part(self, signature: Any) -> tuple[Any, Any]:
         """Compile the function for linking into a caller; return its signature and the key by which numba finds it."""
         args, return_type = sigutils.normalize_signature(signature)
-        result = self._compiled(args, return_type, LinkedPart)
+        result = self._compile_as(args, return_type, LinkedPart)
         result.library.environment = result.environment
         key = (result.fndesc.unique_name, result.signature)
         self.targetdescr.target_context.insert_user_function(key, result.fndesc, [result.library])
         return result.signature, key
 
     def _compile_core(self, args: Any, return_type: Any) -> Any:
-        result = self._compiled(args, return_type, Whole)
+        result = self._compile_as(args, return_type, Whole)
         for environment in result._find_referenced_environments():  # of parts too: their exceptions need it
             result.library.codegen.set_env(environment.env_name, environment)
         return result
 
-    def _compiled(self, args: Any, return_type: Any, kind: type[LinkedPart | Whole]) -> Any:
+    def _compile_as(self, args: Any, return_type: Any, kind: type[LinkedPart | Whole]) -> Any:
         load_implementations()
         target = self.targetdescr
-        flags = _Flags()
+        flags = _KernelFlags()
         target.options.parse_as_flags(flags, self.targetoptions)
         if kind is LinkedPart:
             flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
@@ -168,11 +168,11 @@ class PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc,name-defi
         return result
 
 
-_usual: Any = caching.FunctionCache._impl_class
-_named: Any = _usual._locator_classes[0]  # in a directory that is configured
+_NumbaCache: Any = caching.FunctionCache._impl_class
+_ConfiguredLocator: Any = _NumbaCache._locator_classes[0]  # in a directory that is configured
 
 
-class _ByModule(_named):  # type: ignore[misc]
+class _ByModule(_ConfiguredLocator):  # type: ignore[misc]
     """Locator of a compiled function's machine code: a directory in the cache, named after the function's module.
 
     The cache's own directory is named by a hash of all sources, so a wheel and a clone with equal sources share a
@@ -186,7 +186,7 @@ class _ByModule(_named):  # type: ignore[misc]
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        return super(_named, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
+        return super(_ConfiguredLocator, cls).from_function(py_func, py_file)  # whatever CACHE_DIR is
 
     def get_source_stamp(self) -> bytes:
         """Return the SHA-256 hash of the function's source file; numba compiles the function again if it changes."""
@@ -194,8 +194,8 @@ class _ByModule(_named):  # type: ignore[misc]
         return hashlib.sha256(Path(self._py_file).read_bytes()).digest()
 
 
-class _Implementation(_usual):  # type: ignore[misc]
-    _locator_classes = (_ByModule, *_usual._locator_classes)
+class _Implementation(_NumbaCache):  # type: ignore[misc]
+    _locator_classes = (_ByModule, *_NumbaCache._locator_classes)
 
 
 class KernelCache(caching.FunctionCache):  # type: ignore[misc]
@@ -223,20 +223,20 @@ class KernelCache(caching.FunctionCache):  # type: ignore[misc]
         with contextlib.ExitStack() as held:
             # Without write access or locks every process compiles by itself: slower, but not wrong.
             with contextlib.suppress(OSError):
-                place = Path(self._cache_path)
-                place.mkdir(exist_ok=True)
-                file = held.enter_context(open(place / f"{self._impl.filename_base}.lock", "ab"))
+                directory = Path(self._cache_path)
+                directory.mkdir(exist_ok=True)
+                file = held.enter_context(open(directory / f"{self._impl.filename_base}.lock", "ab"))
                 if not lock(file.fileno()):
-                    _wait_for(file.fileno())
+                    _wait_for_lock(file.fileno())
             yield
 
 
-def _wait_for(descriptor: int) -> None:
+def _wait_for_lock(descriptor: int) -> None:
     """Wait until the lock of a file is free, at most `PATIENCE_S` (60 s): its owner may be a suspended process."""
-    patience = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + PATIENCE_S
     compiling.report_begin()  # elsewhere, which takes as long
     try:
-        while not lock(descriptor) and time.monotonic() < patience:
+        while not lock(descriptor) and time.monotonic() < deadline:
             interrupts_now()
             time.sleep(POLL_S)
     finally:
@@ -246,8 +246,8 @@ def _wait_for(descriptor: int) -> None:
 def count_allocations(run: Callable[[], object]) -> int:
     """Call `run` and return how often compiled code allocated memory meanwhile."""
     runtime.memsys_enable_stats()
-    before = runtime.memsys_get_stats_alloc()
+    allocations_before = runtime.memsys_get_stats_alloc()
     run()
-    counted = int(runtime.memsys_get_stats_alloc() - before)
+    allocations = int(runtime.memsys_get_stats_alloc() - allocations_before)
     runtime.memsys_disable_stats()
-    return counted
+    return allocations

@@ -88,11 +88,11 @@ class StoppedLoop:
 
 def running(*, done: bool = False) -> list[RunningLoop]:
     """Return this user's running loops, oldest first; with `done` also ended ones whose recording is still written."""
-    found = []
+    loops = []
     for memory in memories.memories():
         with memory, suppress(OSError, RigError), Ring.attach(memory.held) as ring:
-            found.append(_describe_loop(memory, ring))
-    return sorted((loop for loop in found if done or not loop.done), key=lambda loop: loop.since)
+            loops.append(_describe_loop(memory, ring))
+    return sorted((loop for loop in loops if done or not loop.done), key=lambda loop: loop.since)
 
 
 def stop(
@@ -123,7 +123,7 @@ def stop(
                     found.append((_describe_loop(memory, ring), ring))
         if pid is not None and not found:
             raise _no_loop_error(pid)
-        _wait([ring for _, ring in found], patience_s)
+        _wait_until_ended([ring for _, ring in found], patience_s)
         return [
             StoppedLoop(loop, bool(ring.peek(LOOP_DONE)) or not place.is_memory(loop.path))
             for loop, ring in found
@@ -213,12 +213,12 @@ def open_loop(loop: RunningLoop) -> Iterator[Ring]:
 def _describe_loop(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
     version = ring.peek(VERSION)
     # In other layouts only STOP and LOOP_DONE have the same index.
-    ours = version == LAYOUT_VERSION
-    phase = ring.peek(PHASE) if ours else -1
+    layout_known = version == LAYOUT_VERSION
+    phase = ring.peek(PHASE) if layout_known else -1
     return RunningLoop(
         pid=memory.pid,
-        since=ring.peek(CREATED) * 1e-9 if ours else 0.0,
-        ticks=ring.peek(TICKS) if ours else 0,
+        since=ring.peek(CREATED) * 1e-9 if layout_known else 0.0,
+        ticks=ring.peek(TICKS) if layout_known else 0,
         phase=phase_name(phase),
         stopping=ring.peek(STOP) != 0,
         done=ring.peek(LOOP_DONE) != 0,
@@ -228,7 +228,7 @@ def _describe_loop(memory: memories.LoopMemory, ring: Ring) -> RunningLoop:
     )
 
 
-def _wait(rings: list[Ring], patience_s: float) -> None:
+def _wait_until_ended(rings: list[Ring], patience_s: float) -> None:
     deadline = time.monotonic() + patience_s
     while not all(ring.peek(LOOP_DONE) for ring in rings) and time.monotonic() < deadline:
         time.sleep(POLL_S)
