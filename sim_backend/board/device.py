@@ -64,21 +64,21 @@ from sim_backend.board.ticks import (
 
 _U32 = 0xFFFFFFFF
 _NS_NUMERATOR, _NS_DENOMINATOR = 125, 2  # a unit of device time is 62.5 ns
-_EMERGENCY, _HELD, _SYNC = int(Input.EMERGENCY_STOP), int(Input.HOLD_TO_RUN), int(Input.SYNC)
+_EMERGENCY_STOP, _HOLD_TO_RUN, _SYNC_INPUT = map(int, (Input.EMERGENCY_STOP, Input.HOLD_TO_RUN, Input.SYNC))
 MODES = frozenset(int(mode) for mode in Mode)
 
 
 class DeviceWord:
     """Attribute of `SimulatedDevice` whose value is stored in `board.words`, the memory that its ticks use."""
 
-    def __init__(self, place: int) -> None:
-        self._place = place
+    def __init__(self, index: int) -> None:
+        self._index = index
 
     def __get__(self, device: SimulatedDevice, owner: object = None) -> int:
-        return int(device.board.words[self._place])
+        return int(device.board.words[self._index])
 
     def __set__(self, device: SimulatedDevice, value: int) -> None:
-        device.board.words[self._place] = value
+        device.board.words[self._index] = value
 
 
 class SimulatedDevice:
@@ -161,7 +161,8 @@ class SimulatedDevice:
             ring=self._faults.ring,
             state=flat(np.int64, len(STATE)),
         )
-        self.inputs = 0 if model.operator is None else _HELD  # a person at the handle holds the switch too
+        # A person at the handle holds the switch too.
+        self.inputs = 0 if model.operator is None else _HOLD_TO_RUN
         self._keep_truth = keep_truth
         self._epoch_ns = 0
         self._start()
@@ -175,7 +176,7 @@ class SimulatedDevice:
         self.hardware.power_up(self.board.words)
         self._configuration = Configuration(self._dictionary, self._apply)
         self._truth = self.hardware.new_truth() if self._keep_truth else None
-        self._note_protocol()
+        self._copy_protocol_state()
         self._begin_session()
 
     def _begin_session(self) -> None:
@@ -187,7 +188,7 @@ class SimulatedDevice:
         words[OWN.command_index] = -1
         self.sync = self.worst_execution_time = self.missed_ticks = 0
 
-    def _note_protocol(self) -> None:
+    def _copy_protocol_state(self) -> None:
         """Copy state and session of the protocol to `board.words`, where the ticks read them."""
         words = self.board.words
         words[OWN.protocol_state], words[SESSION] = self.connection.state, self.connection.session
@@ -228,7 +229,7 @@ class SimulatedDevice:
         board, words, hardware = self.board, self.board.words, self.hardware
         current = drive(board)
         if words[OWN.found] or words[CUTS]:
-            self._act_on_findings()
+            self._act_on_faults_and_cuts()
         hardware.advance(current)
         hardware.sense(words)
         words[COUNT], words[MEASURED] = hardware.count, hardware.measured
@@ -236,7 +237,7 @@ class SimulatedDevice:
         words[EDGE_AGE] = round(min(hardware.edge_age_s * UNITS_PER_SECOND, words[DUE]))
         sample(board)
         if words[OWN.found]:
-            self._act_on_findings()
+            self._act_on_faults_and_cuts()
         if self._truth is not None and words[SESSION]:
             hardware.log(self._truth, words[SAMPLE_INDEX])
         return self.connection.send(m.State(*board.state)) if report(board) else b""
@@ -259,14 +260,14 @@ class SimulatedDevice:
         self.tick()
         self.missed_ticks += 1
 
-    def _act_on_findings(self) -> None:
+    def _act_on_faults_and_cuts(self) -> None:
         """Enter FAULT if the last part of the tick found a fault, or cut the current if this part requested it."""
         if self.board.words[OWN.found]:
             self._latch(self.board.words[OWN.found])
         elif self.board.words[CUTS]:
             self.hardware.cut()
 
-    def _cut(self) -> None:
+    def _cut_current(self) -> None:
         self._safety.rules[AT.current] = 0
         self.hardware.cut()
 
@@ -274,8 +275,8 @@ class SimulatedDevice:
         """Enter the state FAULT; `faults` has a bit ``1 << code`` for each fault."""
         self._faults.latch(faults, self.time)
         self.connection.fault()
-        self._note_protocol()
-        self._cut()
+        self._copy_protocol_state()
+        self._cut_current()
 
     # ------------------------------------------------------------------ the conversation
 
@@ -289,7 +290,7 @@ class SimulatedDevice:
         *whole, rest = data.split(b"\0")
         answers = b"".join([self._handle_frame(frame + b"\0") for frame in whole])
         self.connection.receive_data(rest)
-        self._note_protocol()
+        self._copy_protocol_state()
         return answers
 
     def _handle_frame(self, frame: bytes) -> bytes:
@@ -299,18 +300,18 @@ class SimulatedDevice:
         answers = b""
         while (event := connection.next_event()) is not None:
             if isinstance(event, Received) and isinstance(event.message, m.Command):
-                self._command(event.message, event.sequence)
+                self._execute_command(event.message, event.sequence)
             else:
-                answers += connection.send(self._answer(event))
+                answers += connection.send(self._answer_event(event))
         return answers
 
-    def _command(self, command: m.Command, sequence: int) -> None:
+    def _execute_command(self, command: m.Command, sequence: int) -> None:
         if command.mode not in MODES:
             self.connection.statistics.malformed += 1
             return
         # A COMMAND that waited in a buffer for longer than its lifetime must not act.
-        to_come = self.connection.sequence_to_send(m.State)
-        if is_too_old(self.board, command.mode, command.lifetime_us, to_come, command.state_sequence):
+        next_sequence = self.connection.sequence_to_send(m.State)
+        if is_too_old(self.board, command.mode, command.lifetime_us, next_sequence, command.state_sequence):
             self.connection.statistics.reordered += 1
             self._safety.rules[AT.flags] |= LimitFlag.COMMAND_TOO_OLD
             return
@@ -318,7 +319,7 @@ class SimulatedDevice:
         if self.board.words[CUTS]:
             self.hardware.cut()
 
-    def _answer(self, event: Event) -> Message:
+    def _answer_event(self, event: Event) -> Message:
         if self._replies.remembers(event):
             self.connection.resend(event)
         if isinstance(event, Refused):
@@ -357,8 +358,8 @@ class SimulatedDevice:
         return m.Time(request.nonce, request.host_sent, received, max(received, self.time))
 
     def _statistics_reply(self, request: m.GetStatistics) -> m.Statistics:
-        counted = self.connection.statistics
-        values = {field.name: getattr(counted, field.name) & _U32 for field in fields(m.Statistics)[1:-1]}
+        statistics = self.connection.statistics
+        values = {field.name: getattr(statistics, field.name) & _U32 for field in fields(m.Statistics)[1:-1]}
         return m.Statistics(request.nonce, **values, stopped_at=0)
 
     def _reference_reply(self, request: m.GetReference) -> m.Reference:
@@ -376,11 +377,11 @@ class SimulatedDevice:
             return Status.NOT_HOMED, 0
         if not configuration.values["verified"]:
             return Status.NOT_VERIFIED, 0
-        present = self._present_fault()
-        if not present and not is_in_window(self._safety.rules, self.hardware.count):
-            present = Fault.POSITION_WINDOW
-        if present:
-            return Status.FAULT_PRESENT, present
+        fault = self._present_fault()
+        if not fault and not is_in_window(self._safety.rules, self.hardware.count):
+            fault = Fault.POSITION_WINDOW
+        if fault:
+            return Status.FAULT_PRESENT, fault
         self._begin_session()
         self.hardware.begin_session()
         return Status.OK, 0
@@ -391,12 +392,12 @@ class SimulatedDevice:
         if present:
             return Status.FAULT_PRESENT, present
         self._faults.clear()
-        self._cut()
+        self._cut_current()
         return Status.OK, 0
 
     def _present_fault(self) -> Fault:
         """Return the fault whose cause is still present (emergency stop, overheating), or NONE."""
-        if self.inputs & _EMERGENCY:
+        if self.inputs & _EMERGENCY_STOP:
             return Fault.EMERGENCY_STOP
         return Fault.THERMAL if is_overheated(self._safety.heat) else Fault.NONE
 
@@ -419,8 +420,8 @@ class SimulatedDevice:
         try:
             self.hardware.set_rate(rate)
         except ConfigError as error:
-            number = BY_NAME["position_rate"].id
-            raise ParameterError(Status.INCONSISTENT, error.message, detail=number) from error
+            parameter_id = BY_NAME["position_rate"].id
+            raise ParameterError(Status.INCONSISTENT, error.message, detail=parameter_id) from error
         words = self.board.words
         words[OWN.rate], words[OWN.grid_index], words[OWN.grid_time] = rate, self.sample_index, self.time
         words[DUE] = time_of(words, self.sample_index + 1)
@@ -444,11 +445,11 @@ class SimulatedDevice:
 
     def press_emergency_stop(self, pressed: bool = True) -> None:
         """Press the emergency stop of the simulated board, or release it."""
-        self.inputs = self.inputs | _EMERGENCY if pressed else self.inputs & ~_EMERGENCY
+        self.inputs = self.inputs | _EMERGENCY_STOP if pressed else self.inputs & ~_EMERGENCY_STOP
 
     def hold_to_run(self, held: bool) -> None:
         """Hold the hold-to-run switch of the simulated board, or release it."""
-        self.inputs = self.inputs | _HELD if held else self.inputs & ~_HELD
+        self.inputs = self.inputs | _HOLD_TO_RUN if held else self.inputs & ~_HOLD_TO_RUN
 
     def sync_input(self, high: bool, at: int | None = None) -> None:
         """Set the level of the sync input; the device stores the time of the last rising edge.
@@ -456,9 +457,9 @@ class SimulatedDevice:
         `at` is the time of the change (1/16 µs since boot), not after the next sample; by default that of the last
         sample.
         """
-        if high and not self.inputs & _SYNC:
+        if high and not self.inputs & _SYNC_INPUT:
             self.board.words[OWN.sync_time] = self.time if at is None else at
-        self.inputs = self.inputs | _SYNC if high else self.inputs & ~_SYNC
+        self.inputs = self.inputs | _SYNC_INPUT if high else self.inputs & ~_SYNC_INPUT
 
     def inject_fault(self, fault: Fault) -> None:
         """Make the device detect a fault: it sets the effort to zero and latches FAULT."""
@@ -472,7 +473,7 @@ class SimulatedDevice:
         self._epoch_ns = self.elapsed_ns
         self.connection.reset()
         self._replies.forget()
-        self._cut()
+        self._cut_current()
         self._start()
 
     def truth(self) -> NDArray[np.void]:

@@ -61,8 +61,7 @@ GRAVITY = (
     Fault.THERMAL,
 )
 
-RING_TICKS = 256
-Entry = tuple[int, int, int, int, int]  # sample index, count, current commanded, current measured, limits
+RING_TICKS = 256  # remembered before a fault
 
 _Places = namedtuple(
     "_Places",
@@ -77,12 +76,12 @@ _Places = namedtuple(
     "fault remembered",
 )
 AT: Any = _Places(*range(len(_Places._fields)))  # indices into `Safety.rules`
-HEAT, BUDGET, DECAY = range(3)
+HEAT, BUDGET, DECAY = range(3)  # indices into `Safety.heat`
 
-_ENTRY = 5
+_ENTRY_WORDS = 5  # integers of one remembered tick: the values of a `FaultEntry`
 _PEAK = 32_767  # largest current in a message (quanta)
 _LONGEST_WINDOW = round(BY_NAME["position_rate"].maximum * SPEED_WINDOW_S)
-_NEVER = 1 << 62
+_NEVER = 1 << 62  # a number of ticks, or of quanta, that is not reached
 _IDLE_LIFETIME = round(IDLE_LIFETIME_S * UNITS_PER_SECOND)
 _PAGE_ENTRIES = data_limit(m.FaultLog) // FAULT_ENTRY_BYTES
 _CURRENT, _SLEW, _THERMAL = (int(flag) for flag in (LimitFlag.CURRENT, LimitFlag.SLEW, LimitFlag.THERMAL))
@@ -103,7 +102,7 @@ _RUNAWAY, _OVER_SPEED, _OVER_CURRENT, _MISMATCH, _WINDOW, _TOO_HOT = (
 # small. A larger one is a fault of the sensor, and shows as a mismatch once the device is armed.
 ZERO_TICKS = 64
 ZERO_SHARE = 16  # largest zero: the over-current limit divided by this
-_ZERO_UNIT = 256
+_ZERO_UNIT = 256  # parts of a quantum in which the zero is stored
 
 
 def flat(kind: type, size: int) -> Any:
@@ -369,7 +368,7 @@ def remember(
     """Append a tick (the values of a `FaultEntry`) to the ring buffer, unless a latched fault has frozen the buffer."""
     # Frozen at the first fault: what came before it is worth more than what followed.
     if rules[AT.fault] == 0:
-        at = rules[AT.remembered] % RING_TICKS * _ENTRY
+        at = rules[AT.remembered] % RING_TICKS * _ENTRY_WORDS
         ring[at], ring[at + 1], ring[at + 2] = index, count, current
         ring[at + 3], ring[at + 4] = measured, flags
         rules[AT.remembered] += 1
@@ -385,7 +384,7 @@ class FaultMemory:
     """
 
     def __init__(self, rules: Ints) -> None:
-        self.ring = flat(np.int64, RING_TICKS * _ENTRY)
+        self.ring = flat(np.int64, RING_TICKS * _ENTRY_WORDS)
         self._rules = rules
         self.forget()
 
@@ -396,7 +395,7 @@ class FaultMemory:
         self._first = Fault.NONE
         self._later = 0
         self._time = 0
-        self._frozen: list[Entry] = []
+        self._frozen: list[m.FaultEntry] = []
 
     @property
     def latched(self) -> Fault:
@@ -414,9 +413,9 @@ class FaultMemory:
             self._later = 0
             self._time = time
             end = self._rules[AT.remembered]
-            ring = np.asarray(self.ring).reshape(RING_TICKS, _ENTRY)
+            ring = np.asarray(self.ring).reshape(RING_TICKS, _ENTRY_WORDS)
             rows = np.arange(max(0, end - RING_TICKS), end) % RING_TICKS
-            self._frozen = [tuple(entry) for entry in ring[rows].tolist()]
+            self._frozen = [m.FaultEntry(*entry) for entry in ring[rows].tolist()]
         self._later |= faults & ~(1 << self._first)
 
     def clear(self) -> None:
@@ -425,9 +424,7 @@ class FaultMemory:
 
     def page(self, request: m.GetFaultLog) -> m.FaultLog:
         """Return the reply to a GET_FAULT_LOG: the requested page of the fault log."""
-        entries = [
-            m.FaultEntry(*entry) for entry in self._frozen[request.first : request.first + _PAGE_ENTRIES]
-        ]
+        entries = self._frozen[request.first : request.first + _PAGE_ENTRIES]
         return m.FaultLog(
             request.nonce,
             self._first,
@@ -463,9 +460,10 @@ def stall_time(model: RigModel, current: float) -> float:
     The effort minus friction and weight moves the whole inertia by two counts; viscous damping and electrical lag add
     to the time. Do not use the result with `hold_to_run`: a person may hold the handle still.
     """
-    m = moved_mechanics(model)
-    effort = min(current * m.effort_quantum, m.effort_limit) - m.friction
+    mechanics = moved_mechanics(model)
+    effort = min(current * mechanics.effort_quantum, mechanics.effort_limit) - mechanics.friction
     if effort <= 0.0:
         return math.inf
-    moving_s = math.sqrt(2.0 * m.inertia * m.travel / effort) + m.travel * m.damping / effort + m.lag_s
+    without_damping_s = math.sqrt(2.0 * mechanics.inertia * mechanics.travel / effort)
+    moving_s = without_damping_s + mechanics.travel * mechanics.damping / effort + mechanics.lag_s
     return max(STALL_MARGIN * moving_s, SPEED_WINDOW_S)

@@ -122,10 +122,10 @@ class SimulatedMoteus:
     def __init__(self, model: RigModel, options: MoteusOptions = MoteusOptions()) -> None:
         self._words = np.zeros(WORDS)
         self.motor = Motor(model, RATE_HZ, law, self._words)
-        self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
+        self._torque_constant = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
         self._options = options
-        self.settings = MoteusSettings(defaults(self.motor.counts_per_turn, self._kt))
-        self._kind = self.settings.values["motor_position.sources.0.type"]  # type of the encoder
+        self.settings = MoteusSettings(defaults(self.motor.counts_per_turn, self._torque_constant))
+        self._encoder_type = self.settings.values["motor_position.sources.0.type"]
         for name, text in options.settings.items():
             if not self.settings.set(name, text):
                 raise ConfigError(
@@ -134,18 +134,18 @@ class SimulatedMoteus:
                 )
         self.settings.store()
         self._console = DiagnosticChannel(self.settings, self._run_console_command)
-        self._packet = 0
-        self._sent = b""
+        self._packet_number = 0
+        self._last_packet = b""
         self.ticks = 0
         self._writes: dict[int, float] = {}
-        self._numbers = {
+        self._integer_registers = {
             registers.MODEL_NUMBER: 0,
             registers.FIRMWARE_VERSION: options.firmware,
             registers.MAP_VERSION_REGISTER: MAP_VERSION,
             **dict(zip(registers.SERIAL_NUMBER, map(_to_signed, options.serial), strict=True)),
             **dict(zip(registers.UUID, map(_to_signed, (*options.serial, 0x5349_4D00)), strict=True)),
         }
-        self._others = self._list_computed()
+        self._computed_registers = self._list_computed_registers()
         self.power_up()
 
     def power_up(self) -> None:
@@ -201,9 +201,8 @@ class SimulatedMoteus:
         # Without gains the position mode drives this torque alone.
         command |= dict.fromkeys((registers.KP_SCALE, registers.KD_SCALE, registers.ILIMIT_SCALE), 0.0)
         self._apply_command(command, POSITION)
-        return [
-            Frame(self._id << 8 | OTHER_MASTER, self._read_registers(ReadRegisters(registers.MODE, 1, FLOAT)))
-        ]
+        answer = self._read_registers(ReadRegisters(registers.MODE, 1, FLOAT))
+        return [Frame(self._id << 8 | OTHER_MASTER, answer)]
 
     # ------------------------------------------------------------------ frames
 
@@ -249,7 +248,7 @@ class SimulatedMoteus:
                 self._writes = registers.fresh_command()
                 self._writes[registers.MODE] = value
             elif register in registers.UUID_MASK:
-                if raw != self._numbers[register - 4]:
+                if raw != self._integer_registers[register - 4]:
                     self._writes[registers.NOT_MEANT] = 1.0
             elif register >= registers.SET_NEAREST:
                 self._write_action_register(register, value)
@@ -268,51 +267,48 @@ class SimulatedMoteus:
         return reply(part.first, part.kind, values)
 
     def _value(self, register: int, kind: int, words: list[float]) -> float | None:
-        """Return the value of a register, scaled for a frame as the type `kind`.
-
-        Return None if the register cannot be read, or not as this type. `words` is the memory of the drive's control
-        law.
-        """
-        if register in self._numbers:
-            return self._numbers[register] if kind == INT32 else None
-        other = self._others.get(register)
-        if other is None:
+        """Return a register's value, scaled for a frame as the type `kind`; None if it cannot be read as this type."""
+        if register in self._integer_registers:
+            return self._integer_registers[register] if kind == INT32 else None
+        computed = self._computed_registers.get(register)
+        if computed is None:
             return registers.read(register, kind, words, self._command)
-        value, steps = other[0](words), other[1]
+        compute, steps = computed
+        value = compute(words)
         return value if kind == FLOAT else unscale(value, kind, steps)
 
-    def _list_computed(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
+    def _list_computed_registers(self) -> dict[int, tuple[Callable[[list[float]], float], Steps]]:
         """Return by register number a function that computes it from the law's memory, and its scale in frames."""
 
-        def turns(w: list[float]) -> float:
-            rotor = w[W.filtered] / w[W.counts_per_turn]
-            return float(rotor - math.floor(rotor))
+        def rotor_angle(w: list[float]) -> float:
+            turns = w[W.filtered] / w[W.counts_per_turn]
+            return float(turns - math.floor(turns))
 
-        def nothing(_: list[float]) -> float:
+        def zero(_: list[float]) -> float:
             return 0.0
 
-        absolute = 3.0 if self._absolute else 2.0  # valid are theta and velocity, or velocity alone
+        valid_bits = 3.0 if self._absolute else 2.0  # theta and velocity, or velocity alone
         return {
             registers.Q_CURRENT: (
                 lambda w: w[W.torque] * w[W.rotor_to_output] / w[W.torque_constant],
                 CURRENT,
             ),
-            registers.D_CURRENT: (nothing, CURRENT),
-            registers.ABSOLUTE_POSITION: (nothing, TURNS),
+            registers.D_CURRENT: (zero, CURRENT),
+            registers.ABSOLUTE_POSITION: (zero, TURNS),
             registers.ELECTRICAL_POWER: (lambda w: w[W.torque] * w[W.velocity] * 2.0 * math.pi, POWER),
-            registers.MOTOR_TEMPERATURE: (nothing, TEMPERATURE),
-            registers.HOME_STATE: (lambda _: 2.0 if self._homed else absolute - 2.0, WHOLE),
+            registers.MOTOR_TEMPERATURE: (zero, TEMPERATURE),
+            registers.HOME_STATE: (lambda _: 2.0 if self._homed else valid_bits - 2.0, WHOLE),
             registers.TORQUE_ERROR: (lambda w: w[W.torque] - w[W.control_torque], registers.TORQUE),
             # The drive has one encoder: the registers of the other two read 0.
-            **dict.fromkeys(registers.ENCODER_POSITIONS, (nothing, TURNS)),
-            **dict.fromkeys(registers.ENCODER_VELOCITIES, (nothing, TURNS_A_SECOND)),
-            registers.ENCODER_POSITIONS[0]: (turns, TURNS),
+            **dict.fromkeys(registers.ENCODER_POSITIONS, (zero, TURNS)),
+            **dict.fromkeys(registers.ENCODER_VELOCITIES, (zero, TURNS_A_SECOND)),
+            registers.ENCODER_POSITIONS[0]: (rotor_angle, TURNS),
             registers.ENCODER_VELOCITIES[0]: (
                 lambda w: w[W.pll_velocity] / w[W.counts_per_turn],
                 TURNS_A_SECOND,
             ),
-            registers.ENCODER_VALIDITY: (lambda _: absolute, WHOLE),
-            **dict.fromkeys((*registers.GPIO_STATUS, *registers.DRIVER_FAULTS), (nothing, WHOLE)),
+            registers.ENCODER_VALIDITY: (lambda _: valid_bits, WHOLE),
+            **dict.fromkeys((*registers.GPIO_STATUS, *registers.DRIVER_FAULTS), (zero, WHOLE)),
             registers.MILLISECONDS: (lambda _: float(self.ticks * 1000 // RATE_HZ % (1 << 23)), WHOLE),
             registers.UUID_MASK_CAPABILITY: (lambda _: 1.0, WHOLE),
         }
@@ -323,30 +319,23 @@ class SimulatedMoteus:
         if part.channel != CONSOLE_CHANNEL:
             return b""
         self._console.hear(part.data)
-        if not wanted:
-            return b""
-        return (
-            bytes((SERVER_TO_CLIENT,))
-            + varuint(part.channel)
-            + self._prefix_size(self._console.say(STREAM_BYTES))
-        )
+        return self._unnumbered_reply(STREAM_BYTES) if wanted else b""
 
     def _answer_poll(self, part: StreamPoll) -> bytes:
         if part.channel != CONSOLE_CHANNEL:
             return b""
         most = min(part.most, STREAM_BYTES)
         if part.acknowledged is None:
-            return (
-                bytes((SERVER_TO_CLIENT,))
-                + varuint(part.channel)
-                + self._prefix_size(self._console.say(most))
-            )
+            return self._unnumbered_reply(most)
         # An unacknowledged packet is repeated unchanged: the poll or its answer was lost.
-        if part.acknowledged == self._packet:
-            self._sent = self._console.say(most)
-            self._packet = (self._packet + 1) & 0xFF
-        head = bytes((NUMBERED_REPLY,)) + varuint(part.channel) + bytes((self._packet,))
-        return head + self._prefix_size(self._sent)
+        if part.acknowledged == self._packet_number:
+            self._last_packet = self._console.say(most)
+            self._packet_number = (self._packet_number + 1) & 0xFF
+        head = bytes((NUMBERED_REPLY,)) + varuint(part.channel) + bytes((self._packet_number,))
+        return head + self._prefix_size(self._last_packet)
+
+    def _unnumbered_reply(self, most: int) -> bytes:
+        return bytes((SERVER_TO_CLIENT, CONSOLE_CHANNEL)) + self._prefix_size(self._console.say(most))
 
     @staticmethod
     def _prefix_size(data: bytes) -> bytes:
@@ -371,10 +360,10 @@ class SimulatedMoteus:
     def _parse_drive_command(self, kind: str, rest: list[str]) -> bool:
         if kind not in _CONSOLE_MODES:
             return False
-        mode, taken = _CONSOLE_MODES[kind]
+        mode, arguments = _CONSOLE_MODES[kind]
         command = {**registers.fresh_command(), registers.TIMEOUT_REGISTER: math.nan}
-        command.update(zip(taken, map(float, rest), strict=False))
-        for option in rest[len(taken) :]:
+        command.update(zip(arguments, map(float, rest), strict=False))
+        for option in rest[len(arguments) :]:
             if option[0] not in _CONSOLE_OPTIONS:
                 return False
             command[_CONSOLE_OPTIONS[option[0]]] = float(option[1:])
@@ -388,8 +377,8 @@ class SimulatedMoteus:
             return
         words, values = self._words, self.settings.values
         self._command = command
-        for register, (word, _, _) in registers.COMMAND.items():
-            words[word] = command[register]
+        for register, followed in registers.COMMAND.items():
+            words[followed.word] = command[register]
         # 0 means the default time-out; NaN means the default limit below, and a negative one no limit.
         if words[W.timeout_left] == 0.0:
             words[W.timeout_left] = values["servo.default_timeout_s"]
@@ -428,23 +417,24 @@ class SimulatedMoteus:
 
     @property
     def _absolute(self) -> bool:
-        return self._kind == SPI
+        return self._encoder_type == SPI
 
     def _configure(self) -> None:
         """Copy the settings to the memory of the law. They act at once (docs/reference/configuration.md)."""
         values, words = self.settings.values, self._words
-        for word, name in _FOLLOWED.items():
+        for word, name in _SETTING_OF_WORD.items():
             words[word] = values[name]
-        natural = 2.0 * math.pi * values["motor_position.sources.0.pll_filter_hz"] / PLL_SHAPE
-        words[W.pll_kp], words[W.pll_ki] = 2.0 * natural, natural**2
-        assumed = TORQUE_TIMES_KV / values["motor.Kv"] if values["motor.Kv"] else UNCONFIGURED_TORQUE_CONSTANT
-        words[W.torque_constant], words[W.motor_constant] = assumed, self._kt
+        natural_frequency = 2.0 * math.pi * values["motor_position.sources.0.pll_filter_hz"] / PLL_SHAPE
+        words[W.pll_kp], words[W.pll_ki] = 2.0 * natural_frequency, natural_frequency**2
+        kv = values["motor.Kv"]
+        configured_constant = TORQUE_TIMES_KV / kv if kv else UNCONFIGURED_TORQUE_CONSTANT
+        words[W.torque_constant], words[W.motor_constant] = configured_constant, self._torque_constant
         source = values["motor_position.output.source"]
-        words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._kind
+        words[W.source_valid] = values.get(f"motor_position.sources.{source}.type", 0) == self._encoder_type
         words[W.sign] = values["motor_position.sources.0.sign"] * values["motor_position.output.sign"]
         # Braking shorts the phases: torque = −(k_t · ω) · k_t / R, at the output through the ratio twice.
         resistance = 1.5 * values["motor.resistance_ohm"]  # of one phase, as the q current sees it
-        per_turn = 2.0 * math.pi * self._kt * assumed / resistance
+        per_turn = 2.0 * math.pi * self._torque_constant * configured_constant / resistance
         words[W.brake_damping] = per_turn / values["motor_position.rotor_to_output_ratio"] ** 2
 
 
@@ -454,13 +444,12 @@ _CONSOLE_ACTIONS = {
     "recapture": registers.RECAPTURE,
     "req-reindex": registers.REQUIRE_REINDEX,
 }
-_MOTION = (registers.POSITION_REGISTER, registers.VELOCITY_REGISTER, registers.MAX_TORQUE)
-_CONSOLE_MODES: dict[
-    str, tuple[int, tuple[int, ...]]
-] = {  # mode, and the registers of the arguments in their order
-    "pos": (POSITION, _MOTION),
-    "tmt": (TIMEOUT, _MOTION),
-    "zero": (ZERO_VELOCITY, _MOTION),
+_MOTION_ARGUMENTS = (registers.POSITION_REGISTER, registers.VELOCITY_REGISTER, registers.MAX_TORQUE)
+# Mode, and the registers of the arguments in their order.
+_CONSOLE_MODES: dict[str, tuple[int, tuple[int, ...]]] = {
+    "pos": (POSITION, _MOTION_ARGUMENTS),
+    "tmt": (TIMEOUT, _MOTION_ARGUMENTS),
+    "zero": (ZERO_VELOCITY, _MOTION_ARGUMENTS),
     "within": (STAY_WITHIN, (registers.LOWER_BOUND, registers.UPPER_BOUND, registers.MAX_TORQUE)),
     "brake": (BRAKE, ()),
     "dq": (CURRENT_MODE, (registers.D_COMMAND, registers.Q_COMMAND)),
@@ -477,7 +466,8 @@ _CONSOLE_OPTIONS = {
     "b": registers.IGNORE_BOUNDS,
 }
 
-_FOLLOWED: dict[int, str] = {
+# Word of the control law: the setting whose value it has.
+_SETTING_OF_WORD: dict[int, str] = {
     W.counts_per_turn: "motor_position.sources.0.cpr",
     W.output_offset: "motor_position.output.offset",
     W.rotor_to_output: "motor_position.rotor_to_output_ratio",

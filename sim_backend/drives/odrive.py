@@ -10,7 +10,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,47 +40,59 @@ FIRMWARE = (0, 6, 11)
 HARDWARE = (4, 4, 58)  # product line, version, variant: an ODrive Pro (odrive 0.6.11, data/odrive-v4.4.json)
 PROTOCOL = 2  # version of CAN Simple: the maker's example reads it and compares nothing
 ONBOARD_COUNTS = 16384  # counts per turn of the absolute encoder on the board
-REBOOT, SAVE, ERASE = range(3)  # ODriveArduino, src/ODriveCAN.h
+REBOOT, SAVE, ERASE = range(3)  # actions of the message REBOOT: ODriveArduino, src/ODriveCAN.h
 TICKS_A_MS = RATE_HZ // 1000
+_FOREVER = 1 << 62  # a tick that never comes
 
 Value = float | int | bool
-_FORM = {"bool": "?", "uint8": "B", "uint32": "I", "float": "f"}
-# Path of a parameter: its type, its default (Firmware/MotorControl/*.hpp of ODrive 0.5.6 where 0.6 has the name), and
-# the law's word that follows it.
-_PARAMETERS: dict[str, tuple[str, Value, int | None]] = {
-    "axis0.config.can.node_id": ("uint32", 0, None),
-    "axis0.config.can.heartbeat_msg_rate_ms": ("uint32", 100, None),
-    "axis0.config.can.encoder_msg_rate_ms": ("uint32", 10, None),
-    "axis0.config.can.error_msg_rate_ms": ("uint32", 0, None),
-    "axis0.config.can.iq_msg_rate_ms": ("uint32", 0, None),
-    "axis0.config.can.temperature_msg_rate_ms": ("uint32", 0, None),
-    "axis0.config.can.bus_voltage_msg_rate_ms": ("uint32", 0, None),
-    "axis0.config.can.torques_msg_rate_ms": ("uint32", 0, None),
-    "axis0.config.enable_watchdog": ("bool", False, W.enable_watchdog),
-    "axis0.config.watchdog_timeout": ("float", 0.0, W.watchdog_timeout),
-    "axis0.config.encoder_bandwidth": ("float", 1000.0, W.bandwidth),
-    "axis0.config.load_encoder": ("uint8", 13, None),  # EncoderId.ONBOARD_ENCODER0; 1: INC_ENCODER0
-    "axis0.config.commutation_encoder": ("uint8", 13, None),
-    "axis0.config.torque_soft_min": ("float", -math.inf, W.torque_soft_min),
-    "axis0.config.torque_soft_max": ("float", math.inf, W.torque_soft_max),
-    "axis0.config.motor.torque_constant": ("float", 0.04, W.torque_constant),
-    "axis0.config.motor.current_soft_max": ("float", 10.0, W.current_soft_max),
-    "axis0.controller.config.control_mode": ("uint8", POSITION_CONTROL, W.control_mode),
-    "axis0.controller.config.input_mode": ("uint8", 1, W.input_mode),
-    "axis0.controller.config.pos_gain": ("float", 20.0, W.pos_gain),
-    "axis0.controller.config.vel_gain": ("float", 1.0 / 6.0, W.vel_gain),
-    "axis0.controller.config.vel_integrator_gain": ("float", 2.0 / 6.0, W.vel_integrator_gain),
-    "axis0.controller.config.vel_integrator_limit": ("float", math.inf, W.vel_integrator_limit),
-    "axis0.controller.config.vel_limit": ("float", 2.0, W.vel_limit),
-    "axis0.controller.config.vel_limit_tolerance": ("float", 1.2, W.vel_limit_tolerance),
-    "axis0.controller.config.vel_ramp_rate": ("float", 1.0, W.vel_ramp_rate),
-    "axis0.controller.config.torque_ramp_rate": ("float", 0.01, W.torque_ramp_rate),
-    "axis0.controller.config.inertia": ("float", 0.0, W.inertia),
-    "axis0.controller.config.input_filter_bandwidth": ("float", 2.0, W.input_filter_bandwidth),
-    "axis0.controller.config.enable_vel_limit": ("bool", True, W.enable_vel_limit),
-    "axis0.controller.config.enable_overspeed_error": ("bool", True, W.enable_overspeed_error),
-    "axis0.controller.config.enable_torque_mode_vel_limit": ("bool", True, W.enable_torque_mode_vel_limit),
-    "inc_encoder0.config.cpr": ("uint32", 8192, None),
+_STRUCT_FORMAT = {"bool": "?", "uint8": "B", "uint32": "I", "float": "f"}
+
+
+class _Parameter(NamedTuple):
+    """A parameter of an ODrive; `word` is the index of the word of the law's memory that has its value."""
+
+    kind: str
+    default: Value
+    word: int | None = None
+
+
+# Parameters by path. Defaults: Firmware/MotorControl/*.hpp of ODrive 0.5.6, where 0.6 has the name.
+_PARAMETERS = {
+    "axis0.config.can.node_id": _Parameter("uint32", 0),
+    "axis0.config.can.heartbeat_msg_rate_ms": _Parameter("uint32", 100),
+    "axis0.config.can.encoder_msg_rate_ms": _Parameter("uint32", 10),
+    "axis0.config.can.error_msg_rate_ms": _Parameter("uint32", 0),
+    "axis0.config.can.iq_msg_rate_ms": _Parameter("uint32", 0),
+    "axis0.config.can.temperature_msg_rate_ms": _Parameter("uint32", 0),
+    "axis0.config.can.bus_voltage_msg_rate_ms": _Parameter("uint32", 0),
+    "axis0.config.can.torques_msg_rate_ms": _Parameter("uint32", 0),
+    "axis0.config.enable_watchdog": _Parameter("bool", False, W.enable_watchdog),
+    "axis0.config.watchdog_timeout": _Parameter("float", 0.0, W.watchdog_timeout),
+    "axis0.config.encoder_bandwidth": _Parameter("float", 1000.0, W.bandwidth),
+    "axis0.config.load_encoder": _Parameter("uint8", 13),  # EncoderId.ONBOARD_ENCODER0; 1: INC_ENCODER0
+    "axis0.config.commutation_encoder": _Parameter("uint8", 13),
+    "axis0.config.torque_soft_min": _Parameter("float", -math.inf, W.torque_soft_min),
+    "axis0.config.torque_soft_max": _Parameter("float", math.inf, W.torque_soft_max),
+    "axis0.config.motor.torque_constant": _Parameter("float", 0.04, W.torque_constant),
+    "axis0.config.motor.current_soft_max": _Parameter("float", 10.0, W.current_soft_max),
+    "axis0.controller.config.control_mode": _Parameter("uint8", POSITION_CONTROL, W.control_mode),
+    "axis0.controller.config.input_mode": _Parameter("uint8", 1, W.input_mode),
+    "axis0.controller.config.pos_gain": _Parameter("float", 20.0, W.pos_gain),
+    "axis0.controller.config.vel_gain": _Parameter("float", 1.0 / 6.0, W.vel_gain),
+    "axis0.controller.config.vel_integrator_gain": _Parameter("float", 2.0 / 6.0, W.vel_integrator_gain),
+    "axis0.controller.config.vel_integrator_limit": _Parameter("float", math.inf, W.vel_integrator_limit),
+    "axis0.controller.config.vel_limit": _Parameter("float", 2.0, W.vel_limit),
+    "axis0.controller.config.vel_limit_tolerance": _Parameter("float", 1.2, W.vel_limit_tolerance),
+    "axis0.controller.config.vel_ramp_rate": _Parameter("float", 1.0, W.vel_ramp_rate),
+    "axis0.controller.config.torque_ramp_rate": _Parameter("float", 0.01, W.torque_ramp_rate),
+    "axis0.controller.config.inertia": _Parameter("float", 0.0, W.inertia),
+    "axis0.controller.config.input_filter_bandwidth": _Parameter("float", 2.0, W.input_filter_bandwidth),
+    "axis0.controller.config.enable_vel_limit": _Parameter("bool", True, W.enable_vel_limit),
+    "axis0.controller.config.enable_overspeed_error": _Parameter("bool", True, W.enable_overspeed_error),
+    "axis0.controller.config.enable_torque_mode_vel_limit": _Parameter(
+        "bool", True, W.enable_torque_mode_vel_limit
+    ),
+    "inc_encoder0.config.cpr": _Parameter("uint32", 8192),
 }
 _SAVE = "save_configuration"
 # The numbers of endpoints differ between firmwares, and the maker publishes them as ``flat_endpoints.json``: these are
@@ -90,7 +102,8 @@ _PATHS = {number: path for path, number in _IDS.items()}
 _ENCODER, _COUNTS = "axis0.config.load_encoder", "inc_encoder0.config.cpr"
 _INCREMENTAL, _ONBOARD = 1, 13  # odrive.enums.EncoderId
 
-_CYCLIC = {
+# Message that the drive sends unrequested: the parameter that contains its period (ms; 0: never).
+_PERIODS = {
     CanSimpleCommand.HEARTBEAT: "axis0.config.can.heartbeat_msg_rate_ms",
     CanSimpleCommand.GET_ENCODER_ESTIMATES: "axis0.config.can.encoder_msg_rate_ms",
     CanSimpleCommand.GET_ERROR: "axis0.config.can.error_msg_rate_ms",
@@ -146,16 +159,13 @@ class SimulatedOdrive:
         self._options = options
         counts = self.motor.counts_per_turn
         self._encoder = _ONBOARD if counts == ONBOARD_COUNTS else _INCREMENTAL
-        self.values: dict[str, Value] = {path: default for path, (_, default, _) in _PARAMETERS.items()}
-        self.values |= {
-            _COUNTS: counts,
-            _ENCODER: self._encoder,
-            "axis0.config.commutation_encoder": self._encoder,
-        }
-        self._kt = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
-        self.values["axis0.config.motor.torque_constant"] = self._kt
+        self.values: dict[str, Value] = {path: each.default for path, each in _PARAMETERS.items()}
+        self.values[_COUNTS] = counts
+        self.values[_ENCODER] = self.values["axis0.config.commutation_encoder"] = self._encoder
+        self._torque_constant = model.amplifier.effort_per_ampere / abs(self.motor.effort_per_torque)
+        self.values["axis0.config.motor.torque_constant"] = self._torque_constant
         for path, text in options.settings.items():
-            self._set_text(path, text)
+            self._set_from_text(path, text)
         self._saved = dict(self.values)
         self.ticks = 0
         self._due: dict[CanSimpleCommand, int] = {}
@@ -172,17 +182,17 @@ class SimulatedOdrive:
         turns = self.motor.count / self.motor.counts_per_turn
         absolute = self._encoder == _ONBOARD
         words[W.shift] = -math.floor(turns + 0.5) if absolute else -turns
-        self._result, self._wanted = Result.SUCCESS, AxisState.UNDEFINED
+        self._result, self._requested_state = Result.SUCCESS, AxisState.UNDEFINED
         self._configure()
-        self._feed()
-        self._due = dict.fromkeys(_CYCLIC, self.ticks + 1)
+        self._feed_watchdog()
+        self._due = dict.fromkeys(_PERIODS, self.ticks + 1)
 
     # ------------------------------------------------------------------ time
 
     @property
     def next_due(self) -> int | None:
         """Return the tick of the next unrequested message, or None if all cyclic messages are off."""
-        due = [at for command, at in self._due.items() if self.values[_CYCLIC[command]]]
+        due = [at for command, at in self._due.items() if self.values[_PERIODS[command]]]
         return min(due, default=None)
 
     def run(self, until: int) -> list[Frame]:
@@ -193,10 +203,10 @@ class SimulatedOdrive:
             stop = until if due is None else min(until, max(due, self.ticks + 1))
             self.motor.run(stop - self.ticks)
             self.ticks = stop
-            for command, name in _CYCLIC.items():
-                rate = int(self.values[name])
-                if rate and self._due[command] <= self.ticks:
-                    self._due[command] = self.ticks + rate * TICKS_A_MS
+            for command, name in _PERIODS.items():
+                period_ms = int(self.values[name])
+                if period_ms and self._due[command] <= self.ticks:
+                    self._due[command] = self.ticks + period_ms * TICKS_A_MS
                     sent.append(self._reply(command))
         return [] if self._is_off else sent
 
@@ -221,9 +231,9 @@ class SimulatedOdrive:
     def _happenings(self) -> dict[str, Callable[[float], list[Frame] | None]]:
         return {
             **self.motor.happenings(W, W.watchdog_left, self.power_up),
-            "mode": lambda mode: self._write("axis0.controller.config.control_mode", int(mode)),
+            "mode": lambda mode: self._write_parameter("axis0.controller.config.control_mode", int(mode)),
             "master": self._second_master,
-            "estop": lambda _: self._fail(Error.ESTOP_REQUESTED),
+            "estop": lambda _: self._stop_with_error(Error.ESTOP_REQUESTED),
             "bus-off": self._leave_bus,
         }
 
@@ -234,7 +244,7 @@ class SimulatedOdrive:
         return [frame]
 
     def _leave_bus(self, seconds: float) -> None:
-        self._off_until = self.ticks + round(seconds * RATE_HZ) if seconds else 1 << 62
+        self._off_until = self.ticks + round(seconds * RATE_HZ) if seconds else _FOREVER
 
     # ------------------------------------------------------------------ frames
 
@@ -253,11 +263,11 @@ class SimulatedOdrive:
             command = CanSimpleCommand(frame.identifier & (1 << NODE_BITS) - 1)
         except ValueError:
             return []
-        if command in _ANSWERED:
+        if command in _REQUESTS:
             # A request is a remote frame, or a data frame without data; with data it is an answer.
             return [self._reply(command)] if frame.remote or not frame.data else []
         if command is CanSimpleCommand.RX_SDO:
-            return self._access(frame.data)
+            return self._access_parameter(frame.data)
         form = FORMS.get(command)
         if form is not None and len(frame.data) < form.size:
             return []
@@ -268,81 +278,79 @@ class SimulatedOdrive:
         return Frame(self._identifier(command), self._payload(command))
 
     def _payload(self, command: CanSimpleCommand) -> bytes:
-        w, kt = self._words, self._words[W.torque_constant]
+        words, kt = self._words, self._words[W.torque_constant]
         if command is CanSimpleCommand.GET_VERSION:
             return bytes((PROTOCOL, *HARDWARE, *self._options.firmware, 0))
         if command is CanSimpleCommand.HEARTBEAT:
-            done = int(w[W.control_mode] >= POSITION_CONTROL)
+            done = int(words[W.control_mode] >= POSITION_CONTROL)
             # Assumed: not checked against ODrive's page.
-            errors = int(w[W.active_errors]) | int(w[W.disarm_reason])
-            return HEARTBEAT.pack(errors, int(w[W.state]), self._outcome(), done)
+            errors = int(words[W.active_errors]) | int(words[W.disarm_reason])
+            return HEARTBEAT.pack(errors, int(words[W.state]), self._request_result(), done)
         if command is CanSimpleCommand.GET_ERROR:
-            return ERRORS.pack(int(w[W.active_errors]), int(w[W.disarm_reason]))
+            return ERRORS.pack(int(words[W.active_errors]), int(words[W.disarm_reason]))
         if command is CanSimpleCommand.ADDRESS:
             return ADDRESS.pack(self._node, self._options.serial.to_bytes(6, "little"), 0)
-        power = w[W.torque] * w[W.vel_estimate] * 2.0 * math.pi
+        power = words[W.torque] * words[W.vel_estimate] * 2.0 * math.pi
+        bus_current = power / words[W.voltage] if words[W.voltage] else 0.0
         pairs = {
-            CanSimpleCommand.GET_ENCODER_ESTIMATES: (w[W.pos_estimate], w[W.vel_estimate]),
-            CanSimpleCommand.GET_IQ: (w[W.torque_target] / kt, w[W.torque] / kt),
-            CanSimpleCommand.GET_TEMPERATURE: (w[W.temperature], math.nan),  # no thermistor at the motor
-            CanSimpleCommand.GET_BUS_VOLTAGE_CURRENT: (
-                w[W.voltage],
-                power / w[W.voltage] if w[W.voltage] else 0.0,
-            ),
-            CanSimpleCommand.GET_TORQUES: (w[W.torque_target], w[W.torque]),
+            CanSimpleCommand.GET_ENCODER_ESTIMATES: (words[W.pos_estimate], words[W.vel_estimate]),
+            CanSimpleCommand.GET_IQ: (words[W.torque_target] / kt, words[W.torque] / kt),
+            CanSimpleCommand.GET_TEMPERATURE: (words[W.temperature], math.nan),  # no thermistor at the motor
+            CanSimpleCommand.GET_BUS_VOLTAGE_CURRENT: (words[W.voltage], bus_current),
+            CanSimpleCommand.GET_TORQUES: (words[W.torque_target], words[W.torque]),
             CanSimpleCommand.GET_POWERS: (power, power),
         }
         return FLOATS.pack(*pairs[command])
 
-    def _outcome(self) -> Result:
-        if self._wanted == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
+    def _request_result(self) -> Result:
+        if self._requested_state == AxisState.CLOSED_LOOP_CONTROL and self._words[W.state] != CLOSED_LOOP:
             return Result.DISARMED
         return self._result
 
     def _apply_command(self, command: CanSimpleCommand, values: tuple[Any, ...]) -> None:
-        w = self._words
+        words = self._words
         if command is CanSimpleCommand.SET_AXIS_STATE:
-            self._request(*values)
+            self._request_state(*values)
         elif command is CanSimpleCommand.SET_INPUT_TORQUE:
-            (w[W.input_torque],) = values
+            (words[W.input_torque],) = values
         elif command is CanSimpleCommand.SET_INPUT_VEL:
-            w[W.input_vel], w[W.input_torque] = values
+            words[W.input_vel], words[W.input_torque] = values
         elif command is CanSimpleCommand.SET_INPUT_POS:
-            w[W.input_pos] = values[0]
-            w[[W.input_vel, W.input_torque]] = np.multiply(values[1:], FEED_FORWARD_STEP)
+            words[W.input_pos] = values[0]
+            words[[W.input_vel, W.input_torque]] = np.multiply(values[1:], FEED_FORWARD_STEP)
         elif command is CanSimpleCommand.ESTOP:
-            self._fail(Error.ESTOP_REQUESTED)
+            self._stop_with_error(Error.ESTOP_REQUESTED)
         elif command is CanSimpleCommand.CLEAR_ERRORS:
-            w[[W.active_errors, W.disarm_reason]] = 0.0
-            self._feed()
+            words[[W.active_errors, W.disarm_reason]] = 0.0
+            self._feed_watchdog()
         elif command is CanSimpleCommand.REBOOT:
             self._restart(*values)
         elif command is CanSimpleCommand.SET_ABSOLUTE_POSITION:
-            w[W.shift] += values[0] - w[W.pos_estimate]
-        elif command in _SETS:
-            for path, value in zip(_SETS[command], values, strict=True):
-                self._write(path, value)
-        if command in _FEEDS:
-            self._feed()
+            words[W.shift] += values[0] - words[W.pos_estimate]
+        elif command in _PARAMETERS_OF_COMMAND:
+            for path, value in zip(_PARAMETERS_OF_COMMAND[command], values, strict=True):
+                self._write_parameter(path, value)
+        if command in _FEED_WATCHDOG:
+            self._feed_watchdog()
 
-    def _request(self, state: int) -> None:
+    def _request_state(self, state: int) -> None:
         """Request an axis state (idle or closed loop); reject a calibration, which is not simulated."""
         if state not in {IDLE, CLOSED_LOOP}:
             self._result = Result.INVALID_STATE
             return
-        self._result, self._wanted = Result.SUCCESS, AxisState(state)
+        self._result, self._requested_state = Result.SUCCESS, AxisState(state)
         if state == CLOSED_LOOP and self._words[W.state] == IDLE:
             self.motor.begin_session()
         self._words[W.requested] = state
 
-    def _feed(self) -> None:
+    def _feed_watchdog(self) -> None:
         self._words[W.watchdog_left] = self._words[W.watchdog_timeout]
 
-    def _fail(self, error: Error) -> None:
-        w = self._words
-        w[W.active_errors] = int(w[W.active_errors]) | error
-        if w[W.state] == CLOSED_LOOP:
-            w[W.state], w[W.disarm_reason] = IDLE, error
+    def _stop_with_error(self, error: Error) -> None:
+        words = self._words
+        words[W.active_errors] = int(words[W.active_errors]) | error
+        if words[W.state] == CLOSED_LOOP:
+            words[W.state], words[W.disarm_reason] = IDLE, error
 
     def _restart(self, action: int) -> None:
         if action == SAVE:
@@ -355,8 +363,7 @@ class SimulatedOdrive:
     def flat_endpoints(firmware: tuple[int, int, int] = FIRMWARE) -> dict[str, Any]:
         """Return the contents of the maker's flat_endpoints.json: number and type of each parameter by its path."""
         endpoints: dict[str, Any] = {
-            path: {"id": _IDS[path], "type": kind, "access": "rw"}
-            for path, (kind, _, _) in _PARAMETERS.items()
+            path: {"id": _IDS[path], "type": each.kind, "access": "rw"} for path, each in _PARAMETERS.items()
         }
         endpoints[_SAVE] = {"id": _IDS[_SAVE], "type": "function", "inputs": [], "outputs": []}
         return {
@@ -365,7 +372,7 @@ class SimulatedOdrive:
             "endpoints": endpoints,
         }
 
-    def _access(self, data: bytes) -> list[Frame]:
+    def _access_parameter(self, data: bytes) -> list[Frame]:
         if len(data) < SDO.size:
             return []
         # Order of an access: examples/can_param_access.py of odriverobotics/ODriveResources.
@@ -377,56 +384,56 @@ class SimulatedOdrive:
         if path == _SAVE:
             self._saved = dict(self.values)
         else:
-            form = struct.Struct("<" + _FORM[_PARAMETERS[path][0]])
+            form = struct.Struct("<" + _STRUCT_FORMAT[_PARAMETERS[path].kind])
             if opcode == WRITE:
                 if len(data) < SDO.size + form.size:
                     return []
                 (value,) = form.unpack_from(data, SDO.size)
-                self._write(path, value)
+                self._write_parameter(path, value)
             else:
                 stored = form.pack(self.values[path])
         if opcode == WRITE and self._options.firmware < FIRMWARE:
             return []  # confirmed from 0.6.11 on
         return [Frame(self._identifier(CanSimpleCommand.TX_SDO), SDO.pack(0, number, 0) + stored)]
 
-    def _set_text(self, path: str, text: str) -> None:
+    def _set_from_text(self, path: str, text: str) -> None:
         known = _PARAMETERS.get(path)
         try:
             if known is None:
                 raise ValueError("the ODrive has no parameter with this name")
             kinds: dict[str, Callable[[str], Value]] = {"float": float, "bool": lambda word: bool(int(word))}
-            self.values[path] = kinds.get(known[0], int)(text)
+            self.values[path] = kinds.get(known.kind, int)(text)
         except ValueError as error:
             raise ConfigError(
                 f"{path} = {text} is not a valid setting of a simulated ODrive: {error}",
                 remedy=f"give a value for one of {', '.join(_PARAMETERS)}",
             ) from error
 
-    def _write(self, path: str, value: Value) -> None:
+    def _write_parameter(self, path: str, value: Value) -> None:
         self.values[path] = value
         self._configure()
 
     def _configure(self) -> None:
-        w = self._words
-        for path, (_, _, word) in _PARAMETERS.items():
-            if word is not None:
-                w[word] = self.values[path]
-        w[W.motor_constant] = self._kt
+        words = self._words
+        for path, parameter in _PARAMETERS.items():
+            if parameter.word is not None:
+                words[parameter.word] = self.values[path]
+        words[W.motor_constant] = self._torque_constant
         onboard = self.values[_ENCODER] == _ONBOARD
-        w[W.counts_per_turn] = ONBOARD_COUNTS if onboard else self.values[_COUNTS]
-        w[W.encoder_valid] = self.values[_ENCODER] == self._encoder
+        words[W.counts_per_turn] = ONBOARD_COUNTS if onboard else self.values[_COUNTS]
+        words[W.encoder_valid] = self.values[_ENCODER] == self._encoder
 
 
-_ANSWERED = {*_CYCLIC, CanSimpleCommand.GET_VERSION, CanSimpleCommand.ADDRESS, CanSimpleCommand.GET_POWERS}
+_REQUESTS = {*_PERIODS, CanSimpleCommand.GET_VERSION, CanSimpleCommand.ADDRESS, CanSimpleCommand.GET_POWERS}
 # What feeds the watchdog: examples/can_watchdog.py of odriverobotics/ODriveResources; nothing else does here.
-_FEEDS = {
+_FEED_WATCHDOG = {
     CanSimpleCommand.SET_AXIS_STATE,
     CanSimpleCommand.SET_INPUT_POS,
     CanSimpleCommand.SET_INPUT_VEL,
     CanSimpleCommand.SET_INPUT_TORQUE,
 }
 _CONTROLLER = "axis0.controller.config"
-_SETS = {
+_PARAMETERS_OF_COMMAND = {
     CanSimpleCommand.SET_CONTROLLER_MODE: (f"{_CONTROLLER}.control_mode", f"{_CONTROLLER}.input_mode"),
     CanSimpleCommand.SET_LIMITS: (f"{_CONTROLLER}.vel_limit", "axis0.config.motor.current_soft_max"),
     CanSimpleCommand.SET_TRAJ_INERTIA: (f"{_CONTROLLER}.inertia",),
