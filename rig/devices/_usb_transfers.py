@@ -133,7 +133,7 @@ def _status(slot: int) -> int:
 def _submit(block: int, slot: int, length: int) -> int:
     """Submit the USB transfer of a slot for `length` bytes; return 0 or a positive errno."""
     transfer = _word(slot, _TRANSFER)
-    store_word(transfer + STATUS_AT, length << 32)
+    store_word(transfer + STATUS_AT, length << 32)  # status 0; the length is the upper half of this word
     _put(slot, _STARTED, monotonic_now(0))
     _put(slot, _STATE, FLYING)
     error = int(errno_of_code(_call_one(_word(block, _SUBMIT), transfer)))

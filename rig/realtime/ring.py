@@ -50,16 +50,16 @@ if TYPE_CHECKING:
     from rig.realtime.mailbox import Mailbox
 
 WORDS = CONTROL_BYTES // 8
-INFO_BYTES = 65536
+INFO_BYTES = 65536  # of one half
 MAILBOX_BYTES = 2048  # rig.realtime.mailbox needs less, and must not be loaded to find the rows
 
 _INFO_AT = WORDS * 8
 _MAILBOX_AT = _INFO_AT + 2 * INFO_BYTES
 _ROWS_AT = _MAILBOX_AT + MAILBOX_BYTES
-_INFO_LENGTH = 0xFFFFF
-_INFO_HALF = 1 << 20
-_INFO_CHANGES = 32
-_INFO_TRIES = 10
+_INFO_LENGTH = 0xFFFFF  # mask of the length of the JSON in the word INFO
+_INFO_HALF = 1 << 20  # bit of the used half
+_INFO_CHANGES = 32  # lowest bit of the number of changes
+_INFO_TRIES = 10  # of a reader that is overtaken by writers
 
 
 class Ring:

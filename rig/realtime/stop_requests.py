@@ -99,7 +99,7 @@ class _Hook:
         self.table = int(_on_signal(0, 0, 0))
         self._displaced: dict[int, _Action] = {}
         # Handlers that were installed before this one: they do not call it, so it must be placed before them again.
-        self._known = {_SIG_DFL}
+        self._known_handlers = {_SIG_DFL}
         self._libc = ctypes.CDLL(None)
 
     def place(self) -> None:
@@ -108,17 +108,19 @@ class _Hook:
         # before them, counts, and calls the earlier one: Python's table and the wake-up descriptor of asyncio are
         # unchanged.
         for number in STOPPING:
-            now = self._action(number)
+            present = self._action(number)
             # `signal.signal` replaces this handler by the interpreter's, which calls no other.
-            again = number in self._displaced
-            if now.handler in (self._handler, _SIG_IGN) or (again and now.handler not in self._known):
+            placed_before = number in self._displaced
+            if present.handler in (self._handler, _SIG_IGN) or (
+                placed_before and present.handler not in self._known_handlers
+            ):
                 continue
-            write_word(self.table + 8 * (_DISPLACED + number), now.handler)
-            kept = now.flags & (_SA_ONSTACK | _SA_RESTART) if now.handler else _SA_RESTART
-            ours = _Action(self._handler, now.mask, kept | _SA_SIGINFO, None)
-            self._libc.sigaction(int(number), ctypes.byref(ours), None)
-            self._displaced[number] = now
-            self._known.add(now.handler)
+            write_word(self.table + 8 * (_DISPLACED + number), present.handler)
+            flags = present.flags & (_SA_ONSTACK | _SA_RESTART) if present.handler else _SA_RESTART
+            own_action = _Action(self._handler, present.mask, flags | _SA_SIGINFO, None)
+            self._libc.sigaction(int(number), ctypes.byref(own_action), None)
+            self._displaced[number] = present
+            self._known_handlers.add(present.handler)
 
     def remove(self) -> None:
         """Restore the signal handlers that were installed before this one, unless another handler has replaced it."""
@@ -155,19 +157,19 @@ class _Process:
             self.hook.remove()
 
 
-_made: list[_Process] = []
-_making = threading.RLock()
-_outer = threading.local()
+_processes: list[_Process] = []
+_creation_lock = threading.RLock()
+_of_thread = threading.local()
 
 
 def _process() -> _Process:
-    if not _made:
-        with _making:
-            made = _Process()
+    if not _processes:
+        with _creation_lock:
+            process = _Process()
             if hasattr(os, "register_at_fork"):
-                os.register_at_fork(after_in_child=made.forget)
-            _made.append(made)
-    return _made[0]
+                os.register_at_fork(after_in_child=process.forget)
+            _processes.append(process)
+    return _processes[0]
 
 
 def _word(index: int) -> int:
@@ -218,17 +220,17 @@ class RunSeries:
     """
 
     def __init__(self) -> None:
-        outer: RunSeries | None = getattr(_outer, "series", None)
+        outer: RunSeries | None = getattr(_of_thread, "series", None)
         self.since: int = count() if outer is None else outer.since
         self._before = outer
 
     def __enter__(self) -> RunSeries:
-        self._before = getattr(_outer, "series", None)
-        _outer.series = self._before or self
+        self._before = getattr(_of_thread, "series", None)
+        _of_thread.series = self._before or self
         return self
 
     def __exit__(self, *error: object) -> None:
-        _outer.series = self._before
+        _of_thread.series = self._before
 
     @property
     def is_stopped(self) -> bool:

@@ -183,15 +183,15 @@ class Motor:
         memory, `watchdog` is the index of the remaining watchdog time.
         """
 
-        def put(word: int) -> Callable[[float], None]:
+        def setter(word: int) -> Callable[[float], None]:
             return lambda value: self._words.__setitem__(word, value)
 
         return {
-            "fault": put(words.struck),
-            "voltage": put(words.voltage),
-            "temperature": put(words.temperature),
+            "fault": setter(words.struck),
+            "voltage": setter(words.voltage),
+            "temperature": setter(words.temperature),
             "slip": lambda counts: self.slip(round(counts)),
-            "expire": lambda _: put(watchdog)(0.0),
+            "expire": lambda _: setter(watchdog)(0.0),
             "reboot": lambda _: reboot(),
         }
 

@@ -223,21 +223,21 @@ def energy(state: Vector, model: RigModel) -> float:
 def _exact(continuous: StateSpace, step_s: float) -> tuple[Matrix, Matrix]:
     """Return phi and gamma of the zero-order-hold discretisation: exp([A B; 0 0] step_s) = [phi gamma; 0 1]."""
     order, inputs = continuous.b.shape
-    # Van Loan's block matrix: one exponential gives both, also where A is singular (a free mass has no spring).
-    both = np.zeros((order + inputs, order + inputs))
-    both[:order] = np.hstack([continuous.a, continuous.b])
-    whole = expm(both * step_s)
+    # Van Loan: one exponential gives phi and gamma, also where A is singular (a free mass has no spring).
+    block_matrix = np.zeros((order + inputs, order + inputs))
+    block_matrix[:order] = np.hstack([continuous.a, continuous.b])
+    exponential = expm(block_matrix * step_s)
     # A hand's intention is an input that stays until it is changed: a state.
-    wanted = order + continuous.operator_inputs.start
-    states = [*range(order), *range(wanted, order + inputs)]
-    phi = np.ascontiguousarray(whole[np.ix_(states, states)])
-    gamma = np.ascontiguousarray(whole[np.ix_(states, range(order, wanted))])
+    first_intention = order + continuous.operator_inputs.start
+    states = [*range(order), *range(first_intention, order + inputs)]
+    phi = np.ascontiguousarray(exponential[np.ix_(states, states)])
+    gamma = np.ascontiguousarray(exponential[np.ix_(states, range(order, first_intention))])
     without_lag = not continuous.a[continuous.effort].any()
     if without_lag:  # the effort state shows the active command, less the back-EMF of the velocity reached
-        e, motor_velocity = continuous.effort, continuous.sensed_position + 1
-        phi[e] = -continuous.back_emf * phi[motor_velocity]
-        gamma[e] = -continuous.back_emf * gamma[motor_velocity]
-        gamma[e, 0] += 1.0
+        effort, motor_velocity = continuous.effort, continuous.sensed_position + 1
+        phi[effort] = -continuous.back_emf * phi[motor_velocity]
+        gamma[effort] = -continuous.back_emf * gamma[motor_velocity]
+        gamma[effort, 0] += 1.0
     return phi, gamma
 
 
