@@ -28,11 +28,11 @@ CORE = Path(__file__).with_name("firmware") / "core"
 # A byte that is not the number of a state.
 NO_TRANSITION = 0xFF
 
-_MADE = "/* Made by `python -m firmware_protocol.codegen` from the tables that run: do not edit. */"
-_ENTRY = struct.Struct("<HI")  # an entry of a parameter block: id, four bytes of value
+_GENERATED_NOTE = "/* Made by `python -m firmware_protocol.codegen` from the tables that run: do not edit. */"
+_PARAMETER_ENTRY = struct.Struct("<HI")  # an entry of a parameter block: id, four bytes of value
 # CRC-32 of IEEE 802.3 with its bits reversed, as `zlib.crc32` computes it.
 _CRC_POLYNOMIAL = 0xEDB88320
-_BITS = {"u": "I", "i": "i", "f": "f"}
+_STRUCT_CODES = {"u": "I", "i": "i", "f": "f"}
 _KINDS = {"u": "HR_UNSIGNED", "i": "HR_SIGNED", "f": "HR_FLOAT"}
 
 
@@ -79,7 +79,7 @@ def _constants() -> list[str]:
         _define("USB_VENDOR", m.USB_VENDOR),
         _define("USB_PRODUCT", m.USB_PRODUCT),
         _define("BLOCK_LIMIT", BLOCK_LIMIT, "bytes of a parameter block"),
-        _define("PARAMETER_BYTES", _ENTRY.size, "an entry of a block: id, value"),
+        _define("PARAMETER_BYTES", _PARAMETER_ENTRY.size, "an entry of a block: id, value"),
         _define("FAULT_ENTRY_BYTES", FAULT_ENTRY_BYTES),
         "",
     ]
@@ -147,7 +147,7 @@ extern const uint32_t hr_crc_table[256];
 
 def header() -> str:
     """Return the C text of the firmware's protocol.h."""
-    lines = [_MADE, "#ifndef HR_PROTOCOL_H", "#define HR_PROTOCOL_H", "", "#include <stdint.h>", ""]
+    lines = [_GENERATED_NOTE, "#ifndef HR_PROTOCOL_H", "#define HR_PROTOCOL_H", "", "#include <stdint.h>", ""]
     lines += _constants()
     lines += _message_lines()
     for prefix, codes in _CODES.items():
@@ -165,7 +165,7 @@ def source() -> str:
         _table("uint8_t hr_transitions[HR_STATES][HR_MESSAGES]", map(_transition_row, State)),
         _table("uint32_t hr_crc_table[256]", _crc_rows()),
     ]
-    return "\n".join([_MADE, '#include "protocol.h"', "", *parts])
+    return "\n".join([_GENERATED_NOTE, '#include "protocol.h"', "", *parts])
 
 
 def _table(declaration: str, rows: Iterable[str]) -> str:
@@ -180,7 +180,7 @@ def _message_row(layout: Layout) -> str:
 
 
 def _wire_bits(parameter: Parameter, value: float) -> str:
-    packed = struct.pack("<" + _BITS[parameter.ctype[0]], value)
+    packed = struct.pack("<" + _STRUCT_CODES[parameter.ctype[0]], value)
     return f"0x{int.from_bytes(packed, 'little'):08X}u"
 
 

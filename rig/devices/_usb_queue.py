@@ -18,13 +18,13 @@ from rig.realtime.native import address_of
 
 IN_TRANSFERS = 16  # packets that may arrive while the host is busy elsewhere
 OUT_TRANSFERS = 8  # COMMANDs in transit; more than the STOP frames at the end of a run
-OUT_BYTES = 512
-OUT_LIMIT_S = 0.5
+OUT_BYTES = 512  # buffer of an OUT transfer
+OUT_LIMIT_S = 0.5  # longest time in which the device may accept nothing
 LAST_WORDS_S = 0.1  # for the last writes to be sent when the link is closed
-CANCEL_S = 1.0
+CANCEL_S = 1.0  # for cancelled transfers to end
 _SLICE_S = 0.05  # a compiled wait cannot be interrupted: Ctrl-C is seen in between
-_READ_BYTES = 4096
-_BULK = 2
+_READ_BYTES = 4096  # most that one `read` returns
+_BULK = 2  # LIBUSB_TRANSFER_TYPE_BULK
 
 
 class QueuedTransfers:

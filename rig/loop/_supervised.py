@@ -30,8 +30,8 @@ from rig.realtime.codec import STATE
 # Quanta by which the device's current may differ from the host's law, by the arithmetic of a board. A drive that
 # renders the wall itself has filters of its own: its difference is reported, without a limit.
 BOUNDS = {"fixed": 1, "float32": 2}
-NO_BOUND = 1 << 16
-# Too many ticks beyond the bound: more than this share of those compared, and at least so many.
+NO_BOUND = 1 << 16  # quanta: more than any difference of two currents
+# Too many ticks beyond the bound: more than this share of those compared, and more than this number.
 MANY_SHARE, MANY_TICKS = 0.001, 10
 
 # numbers of a parameter set → live parameters of the device
@@ -118,24 +118,23 @@ class SupervisedThread(LoopThread):
 
     def messages(self) -> list[str]:
         """Return warnings for the user: refused parameter updates, or a device whose current differs from the law."""
-        found, refusals = self.agreement(), list(self._refused)
+        agreement, warnings = self.agreement(), list(self._refused)
         v = self._supervision.supervision[0]
         if v["refused_set"]:
-            status, known = int(v["refused_status"]), int(v["refused_status"]) in set(Status)
-            why = f"{Status(status).text}; {Status(status).remedy}" if known else f"status {status}"
-            refusals.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
-        if not found.holds:
-            lost = self.ring.get(control_words.LOST)
-            refusals.append(
-                f"the device's current differed from the host's law by more than {found.bound_quanta} quanta in "
-                f"{found.beyond} of {found.compared} ticks, at most by {found.greatest_quanta}"
-                + (
-                    f"; {lost} samples were lost, so the two may be in different phases: reduce the load of the link"
-                    if lost
-                    else ": check that firmware and package are of one version (rig firmware info)"
-                )
+            status = int(v["refused_status"])
+            named = Status(status) if status in set(Status) else None
+            why = f"status {status}" if named is None else f"{named.text}; {named.remedy}"
+            warnings.append(f"the device refused parameter set {int(v['refused_set'])}: {why}")
+        if not agreement.holds:
+            cause = ": check that firmware and package are of one version (rig firmware info)"
+            if lost := self.ring.get(control_words.LOST):
+                cause = f"; {lost} samples were lost, so the two may be in different phases: reduce the link's load"
+            warnings.append(
+                f"the device's current differed from the host's law by more than {agreement.bound_quanta} quanta in "
+                f"{agreement.beyond} of {agreement.compared} ticks, at most by {agreement.greatest_quanta}"
+                f"{cause}"
             )
-        return refusals
+        return warnings
 
     def findings(self) -> dict[str, Any]:
         """Return the comparison of device and host currents, for the recording, as {"device_host_agreement": {…}}."""

@@ -21,11 +21,11 @@ Make = Callable[[float, float], Prepared]
 Floats = NDArray[np.float64]
 
 # Encoder and velocity period of Koul et al.: 1000 lines, fourfold decoding, transmission 10:1, 2 kHz.
-RESOLUTION_SI, PERIOD_S = 1.5708e-4, 5e-4
+RESOLUTION_SI, PERIOD_S = 1.5708e-4, 5e-4  # rad, s
 ONE_COUNT = RESOLUTION_SI / PERIOD_S  # velocity of one count in one period
 NO_SETTINGS: Mapping[str, float | str] = {}
 SETTLED = 400  # velocity periods after which every estimator has forgotten its start
-EXTREMES = (-(2**31), 2**31 - 1, 0, -1, 1)
+EXTREMES = (-(2**31), 2**31 - 1, 0, -1, 1)  # counts
 
 
 def velocities(
@@ -107,17 +107,18 @@ def check_estimator(
 
 def check_layout(make: Make) -> None:
     """Check the arrays of an estimator: flat, of the right type, zeroed memory, resolution and period as parameters."""
-    p = make(RESOLUTION_SI, PERIOD_S)
-    assert p.parameters[RESOLUTION] == RESOLUTION_SI, "parameters[0] is not the resolution"
-    assert p.parameters[PERIOD] == PERIOD_S, "parameters[1] is not the velocity period"
-    assert np.isfinite(p.parameters).all(), "a parameter is not finite"
-    for array, kind in ((p.parameters, "float64"), (p.state_f, "float64"), (p.state_i, "int64")):
+    prepared = make(RESOLUTION_SI, PERIOD_S)
+    assert prepared.parameters[RESOLUTION] == RESOLUTION_SI, "parameters[0] is not the resolution"
+    assert prepared.parameters[PERIOD] == PERIOD_S, "parameters[1] is not the velocity period"
+    assert np.isfinite(prepared.parameters).all(), "a parameter is not finite"
+    arrays = prepared.parameters, prepared.state_f, prepared.state_i
+    for array, kind in zip(arrays, ("float64", "float64", "int64"), strict=True):
         assert array.dtype == kind, "wrong type of array"
         assert array.ndim == 1, "not a flat array"
         assert array.flags.c_contiguous, "not contiguous"
         assert len(array) >= 1, "empty array: the plug point needs one element"
-    assert not p.state_f.any(), "memory of a fresh estimator is not zero"
-    assert not p.state_i.any(), "memory of a fresh estimator is not zero"
+    assert not prepared.state_f.any(), "memory of a fresh estimator is not zero"
+    assert not prepared.state_i.any(), "memory of a fresh estimator is not zero"
 
 
 def check_memory(make: Make) -> None:

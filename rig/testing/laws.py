@@ -134,9 +134,9 @@ def check_finite(law: Law | str, wall: Mapping[str, Any]) -> None:
     values = np.array([sign * value for value in EXTREMES for sign in (-1.0, 1.0)])
     depth, speed = random.choice(values, TICKS), random.choice(values, TICKS)
     elapsed = random.integers(1, 5000, TICKS)
-    found = arrays.run(_prepare(law, wall), depth, speed, elapsed)
-    assert np.isfinite(found).all(), _where(
-        "gives a reaction that is not finite", ~np.isfinite(found), depth, speed
+    force = arrays.run(_prepare(law, wall), depth, speed, elapsed)
+    assert np.isfinite(force).all(), _where(
+        "gives a reaction that is not finite", ~np.isfinite(force), depth, speed
     )
 
 
@@ -144,16 +144,16 @@ def check_outside(law: Law | str, wall: Mapping[str, Any]) -> None:
     """Check that the law's force outside of the wall is zero, before and after a contact."""
     depth, speed = _motion()
     outside = np.concatenate([-depth, depth, -depth])
-    found = _run(_prepare(law, wall), outside, np.concatenate([speed, speed, -speed]))
-    acts = (outside <= 0.0) & (found != 0.0)
-    assert not acts.any(), _where("acts outside of the wall", acts, outside, found)
+    force = _run(_prepare(law, wall), outside, np.concatenate([speed, speed, -speed]))
+    acts = (outside <= 0.0) & (force != 0.0)
+    assert not acts.any(), _where("acts outside of the wall", acts, outside, force)
 
 
 def check_at_rest(law: Law | str, wall: Mapping[str, Any]) -> None:
     """Check that the law does not pull a handle at rest further into the wall."""
     depth = np.linspace(0.0, DEPTH, TICKS)
-    found = _run(_prepare(law, wall), depth, np.zeros(TICKS))
-    assert (found >= 0.0).all(), _where("pulls a handle at rest into the wall", found < 0.0, depth, found)
+    force = _run(_prepare(law, wall), depth, np.zeros(TICKS))
+    assert (force >= 0.0).all(), _where("pulls a handle at rest into the wall", force < 0.0, depth, force)
 
 
 def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
@@ -166,11 +166,11 @@ def check_passive(law: Law | str, wall: Mapping[str, Any]) -> None:
         tick_s = slower * TICK_S
         depth = DEPTH * _CYCLE
         speed = np.gradient(depth, tick_s)
-        found = _run(_prepare(law, {**wall, "tick_s": tick_s}), depth, speed)
-        work = 0.5 * (found[1:] + found[:-1]) * np.diff(depth)
-        given = -float(work.sum())
-        assert given <= 1e-9 * float(np.abs(work).sum()), (
-            f"gives {given:.3g} J in a cycle {DEPTH:g} deep that lasts {TICKS * tick_s:.3g} s: it "
+        force = _run(_prepare(law, {**wall, "tick_s": tick_s}), depth, speed)
+        work = 0.5 * (force[1:] + force[:-1]) * np.diff(depth)
+        returned_energy = -float(work.sum())
+        assert returned_energy <= 1e-9 * float(np.abs(work).sum()), (
+            f"gives {returned_energy:.3g} J in a cycle {DEPTH:g} deep that lasts {TICKS * tick_s:.3g} s: it "
             "feeds energy into the handle"
         )
 
