@@ -2,7 +2,7 @@
 
 `Core` is the firmware without a plant. `FirmwareDevice` connects it to a simulated rig and has the methods of
 `device.SimulatedDevice`. Only the hardware layer (counter, amplifier, timer, switches) is simulated here; all decisions
-are left to the C code.
+are left to the C code. `make_device` creates it, and the files of `sim_backend.ends` run it.
 """
 
 from __future__ import annotations

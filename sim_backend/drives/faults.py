@@ -3,7 +3,7 @@
 The first word is a `rig.devices.fault_script.FaultKind`, which acts on one unit of the line (a line of text or a CAN
 frame), an event of a drive (`SimulatedMoteus.happen`, `SimulatedOdrive.happen`), ``stale`` or ``host-bus-off``.
 `frame` is the number of a unit in its direction, from 0 (for an event: of a unit from the host). `tick` is the time in
-milliseconds since the host's first unit.
+milliseconds since the host's first unit. `process` and `serving` use it.
 """
 
 from __future__ import annotations

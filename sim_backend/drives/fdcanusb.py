@@ -2,7 +2,7 @@
 
 `Uart` is the board's own serial port (docs/integration/uart.md of mjbots/moteus at db1a762,
 fw/uart_fdcanusb_micro_server.h), `Fdcanusb` the USB adapter (README.md of mjbots/fdcanusb at f18c1d6,
-fw/can_manager.cc).
+fw/can_manager.cc). `process` uses one of the two. The replies must be those of the makers, word for word.
 """
 
 from __future__ import annotations

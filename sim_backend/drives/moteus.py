@@ -2,7 +2,7 @@
 
 The file follows docs/protocol/{can,registers,diagnostic}.md of mjbots/moteus at db1a762 (2026-06) and the firmware of
 that commit (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_law` computes a control cycle,
-`moteus_registers` lists the registers, `moteus_settings` contains configuration and console.
+`moteus_registers` lists the registers, `moteus_settings` contains configuration and console. `process` serves it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 It follows mjbots/moteus at db1a762 (2026-06): docs/protocol/registers.md for modes and fault codes,
 docs/reference/configuration.md (`servo.*`, `servopos.*`) for law, limits and time-out. Left out: the modes that set
 voltages (5 to 8, 14), which drive nothing here; field weakening, flux braking and the limits of power and bus voltage;
-single-precision arithmetic, except for the grid of the position.
+single-precision arithmetic, except for the grid of the position. `moteus` calls it. It must allocate nothing.
 """
 
 from __future__ import annotations

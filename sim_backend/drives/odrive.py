@@ -2,6 +2,7 @@
 
 It follows the page manual/can-protocol of docs.odriverobotics.com for firmware 0.6 and, for the parts of that page that
 could not be read, the maker's programs in odriverobotics/ODriveResources. `odrive_law` computes a control cycle.
+`process` serves it.
 """
 
 from __future__ import annotations

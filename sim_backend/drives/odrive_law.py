@@ -2,7 +2,7 @@
 
 It follows odriverobotics/ODrive at f9b5419 (firmware 0.5.6 of the open boards), Firmware/MotorControl/encoder.cpp and
 controller.cpp. The closed firmware 0.6 kept the names; whether it works the same way could not be checked. Left out:
-trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations.
+trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations. `odrive` calls it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Run a compiled device in real time: the timer and the main loop of a board, in compiled code without Python's lock.
 
 The file simulates a board behind a USB serial port. The board continues to run when a host exits, even by kill -9, and
-its watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on.
+its watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on. `pty` uses it.
 """
 
 from __future__ import annotations

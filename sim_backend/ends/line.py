@@ -1,7 +1,7 @@
 """Offer the device side of a line to a host in another process: as a pseudo-terminal or as a Unix socket.
 
 A line keeps one file descriptor for its whole life, so that compiled code (`loop_port`) and Python can use it. The
-descriptor stays open when a host exits, even by kill -9, and the line serves the next host.
+descriptor stays open when a host exits, even by kill -9, and the line serves the next host. `pty` and `outlets` use it.
 """
 
 from __future__ import annotations

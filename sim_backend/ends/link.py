@@ -1,7 +1,7 @@
 """Simulate the rig in this process and in virtual time: hours pass in seconds, and every run gives the same result.
 
 The file implements ``sim://``. The link behaves like a serial port and its driver: a bounded input buffer, which loses
-bytes that are not read, and EIO after an unplug.
+bytes that are not read, and EIO after an unplug. `rig.devices` loads it. It must not read a real clock.
 """
 
 from __future__ import annotations

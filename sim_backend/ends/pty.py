@@ -1,7 +1,7 @@
 """Run the simulated rig as a separate process in real time, behind a pseudo-terminal or a Unix socket (`line`).
 
 The rig behaves like a USB serial device. The device is the compiled firmware, timed by `board_time`, or, without a C
-compiler, the device in Python, timed by `real_time`.
+compiler, the device in Python, timed by `real_time`. `rig.devices` loads it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if sys.platform == "linux":
 
 assert sys.platform == "linux"
 
-POSITION_RATE_DEFAULT = 1_000
+POSITION_RATE_MINIMUM, POSITION_RATE_DEFAULT = 50, 1_000  # Hz
 POSITION_RATE_MAXIMUM = 4_000  # Hz; faster, an ordinary kernel wakes a host too late to reply in each tick
 FIRMWARE_RATE_MAXIMUM = 20_000  # Hz, with the law on the device; faster, a line of 3 Mbaud is full
 
@@ -84,9 +84,9 @@ def serve(
     In the main thread, SIGINT (Ctrl-C) and SIGTERM also end the run, cleanly.
     """
     maximum = FIRMWARE_RATE_MAXIMUM if firmware else POSITION_RATE_MAXIMUM
-    if not 50 <= rate <= maximum:
+    if not POSITION_RATE_MINIMUM <= rate <= maximum:
         raise ConfigError(
-            f"rate = {rate} Hz is outside 50 … {maximum} Hz",
+            f"rate = {rate} Hz is outside {POSITION_RATE_MINIMUM} … {maximum} Hz",
             remedy="run faster in virtual time (sim://)"
             + ("" if firmware else f", or with the law on the device, up to {FIRMWARE_RATE_MAXIMUM} Hz"),
         )

@@ -1,7 +1,7 @@
 """Run the device in Python in real time behind any port: the reference for `board_time`, used without a C compiler.
 
 In each period the plant moves under the active current, the device sends a STATE, and then processes the bytes that
-came meanwhile: the reply to STATE k acts from sample k + 1 on.
+came meanwhile: the reply to STATE k acts from sample k + 1 on. `pty` and `usb` use it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The program that emulates the bus (an emulated usbfs, a USB/IP server) forwards control requests to `UsbShape.control`
 and moves packets through a SOCK_SEQPACKET socket, one message for each packet. Frames are not aligned to packets: the
-endpoints carry a byte stream.
+endpoints carry a byte stream. Tests of the USB link use it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from sim_backend.ends.real_time import RealTime, sleep_until
 VENDOR_CLASS = 0xFF
 ENDPOINT_IN, ENDPOINT_OUT = 0x81, 0x01
 FULL_SPEED_PACKET, HIGH_SPEED_PACKET = 64, 512
-POSITION_RATE_DEFAULT = 1_000
-POSITION_RATE_MAXIMUM = 4_000
+POSITION_RATE_MINIMUM, POSITION_RATE_DEFAULT = 50, 1_000  # Hz
+POSITION_RATE_MAXIMUM = 4_000  # Hz; faster, Python is too late
 PENDING_BYTES = 8192  # unread output of the device
 SOCKET_BYTES = 2304  # doubled by the kernel to its least: a handful of packets, as a device would hold
 
@@ -34,6 +34,7 @@ _ENGLISH = 0x0409
 _BULK = 2
 _GET_STATUS, _CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS, _GET_DESCRIPTOR = 0, 1, 3, 5, 6
 _GET_CONFIGURATION, _SET_CONFIGURATION, _GET_INTERFACE, _SET_INTERFACE = 8, 9, 10, 11
+_TO_HOST = 0x80  # bit of bmRequestType
 _SETUP = struct.Struct("<BBHHH")
 
 
@@ -51,6 +52,7 @@ class UsbShape:
 
     def device(self) -> bytes:
         """Return the USB device descriptor (18 bytes)."""
+        # USB 2.0; class given by the interface; 64 bytes at endpoint 0; device 1.0; strings 1 to 3; one configuration.
         return struct.pack(
             "<BBHBBBBHHHBBBB",
             *(18, _DEVICE, 0x0200, 0, 0, 0, 64, self.vendor, self.product, 0x0100, 1, 2, 3, 1),
@@ -94,7 +96,7 @@ class UsbShape:
             return None if found is None else found[:length]
         if request == _GET_STATUS:
             return b"\0\0"[:length]
-        if request in (_GET_CONFIGURATION, _GET_INTERFACE) and direction & 0x80:
+        if request in (_GET_CONFIGURATION, _GET_INTERFACE) and direction & _TO_HOST:
             return bytes([1 if request == _GET_CONFIGURATION else 0])[:length]
         silent = (_CLEAR_FEATURE, _SET_FEATURE, _SET_ADDRESS, _SET_CONFIGURATION, _SET_INTERFACE)
         return b"" if request in silent else None
@@ -185,9 +187,9 @@ def serve(
     duration_s
         Ends the run after this time (s).
     """
-    if not 50 <= rate <= POSITION_RATE_MAXIMUM:
+    if not POSITION_RATE_MINIMUM <= rate <= POSITION_RATE_MAXIMUM:
         raise ConfigError(
-            f"rate = {rate} Hz is outside 50 … {POSITION_RATE_MAXIMUM} Hz",
+            f"rate = {rate} Hz is outside {POSITION_RATE_MINIMUM} … {POSITION_RATE_MAXIMUM} Hz",
             remedy="use a rate in this range; higher rates run in virtual time only (sim://)",
         )
     device = SimulatedDevice(

@@ -1,7 +1,7 @@
 """Simulate a rig whose motor cogs: the plant of `sim_backend.mechanics.plant`, plus an effort that depends on position.
 
 The file simulates the slots of an iron-cored motor and a torque constant that varies with the position
-(`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here.
+(`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here. `plant` uses it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 States: those of the rig, hand position and velocity, then the person's intended position, intended velocity and
 pressing effort. The last three keep their values until the hand's scripted motion (`sim_backend.mechanics.operator`)
-writes others.
+writes others. `plant` uses it for a rig that a person holds.
 """
 
 from __future__ import annotations

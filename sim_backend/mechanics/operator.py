@@ -59,34 +59,36 @@ class OperatorScript(NamedTuple):
         """
         if model.operator is None or model.reach is None:
             return cls.silent()
-        return _write(model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session)
+        return _write_script(
+            model.operator, model.reach, model.mechanics.handle_radius, tick_s, position, session
+        )
 
 
 @lru_cache(maxsize=8)  # rigs of a map differ in nothing that changes the script; 2 MB each, never written to
-def _write(
+def _write_script(
     operator: Operator, reach: OperatorReach, radius: float, tick_s: float, position: float, session: int
 ) -> OperatorScript:
-    along_s = abs(reach.start - position) / reach.pace
-    begin_s = along_s + reach.wait_s
-    lead = math.ceil((begin_s + operator.reach_s) / tick_s)
-    t: Rows = (np.arange(lead + round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
+    homing_s = abs(reach.start - position) / reach.pace
+    begin_s = homing_s + reach.wait_s
+    rows_before_repeat = math.ceil((begin_s + operator.reach_s) / tick_s)
+    t: Rows = (np.arange(rows_before_repeat + round(REPEAT_S / tick_s), dtype=np.float64) + 0.5) * tick_s
 
-    left = np.clip(1.0 - t / along_s, 0.0, 1.0) if along_s > 0.0 else np.zeros_like(t)
-    homing = (position - reach.start) * left
-    homing_rate = np.where(left > 0.0, math.copysign(reach.pace, reach.start - position), 0.0)
-    part, part_rate = _raised_cosine((t - begin_s) / operator.reach_s)
-    part_rate = part_rate / operator.reach_s
-    tremble, tremble_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
+    remaining = np.clip(1.0 - t / homing_s, 0.0, 1.0) if homing_s > 0.0 else np.zeros_like(t)
+    homing = (position - reach.start) * remaining
+    homing_rate = np.where(remaining > 0.0, math.copysign(reach.pace, reach.start - position), 0.0)
+    reached, reach_rate = _raised_cosine((t - begin_s) / operator.reach_s)
+    reach_rate = reach_rate / operator.reach_s
+    trembling, tremor_rate = tremor(t, operator.tremor / radius, np.random.default_rng([reach.seed, session]))
     # A hand that is quite still would hide a buzz behind Coulomb friction: the press swells and ebbs slowly.
     swell = 1.0 + operator.press_modulation * np.sin(2.0 * math.pi * PRESS_HZ * (t - begin_s))
 
     travel = reach.target - reach.start
     rows = np.empty((len(t), INTENTIONS))
     # Tremor arrives with the press: its force grows with the force exerted (Sutton and Sykes 1967).
-    rows[:, 0] = reach.start + homing + travel * part + tremble * part
-    rows[:, 1] = homing_rate + travel * part_rate + tremble_rate * part + tremble * part_rate
-    rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * part
-    return OperatorScript(rows=rows, again=lead)
+    rows[:, 0] = reach.start + homing + travel * reached + trembling * reached
+    rows[:, 1] = homing_rate + travel * reach_rate + tremor_rate * reached + trembling * reach_rate
+    rows[:, 2] = math.copysign(operator.press * radius, travel) * swell * reached
+    return OperatorScript(rows=rows, again=rows_before_repeat)
 
 
 def _raised_cosine(x: Rows) -> tuple[Rows, Rows]:
@@ -102,10 +104,10 @@ def tremor(t: Rows, rms: float, generator: np.random.Generator) -> tuple[Rows, R
     """
     omega = 2.0 * math.pi * TREMOR_HZ
     phase = generator.uniform(0.0, 2.0 * math.pi, len(omega))
-    # n lines of equal size with random phases: the squares of their rms values add up to rms².
-    line = rms * math.sqrt(2.0 / len(omega))
+    # n sines of equal size with random phases: the squares of their rms values add up to rms².
+    amplitude = rms * math.sqrt(2.0 / len(omega))
     value, rate = np.zeros_like(t), np.zeros_like(t)
-    for w, shift in zip(omega, phase, strict=True):
-        value += line * np.sin(w * t + shift)
-        rate += line * w * np.cos(w * t + shift)
+    for frequency, shift in zip(omega, phase, strict=True):
+        value += amplitude * np.sin(frequency * t + shift)
+        rate += amplitude * frequency * np.cos(frequency * t + shift)
     return value, rate
