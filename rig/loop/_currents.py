@@ -28,7 +28,7 @@ _FOLLOWS, _DIFFERS, _OTHER = (
 _ACTING = int(~(LimitFlag.SPEED | LimitFlag.POSITION))  # nearing a limit changes no current
 _NONE_YET = NO_COMMAND_YET
 _RUNNING = int(State.RUNNING)
-OLDER = 8
+OLDER = 8  # earlier COMMANDs that a late host may have sent in the same tick
 
 
 @kernel(types.void(INTS, types.int64, types.int64, types.int64), inline=True)

@@ -110,12 +110,12 @@ PROGRESS = np.dtype(
     align=True,
 )
 
-RECEIVE_BYTES = 4096
+RECEIVE_BYTES = 4096  # of the buffer for bytes from the link
 EXCHANGES_KEPT = 8192  # twelve minutes; a longer run keeps the newest
 # Parameter sets in one run. More are not taken: a replay would lack them.
 SETS_KEPT = 256
-COMMANDS_KEPT = 256
-WORD = 8
+COMMANDS_KEPT = 256  # the newest, with which the active current of a STATE is compared
+WORD = 8  # bytes of a control word
 
 FLOATS, INTS, INT_ROWS = types.float64[::1], types.int64[::1], types.int64[:, ::1]
 SETTINGS_TYPE = types.Array(numba.from_dtype(SETTINGS), 1, "C")

@@ -11,7 +11,7 @@ particular group or on the meaning of its members.
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
 from llvmlite import ir
@@ -57,23 +57,30 @@ def type_of(cls: type[tuple[Any, ...]]) -> Any:
     return types.BaseTuple.from_types([hint.__metadata__[0] for hint in hints], cls)
 
 
+class _ArrayKind(NamedTuple):
+    dtype: Any
+    dimensions: int
+    writable: bool
+
+
 @cache
-def _expected_members(
-    cls: type[tuple[Any, ...]],
-) -> tuple[tuple[tuple[type, ...], tuple[Any, ...] | None], ...]:
-    """Return the Python classes of each field of a `NamedTuple` argument; of an array dtype, dimensions, writable."""
+def _expected_members(cls: type[tuple[Any, ...]]) -> tuple[tuple[tuple[type, ...], _ArrayKind | None], ...]:
+    """Return for each field of a `NamedTuple` argument its Python classes, and what it must be if it is an array."""
     return tuple(
-        (_classes(t), (as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None)
+        (
+            _classes(t),
+            _ArrayKind(as_dtype(t.dtype), t.ndim, t.mutable) if isinstance(t, types.Array) else None,
+        )
         for t in type_of(cls).types
     )
 
 
-def _classes(due: Any) -> tuple[type, ...]:
-    if isinstance(due, types.FunctionType):
+def _classes(numba_type: Any) -> tuple[type, ...]:
+    if isinstance(numba_type, types.FunctionType):
         return ()
-    if isinstance(due, types.BaseNamedTuple):
-        return (due.instance_class,)
-    return (int, float, np.integer) if isinstance(due, types.Float) else (int, np.integer)
+    if isinstance(numba_type, types.BaseNamedTuple):
+        return (numba_type.instance_class,)
+    return (int, float, np.integer) if isinstance(numba_type, types.Float) else (int, np.integer)
 
 
 def kind_of(value: Any) -> Any:
@@ -97,14 +104,14 @@ def _typeof(value: tuple[Any, ...], context: Any) -> Any:
     return kind
 
 
-def _fits(member: Any, classes: tuple[type, ...], array: tuple[Any, ...] | None) -> bool:
+def _fits(member: Any, classes: tuple[type, ...], array: _ArrayKind | None) -> bool:
     """Return True if a member of a `NamedTuple` argument has one of the `classes`, or is an array like `array`."""
     # Not by numba's typeof: finding the type of a record array takes as long as many ticks.
     if array is not None:
-        if type(member) is not np.ndarray or member.dtype != array[0] or member.ndim != array[1]:
+        if type(member) is not np.ndarray or member.dtype != array.dtype or member.ndim != array.dimensions:
             return False
         flags = member.flags
-        return flags.carray or (not array[2] and flags.c_contiguous and flags.aligned)
+        return flags.carray or (not array.writable and flags.c_contiguous and flags.aligned)
     # numba checks the signature of a function, and the range of a number, when it unpacks the group.
     if not classes:
         return True
