@@ -39,11 +39,11 @@ def judge_stream(received: list[m.Message], ticks: float, rate: int, dictionary:
     load = worst * dictionary.time_unit_ns * 1e-9 * rate
     timed = f"the longest tick took {100 * load:.2g} % of a period (homing only: no contact, no release)"
     if gaps or len(rows) < STREAM_SHARE * ticks:
-        slower = "choose a lower rate or a faster link, or close other programs; rig doctor measures the possible rate"
-        return refused(f"{text}, instead of {ticks:.0f}", slower)
+        remedy = "choose a lower rate or a faster link, or close other programs; rig doctor measures the possible rate"
+        return refused(f"{text}, instead of {ticks:.0f}", remedy)
     if load > LOAD_LIMIT:
-        slower = "choose a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
-        return refused(f"{text}; {timed}", slower)
+        remedy = "choose a lower position_rate, or a law in integers (estimator fdm-butterworth-fixed)"
+        return refused(f"{text}; {timed}", remedy)
     return ok(f"{text}; no current; {timed}")
 
 

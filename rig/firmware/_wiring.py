@@ -20,8 +20,9 @@ from rig.firmware._boards import Board
 from rig.recording.files import whole_file
 
 WIRING_FILE = "wiring.toml"
-_COLUMN, _BOX, _PITCH, _MARGIN, _STUB = 440, 235, 18, 40, 22  # px
-_LINE = 36  # characters of a box
+# Sizes in px: distance of columns, width of a box, distance of pins, margin, net names left of a box, wire, text line.
+_COLUMN, _BOX, _PITCH, _MARGIN, _NET_NAME, _WIRE, _TEXT_LINE = 440, 235, 18, 40, 70, 22, 13
+_TEXT_LINE_CHARACTERS = 36
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,24 +107,26 @@ def _pin(name: str, board: Board, settings: Mapping[str, SettingValue]) -> str:
     return f"GPIO{number} {setting.removesuffix('_pin')}{offset and f' + {offset}'}"
 
 
-def draw(found: Wiring, path: Path) -> Path:
+def draw(netlist: Wiring, path: Path) -> Path:
     """Write the wiring as an SVG drawing and return its path; raise `RecordingError` if the file cannot be written."""
     with whole_file(path, overwrite=True) as file:
-        file.write(svg(found).encode())
+        file.write(svg(netlist).encode())
     return path
 
 
-def svg(found: Wiring) -> str:
+def svg(netlist: Wiring) -> str:
     """Return the wiring as SVG text: a box for each part, with its pins and the names of their nets."""
     shapes: list[str] = []
     bottom = 0
-    for column, parts in groupby(sorted(found.parts, key=lambda part: part.column), lambda part: part.column):
+    for column, parts in groupby(
+        sorted(netlist.parts, key=lambda part: part.column), lambda part: part.column
+    ):
         top = _MARGIN
         for part in parts:
-            shapes += _box(part, _MARGIN + 70 + column * _COLUMN, top)
+            shapes += _box(part, _MARGIN + _NET_NAME + column * _COLUMN, top)
             top += _height(part) + _MARGIN + _PITCH * len(_wrap(part.what))
         bottom = max(bottom, top)
-    width = _MARGIN + (1 + max(part.column for part in found.parts)) * _COLUMN
+    width = _MARGIN + (1 + max(part.column for part in netlist.parts)) * _COLUMN
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {bottom}" font-family="sans-serif" '
     return "\n".join(
         [f'{head}font-size="11">', '<rect width="100%" height="100%" fill="white"/>', *shapes, "</svg>\n"]
@@ -137,14 +140,14 @@ def _height(part: WiringPart) -> int:
 def _box(part: WiringPart, x: int, y: int) -> Iterator[str]:
     words = [part.name, *_wrap(part.what)]
     for line, text in enumerate(words):
-        yield _text(x, y - 4 + 13 * line, text, 'font-weight="bold"' if line == 0 else 'fill="#555"')
-    y += 13 * (len(words) - 1)
+        yield _text(x, y - 4 + _TEXT_LINE * line, text, 'font-weight="bold"' if line == 0 else 'fill="#555"')
+    y += _TEXT_LINE * (len(words) - 1)
     yield f'<rect x="{x}" y="{y}" width="{_BOX}" height="{_height(part)}" fill="#f4f7fb" stroke="#333"/>'
     for side, pins in ((-1, part.left), (1, part.right)):
         edge, inner, outer = (x, "start", "end") if side < 0 else (x + _BOX, "end", "start")
         for place, pin in enumerate(pins, start=1):
             at = y + _PITCH * place
-            end = edge + side * _STUB
+            end = edge + side * _WIRE
             yield f'<line x1="{edge}" y1="{at}" x2="{end}" y2="{at}" stroke="#333"/>'
             yield _text(edge - 4 * side, at + 4, pin.name, f'text-anchor="{inner}" font-size="9"')
             yield _text(end + 3 * side, at + 4, pin.net, f'text-anchor="{outer}" fill="#0a58a8"')
@@ -155,4 +158,4 @@ def _text(x: int, y: int, text: str, look: str) -> str:
 
 
 def _wrap(text: str) -> list[str]:
-    return textwrap.wrap(text, _LINE, break_long_words=False)
+    return textwrap.wrap(text, _TEXT_LINE_CHARACTERS, break_long_words=False)

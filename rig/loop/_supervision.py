@@ -73,6 +73,7 @@ SUPERVISION_TYPE = types.Array(numba.from_dtype(SUPERVISION), 1, "C")
 
 # Columns of the queue of samples.
 INDEX, TIME, COUNT, CURRENT, MEASURED, RECEIVED, LATE = range(7)
+SAMPLE_COLUMNS = 7
 # Most samples that one reading of the link can bring: a sample has at least 3 bytes.
 SAMPLES_A_READING = RECEIVE_BYTES // 3 + codec.MOST_SAMPLES
 # 80 ms at 50 kHz and more: the time that samples may wait for the reply about a new wall.
@@ -132,7 +133,7 @@ class SupervisionBuffers(NamedTuple):
             supervision=supervision,
             batch=np.zeros(len(BATCH), np.int64),
             decoded=np.zeros((codec.MOST_SAMPLES, len(SAMPLE)), np.int64),
-            samples=np.zeros((QUEUE, 7), np.int64),
+            samples=np.zeros((QUEUE, SAMPLE_COLUMNS), np.int64),
             states=np.zeros((STATES_KEPT, len(STATE) + 1), np.int64),
             newest=np.zeros(len(STATE), np.int64),
             ack=np.zeros(len(ACK), np.int64),
