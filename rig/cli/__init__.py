@@ -129,7 +129,6 @@ def _defect(error: Exception, arguments: list[str]) -> int:
 
 
 def _refuse_empty(arguments: list[str]) -> None:
-    """Raise `ConfigError` for an empty argument, which usually comes from a shell variable that is not set."""
     for before, word in pairwise(["rig", *arguments]):
         name, equals, value = word.partition("=")
         if not word or (name.startswith("--") and equals and not value):

@@ -1,4 +1,4 @@
-"""Write a design as one HTML page: request, search, recommended section, Pareto front, margin, and all numbers."""
+"""Write the controller that `rig design` found as one HTML page: wishes, search, [controller] section, margins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TEMPLATE, PAGE = "design.html.j2", "design.html"
 
 
 def render(found: Design, command: str, picture: bytes | None) -> str:
-    """Return the page of a design as HTML, with the command line that computed it and a picture (bytes of a PNG)."""
+    """Return as HTML the page about a designed controller: `command` computed it, `picture` is a PNG or missing."""
     return fill(
         TEMPLATE,
         found=found,
@@ -24,7 +24,7 @@ def render(found: Design, command: str, picture: bytes | None) -> str:
 
 
 def write_design_report(found: Design, command: str, picture: bytes | None, directory: Path) -> Path:
-    """Write the HTML page of a design into a directory and return its path; raise `RecordingError` if this fails."""
+    """Write the HTML page about a designed controller and return its path; raise `RecordingError` if this fails."""
     path = directory / PAGE
     with whole_file(path, overwrite=True) as file:
         file.write(render(found, command, picture).encode())

@@ -1,4 +1,7 @@
-"""Print hits: a line for the experiment, some lines for the verdict, and a progress bar while a hit runs."""
+"""Print wall hits: a line for the experiment, some lines for the verdict, and a progress bar while the handle moves.
+
+The commands `hit`, `plan`, `show` and `zwidth` use it. It must not judge a hit.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ def headline(experiment: Experiment) -> str:
 
 
 class ProgressBars:
-    """Progress bars of hits, shown only on a terminal; pass the method `watch` to `rig.experiments.hits.hit.hit`."""
+    """Progress bars of wall hits, shown only on a terminal; pass `watch` to `rig.experiments.hits.hit.hit`."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet or not output.on_terminal()
@@ -50,7 +53,7 @@ class ProgressBars:
             self._bars = None
 
     def watch(self, repeat: int, experiment: Experiment) -> Callable[[int, int], None] | None:
-        """Show a progress bar for one repeat of a hit; return the function that updates it; None without a terminal."""
+        """Show a bar for wall hit `repeat` (from 0); return the function that updates it; None without a terminal."""
         if self._quiet:
             return None
         phase = TextColumn("{task.fields[phase]:<8}")
@@ -68,10 +71,7 @@ class ProgressBars:
 
 
 def measuring_link(quiet: bool) -> Callable[[float], None] | None:
-    """Return a function that shows the completed share (0 to 1) of a link measurement; None without a terminal.
-
-    The function clears its line when the share is 1.
-    """
+    """Return a function that shows the progress (0 to 1) of measuring the link's delay; None without a terminal."""
     if quiet or not output.on_terminal():
         return None
 
@@ -83,10 +83,10 @@ def measuring_link(quiet: bool) -> Callable[[float], None] | None:
 
 
 def differences(asked: Experiment, effective: Experiment, meant: Collection[str]) -> list[str]:
-    """Return a text like ``wall.stiffness = 60.0 instead of 300.0`` for each key whose value differs.
+    """Return a text like ``wall.stiffness = 60.0 instead of 300.0`` for each setting whose value differs.
 
-    `asked` is the requested experiment, `effective` the one that ran. Keys in `meant` were changed on purpose and are
-    left out; with a grip also all keys of the operator, with an estimator also its settings.
+    `asked` is the requested experiment, `effective` the one that ran. Settings in `meant` were changed on purpose and
+    are left out. A changed grip also leaves out the other settings of the operator, a changed estimator its parameters.
     """
     brought = tuple(prefix for key, prefix in _CHANGED_TOGETHER.items() if key in meant)
     before = {line.key: line.value for line in describe(asked)}

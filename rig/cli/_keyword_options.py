@@ -1,4 +1,7 @@
-"""Create the options of a command from the keywords of a request dataclass (`rig.core.keyword`)."""
+"""Create the options of a command from the fields of its request, a dataclass with a help text for each field.
+
+`rig.core.keyword` reads the fields.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def keyword_options(request: type, *names: str) -> Callable[[F], F]:
-    """Return a decorator that adds a command-line option for each keyword in `names` of a request dataclass.
+    """Return a decorator that adds a command-line option for each field in `names` of the dataclass `request`.
 
-    Without names, it adds an option for each keyword that has a help text.
+    Without names, it adds an option for each field that has a help text.
     """
 
     def add(function: F) -> F:
@@ -31,7 +34,7 @@ def keyword_options(request: type, *names: str) -> Callable[[F], F]:
 
 
 def gathered_options(request: type, name: str, *fields: str) -> Callable[[F], F]:
-    """Return a decorator that adds options for the keywords `fields` of a request dataclass.
+    """Return a decorator that adds a command-line option for each of `fields` of the dataclass `request`.
 
     The command receives an instance of the dataclass, built from the options, as the argument `name`.
     """

@@ -1,4 +1,7 @@
-"""Groups of commands that are listed in tables and imported on use, so that ``--help`` is fast."""
+"""Groups of commands that are listed in tables and imported on use, so that ``--help`` is fast.
+
+`rig.cli` builds the tree of commands with it. It must not import a command before the command is called.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,8 @@ COMMANDS = "Commands"  # title of a group that has no other
 class LazyGroup(click.Group):
     """A group of commands of the core and of extras (optional packages), each imported on use.
 
-    Commands of the core work even if an extra cannot be loaded.
-
-    Parameters
-    ----------
-    titles
-        For each title in ``--help``, the table of the commands below it.
-    words
-        Words that call the group on the command line, without ``rig``.
+    Commands of the core work even if an extra cannot be loaded. `titles` has, for each title in ``--help``, the
+    commands below it and where to import them from; `words` call the group on the command line, without ``rig``.
     """
 
     def __init__(self, *arguments: Any, titles: Mapping[str, Table], words: str = "", **more: Any) -> None:
@@ -37,7 +34,7 @@ class LazyGroup(click.Group):
 
     @cached_property
     def _listed(self) -> dict[str, list[str]]:
-        """Return the names of the commands below each title of ``--help``, with the commands of extras."""
+        """Return the names of the commands below each title of ``--help``, also of optional packages (extras)."""
         listed = {title: list(table) for title, table in self._titles.items()}
         for row in extras.added("commands").values():
             above, _, name = row.name.rpartition(" ")

@@ -15,7 +15,7 @@ FILE = os.path.join(os.path.dirname(__file__), NAME)  # pathlib takes longer to 
 
 @cache
 def listing() -> dict[str, Any]:
-    """Return the content of the core's ``completion.json``: rows of commands, names of estimators and signals."""
+    """Return the core's ``completion.json``: names and options of the commands, names of estimators and signals."""
     with open(FILE, encoding="utf-8") as file:
         read: dict[str, Any] = json.load(file)
     return read
@@ -23,7 +23,7 @@ def listing() -> dict[str, Any]:
 
 @cache
 def commands() -> dict[str, Any]:
-    """Return help line and options of each command, extras included, by the words that call the command."""
+    """Return help line and options of each command, also of optional packages, by the words that call the command."""
     found = dict(listing()["commands"])
     for table in extras.tables():
         if "commands" in table.rows:

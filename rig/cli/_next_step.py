@@ -23,7 +23,7 @@ NEXT: Mapping[str, str] = {
 
 
 def name_next() -> None:
-    """Print to standard error which command usually follows, unless this command prints JSON or has ``-q``."""
+    """Print to standard error which command usually follows the running one, unless it prints JSON or has ``-q``."""
     context = click.get_current_context()
     given = context.params
     if given.get("as_json"):

@@ -15,16 +15,10 @@ _SURE = 2
 
 
 class Rehearsed:
-    """Progress display of a rehearsal, used as a context manager.
+    """Progress display of a rehearsal (a session with a simulated person), used as a context manager.
 
-    The session calls `on_event` with each event, and `looks` with each view of the operator's console.
-
-    Parameters
-    ----------
-    quiet
-        True to show nothing.
-    clock
-        Function that returns the time (s).
+    The session calls `on_event` with each entry of its log, and `looks` with each state of the operator's console.
+    `quiet` shows nothing; `clock` returns the time (s).
     """
 
     def __init__(self, *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:

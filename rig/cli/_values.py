@@ -1,4 +1,8 @@
-"""Types of option values that a shell completes by name, without slow imports."""
+"""Types of option values that a shell completes by name, without slow imports.
+
+Options of all commands use them, and `complete` replies to shells with them. This file must not import a slow package,
+such as numpy.
+"""
 
 from __future__ import annotations
 
@@ -104,7 +108,7 @@ def _rigs(incomplete: str) -> Iterator[str]:
 
 
 def _schemes(incomplete: str) -> Iterator[str]:
-    """Yield completions of a sampling scheme: first its kind, then after each comma a setting, but no rates."""
+    """Yield how a shell may complete a sampling scheme: to a kind or, after a comma, to a setting; never to a rate."""
     begun, comma, _ = incomplete.rpartition(",")
     if not comma:
         yield from ("none", "uniform:", "dual:")

@@ -1,4 +1,7 @@
-"""Dialogue with the person at a rig whose walls are mapped: ask before hits, show results, on standard error."""
+"""Measure which walls a real rig renders stably, in a dialogue with the person beside it, on standard error.
+
+`rig zwidth` and `rig design` use it. Without --confirm no, no hit may start on a real rig before the person has agreed.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +25,10 @@ SHOWN_PAUSE_S = 2.0
 
 
 class Dialogue:
-    """A dialogue that maps the walls of a device while a person stands beside it.
+    """A dialogue that measures which walls (K, B) a device renders stably, while a person stands beside it.
 
-    Parameters
-    ----------
-    plan
-        Plan of the map.
-    url, realtime
-        URL of the device, and True to run in real time.
-    confirm
-        When to ask, one of `CONFIRM`; None to ask before each hit on a real device and never on a simulated one.
+    `plan` has the walls to hit. `confirm` is when to ask: before each hit, before each series (the hits at one
+    damping), or never ("no"); None to ask before each hit on a real device and never on a simulated one.
     """
 
     def __init__(self, plan: MapPlan, url: str, *, realtime: bool, confirm: str | None) -> None:
@@ -43,7 +40,10 @@ class Dialogue:
         self._confirm = confirm or ("no" if simulated else "each")
 
     def map(self, directory: Path, *, verified: bool) -> tuple[Path, ZWidth]:
-        """Map the walls of the device; return the new directory of the map (below `directory`) and the map."""
+        """Measure which walls are stable; return the new directory below `directory`, and the limits.
+
+        `verified` is True if the operator has checked the polarity of encoder and motor.
+        """
         place = maps.directory_for(self._plan, directory, "zwidth", work_of(self._url, self._realtime))
         session = DeviceMap(
             where=OnDevice(
@@ -83,7 +83,7 @@ class Dialogue:
         return True
 
     def _hands_off(self, text: str) -> None:
-        """Ask for consent to the torque pulse that tests the rig before a hit; raise `StoppedError` without consent."""
+        """Ask for consent to the torque pulse that tests the rig before a hit; raise `StoppedError` if refused."""
         if self._confirm == "no":
             _print_message(f"  {text}")
         elif not _ask(f"  {text}   Enter: continue, q: end "):
@@ -105,7 +105,7 @@ class Dialogue:
 
 
 def load_device(url: str) -> None:
-    """Import the backend (driver) for a device URL and compile the kernels for hits on this device."""
+    """Import the driver for a device URL and compile the control loop for wall hits on this device."""
     load_backend(url)
 
 
@@ -121,7 +121,6 @@ def refuse_without_device(verified: bool, confirm: str | None) -> None:
 
 
 def _ask(text: str) -> bool:
-    """Print a question; return True for Enter, False for q or the end of the input."""
     while True:
         click.echo(text, nl=False, err=True)
         line = sys.stdin.readline()

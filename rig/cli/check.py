@@ -1,4 +1,7 @@
-"""The command ``rig device check``."""
+"""The command ``rig device check``: compare four small pushes of the motor with the rig's description.
+
+`rig.experiments.motion.pulse` moves the rig and judges the motion; this file parses options and prints.
+"""
 
 from __future__ import annotations
 

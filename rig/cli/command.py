@@ -41,13 +41,7 @@ def _store_quiet(context: click.Context, parameter: click.Parameter, value: bool
 
 
 class GroupedCommand(click.Command):
-    """A command whose options are listed in groups on its help page.
-
-    Parameters
-    ----------
-    quiet
-        True if the command accepts ``-q``; an interactive dialogue does not.
-    """
+    """A command whose options are listed in groups on its help page; `quiet` is True if it accepts ``-q``."""
 
     def __init__(self, *arguments: Any, quiet: bool = True, **more: Any) -> None:
         super().__init__(*arguments, **more)

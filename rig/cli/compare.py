@@ -1,4 +1,7 @@
-"""The command ``rig compare``."""
+"""The command ``rig compare``: one simulated hit with several sampling schemes.
+
+`rig.experiments.hits.compare` simulates them; this file parses options and prints.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +43,8 @@ def compare(
 ) -> None:
     """Compare one simulated hit without damping, with uniform and with dual-rate sampling; nothing is recorded.
 
-    Every scheme gets the same hits, at four offsets of the encoder's edges. FILE is an experiment in TOML. On a device,
-    run `rig hit --rate T1/T2` once for each scheme.
+    Every sampling scheme gets the same hits, at four offsets of position zero between two counts. FILE is an experiment
+    in TOML. On a device, run `rig hit --rate T1/T2` once for each scheme.
     """
     changes = options.changes(**changed)
     refuse_unused(changes)

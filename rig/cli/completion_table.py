@@ -38,7 +38,7 @@ def made() -> dict[Path, str]:
 
 
 def command_rows() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield words, help line and options of each command, in the order of ``--help``."""
+    """Yield the words that call a command, and its help line and options, in the order of ``--help``."""
     yield from _rows(cli.rig, "")
 
 
@@ -71,7 +71,7 @@ def _row(one: click.Command) -> dict[str, Any]:
 
 
 def _kind(parameter: click.Parameter) -> Any:
-    """Return the kind of an option's value: None (flag), a list of choices, a key of `values.KINDS`, path or text."""
+    """Return how a shell completes an option's value: None (flag), a list of choices, or the name of a kind."""
     if getattr(parameter, "is_flag", False):
         return None
     kind = parameter.type

@@ -1,4 +1,8 @@
-"""The command ``rig design``."""
+"""The command ``rig design``: find rates, estimator and filter for a rig.
+
+`rig.experiments.design` searches; this file reads the wishes from options, asks a person before it measures on a rig,
+and writes the files. It must not rate a scheme.
+"""
 
 from __future__ import annotations
 
@@ -170,12 +174,12 @@ def design_(
 ) -> None:
     """Find rates, estimator and filter for a rig that fulfil given wishes, and write a [controller] section to paste.
 
-    The search computes a list of schemes by linear theory, and then simulates hits with the best of them, with a coarse
-    stiffness step first. The same command resumes a search that was stopped. The result has the Pareto front of the
+    The search rates schemes (rates, estimator, filter) by linear theory, and then simulates hits with the best, with a
+    coarse stiffness step first. The same command resumes a stopped search. The result has the Pareto front of the
     schemes, the stability margin on rigs that differ by 20 % and in other hands, a picture and a page.
 
-    With --url the list is limited to what device and link permit, and the walls of the recommended scheme and of the
-    experiment's own scheme are then mapped on the rig, as with rig zwidth --url: a person must agree.
+    With --url only schemes are rated that device and link permit, and the stable walls of the recommended and of the
+    experiment's own scheme are then measured on the rig, as with rig zwidth --url: a person must agree.
     """
     if url is None:
         refuse_without_device(verified, confirm)
@@ -227,7 +231,7 @@ def design_(
 
 
 def _ticks(request: DesignRequest, board: str) -> list[str]:
-    """Return notes on the processor cycles of a law on the device, and if the experiment's own law is too slow."""
+    """Return notes on the processor cycles of control laws on the device, and if the experiment's law is too slow."""
     if not any(one.loop == "device" for one in request.places):
         return []
     budget, own = named_budget(board), request.experiment.controller
@@ -266,7 +270,10 @@ def _wall(
 
 
 def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> tuple[LawPlace, ...]:
-    """Return where the law may run (host, device) with its limits, from the options or from the device at `url`."""
+    """Return where the control law may run (host, device), each with its limits of rate and delay.
+
+    The limits come from the options `asked`, or from the device at `url`.
+    """
     loop, names = asked["loop"], ("most_rate", "round_trip", "link")
     if url is None:
         rate, round_trip_s, link = (asked[name] for name in names)
@@ -290,14 +297,14 @@ def _places(experiment: Experiment, url: str | None, asked: dict[str, Any]) -> t
     wanted = tuple(allowed) if loop == "both" else (loop or experiment.controller.loop,)
     if not set(wanted) <= set(allowed):
         raise ConfigError(
-            f"the device at {url} cannot run the law itself",
-            remedy="give --loop host, or flash a firmware that runs the law",
+            f"the device at {url} cannot run the control law itself",
+            remedy="give --loop host, or flash a firmware that runs it",
         )
     return tuple(allowed[one] for one in wanted)
 
 
 def _write(found: Design, place: Path, section: Path | None, ending: str) -> dict[str, str | None]:
-    """Write the section, the numbers, the picture and the page of a design; return their paths by name."""
+    """Write the [controller] section, the numbers, the picture and the page of a design; return their paths by name."""
     write_document(place / SUMMARY, found.as_mapping())
     for path in [place / SECTION, *([] if section is None else [section])]:
         with whole_file(path, overwrite=True) as file:
@@ -319,7 +326,10 @@ def _write(found: Design, place: Path, section: Path | None, ending: str) -> dic
 def _on_rig(
     found: Design, url: str, verified: bool, confirm: str | None, place: Path
 ) -> list[dict[str, Any]]:
-    """Map the recommended scheme and the experiment's own scheme on the device; return the maps as plain values."""
+    """Measure on the device which walls are stable with the recommended and with the experiment's own sampling scheme.
+
+    Return the limits of both as plain values.
+    """
     maps = []
     standings = [found.recommended] if found.recommended is found.own else [found.recommended, found.own]
     for one in (standing.candidate for standing in standings):

@@ -1,4 +1,7 @@
-"""The command ``rig doctor``."""
+"""The command ``rig doctor``: examine this computer and the link to a device.
+
+`rig.experiments.hits.examine` examines; this file parses options and prints. It must not change the computer.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The commands ``rig estimators …``: list, compare on motions, tune, and export estimators as C."""
+"""The commands ``rig estimators …``: list, compare on motions, tune, and export estimators as C.
+
+`rig.experiments.estimation` computes; this file parses options, prints, and writes the results.
+"""
 
 from __future__ import annotations
 
@@ -270,14 +273,14 @@ def _setting(setting: Any) -> dict[str, Any]:
     return {name: getattr(setting, name) for name in names if hasattr(setting, name)}
 
 
-def _describe(p: dict[str, Any]) -> str:
-    if "choices" in p:
-        return f"{p['default']}   ({' | '.join(p['choices'])}) {p['meaning']}"
-    unit = "" if p["unit"] == "1" else f" {p['unit']}"
-    default = "that of the rig, in" if p["of_rig"] else "must be given, in"
-    if p["default"] is not None:
-        default = f"{p['default']:g}"
-    return f"{default}{unit}   ({p['minimum']:g} to {p['maximum']:g}) {p['meaning']}"
+def _describe(parameter: dict[str, Any]) -> str:
+    if "choices" in parameter:
+        return f"{parameter['default']}   ({' | '.join(parameter['choices'])}) {parameter['meaning']}"
+    unit = "" if parameter["unit"] == "1" else f" {parameter['unit']}"
+    default = "that of the rig, in" if parameter["of_rig"] else "must be given, in"
+    if parameter["default"] is not None:
+        default = f"{parameter['default']:g}"
+    return f"{default}{unit}   ({parameter['minimum']:g} to {parameter['maximum']:g}) {parameter['meaning']}"
 
 
 def _headline(case: Case) -> str:

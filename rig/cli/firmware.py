@@ -1,4 +1,7 @@
-"""The commands ``rig firmware …``: build an image for a board and a rig, inspect it, flash it, and test a device."""
+"""The commands ``rig firmware …``: build an image for a board and a rig, inspect it, flash it, and test a device.
+
+`rig.firmware.interface` does the work; this file parses options and prints.
+"""
 
 from __future__ import annotations
 

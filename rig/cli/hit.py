@@ -1,4 +1,8 @@
-"""The command ``rig hit``."""
+"""The command ``rig hit``: push the handle into a virtual wall, judge, record and draw.
+
+`rig.experiments.hits.hit` runs and judges the hit; this file parses options, prints, and draws in another process. A
+failed picture must not end a run.
+"""
 
 from __future__ import annotations
 
@@ -80,10 +84,7 @@ def hit(request: hits.HitRequest, plot: str, expected: tuple[str, ...], as_json:
 
 
 class Artist:
-    """A separate process that draws pictures of recordings; it imports its libraries while the trial runs.
-
-    If a picture fails, this is only reported, because the recording is already on disk.
-    """
+    """A separate process that draws pictures of recordings; it imports its libraries while the trial runs."""
 
     def __init__(self, ending: str) -> None:
         self._ending = ending
@@ -121,6 +122,7 @@ class Artist:
         except (OSError, ValueError):
             answer = {"error": "the process that draws ended"}
         if "picture" not in answer:
+            # Report only: the recording is already on disk.
             click.echo(f"rig: no picture: {answer['error']}", err=True)
         return answer.get("picture")
 
@@ -135,7 +137,7 @@ def _print_result(result: Any, picture: str | None, changed: list[str]) -> None:
 
 
 def _print_gate(gate: Gate) -> None:
-    """Print the reasons against arming if the wall is armed in spite of them: on a simulated rig, or --arm-anyway."""
+    """Warn if the wall is armed although the check before arming fails: on a simulated rig, or with --arm-anyway."""
     if gate.armable:
         return
     why = "--arm-anyway" if gate.forced and not gate.simulated else "a real rig would refuse to arm"

@@ -1,4 +1,8 @@
-"""The command ``rig identify``."""
+"""The command ``rig identify``: move the free handle, and identify the parameters of the rig.
+
+`rig.experiments.identification` moves and identifies; this file parses options, asks the person, prints, and writes the
+file.
+"""
 
 from __future__ import annotations
 

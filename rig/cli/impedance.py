@@ -1,4 +1,7 @@
-"""The command ``rig impedance measure``."""
+"""The command ``rig impedance measure``: excite a rig about a wall, and judge passivity and fidelity.
+
+`rig.experiments.mapping.impedance` measures and judges; this file parses options and prints.
+"""
 
 from __future__ import annotations
 
@@ -122,7 +125,7 @@ def measure(
         output.print_pairs([*pairs, ("picture", picture)] if picture else pairs)
     if results and not measured:
         error = GuardError(
-            f"the guard ended every run: {results[0].ended}",
+            f"the safety guard ended every run: {results[0].ended}",
             remedy="choose a softer wall or a smaller excitation",
         )
         error.reported = as_json
@@ -138,15 +141,18 @@ def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, b
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]
-    k = (own.stiffness,) if stiffness is None else numbers_of(stiffness, "--stiffness")
-    b = (own.damping,) if damping is None else numbers_of(damping, "--damping")
-    if len(k) != len(b) and 1 not in (len(k), len(b)):
+    stiffnesses = (own.stiffness,) if stiffness is None else numbers_of(stiffness, "--stiffness")
+    dampings = (own.damping,) if damping is None else numbers_of(damping, "--damping")
+    if len(stiffnesses) != len(dampings) and 1 not in (len(stiffnesses), len(dampings)):
         raise ConfigError(
-            f"{len(k)} stiffnesses and {len(b)} dampings cannot be paired",
+            f"{len(stiffnesses)} stiffnesses and {len(dampings)} dampings cannot be paired",
             remedy="give the same number of stiffnesses and dampings, or a single value of one of them",
         )
-    n = max(len(k), len(b))
-    walls = list(zip(k if len(k) == n else k * n, b if len(b) == n else b * n, strict=True))
+    count = max(len(stiffnesses), len(dampings))
+    stiffnesses, dampings = (
+        values if len(values) == count else values * count for values in (stiffnesses, dampings)
+    )
+    walls = list(zip(stiffnesses, dampings, strict=True))
     return [(0.0, 0.0), *walls] if bare else walls
 
 
@@ -178,8 +184,10 @@ def _print(results: tuple[ImpedanceResult, ...]) -> None:
 
 
 def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
-    x = result.experiment
-    inertia, damping, stiffness = (unit_of(q, x.rig.motion) for q in ("inertia", "damping", "stiffness"))
+    experiment = result.experiment
+    inertia, damping, stiffness = (
+        unit_of(q, experiment.rig.motion) for q in ("inertia", "damping", "stiffness")
+    )
     clipped = [("effort clipped", f"in {result.saturated:.2%} of the ticks")] if result.saturated else []
     if result.impedance is None or result.judgement is None or result.fidelity is None:
         return [(click.style("ended", fg="red"), f"after {result.ended_s:.3g} s: {result.ended}"), *clipped]
@@ -206,7 +214,7 @@ def _pairs(result: ImpedanceResult) -> list[tuple[str, str]]:
         values, doubt = result.fitted.values, result.fitted.deviations
         pairs += [
             (
-                "mass" if x.rig.motion == "linear" else "inertia",
+                "mass" if experiment.rig.motion == "linear" else "inertia",
                 _with(values["inertia"], doubt["inertia"], inertia),
             ),
             ("damping", _with(values["damping"], doubt["damping"], damping) + ", friction's share included"),

@@ -1,4 +1,7 @@
-"""The command ``rig impedance map``."""
+"""The command ``rig impedance map``: map where the impedance of a simulated rig's walls is passive.
+
+`rig.experiments.mapping` computes the map; this file parses options and prints.
+"""
 
 from __future__ import annotations
 

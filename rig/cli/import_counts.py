@@ -1,4 +1,7 @@
-"""The command ``rig recording import``."""
+"""The command ``rig recording import``: convert times and counts of another logger to a recording.
+
+`rig.recording.counts` reads and checks the counts; this file parses options and prints.
+"""
 
 from __future__ import annotations
 

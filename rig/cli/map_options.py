@@ -1,6 +1,6 @@
-"""Options that the commands for maps share: the rig and its walls, the computation, and the output.
+"""Options of the commands that measure a map (which walls are stable or passive): rig, walls, computation, output.
 
-Commands that run a map use them as decorators. This file must not run a map.
+These commands use them as decorators. This file must not measure a map.
 """
 
 from __future__ import annotations
@@ -48,7 +48,10 @@ def chosen(
     url: str | None = None,
     device: bool = False,
 ) -> Experiment:
-    """Return the experiment to map; by default a simulated hand holds the handle of a simulated built-in rig."""
+    """Return the experiment whose walls are mapped, from the options of a command.
+
+    Without file, operator and effort a simulated hand holds the handle, unless a `device` or --set chooses the push.
+    """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     says = any(text.partition("=")[0].strip() == "trial.kind" for text in sets)
     if operator is None and file is None and effort is None and not device and not says:

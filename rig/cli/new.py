@@ -1,4 +1,7 @@
-"""The command ``rig experiment new``."""
+"""The command ``rig experiment new``: write an experiment file from data sheets.
+
+`rig.experiments.new_rig` has the questions and converts the answers; this file asks them and writes the file.
+"""
 
 from __future__ import annotations
 

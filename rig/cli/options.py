@@ -65,7 +65,7 @@ def rig_option(default: str = DEFAULT_PRESET, *, given: bool = False) -> Callabl
 
 
 class CommandSettings(HitSettings, total=False):
-    """Settings of the experiment that have their own options, except rates and operator."""
+    """Settings of the experiment that have a command-line option of their own, except rates and operator."""
 
     estimator: Annotated[str, Keyword(key="controller.estimator")]
     cutoff: Annotated[
@@ -133,7 +133,7 @@ cutoff_option = keyword_options(CommandSettings, "cutoff")
 
 
 def scheme_option(default: str, group: str = EXPERIMENT) -> Callable[[F], F]:
-    """Return a decorator that adds --scheme, the sampling schemes to compare, and --cutoff, their common cut-off.
+    """Return a decorator that adds --scheme (sampling schemes to compare) and --cutoff (of their velocity filters).
 
     `default` describes the default schemes in the help text.
     """
@@ -173,7 +173,7 @@ def seed_option(help: str, group: str = EXPERIMENT, **more: Any) -> Callable[[F]
 
 
 def signal_option(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    """Return a decorator that adds --signal, a reference signal of `rig.experiments.estimation._signals`."""
+    """Return a decorator that adds --signal, the name of a synthetic motion on which estimators are tested."""
     return option("--signal", *names, type=values.SIGNAL, help=help, **more)
 
 
@@ -372,9 +372,9 @@ free_rig_options = added(file_argument, rig_option(), set_option)
 
 
 def request_options(request: type, which: Callable[[F], F]) -> Callable[[F], F]:
-    """Return a decorator that adds the options in `which` and an option for each keyword of a request dataclass.
+    """Return a decorator that adds the options `which`, and an option for each field of the dataclass `request`.
 
-    The command receives the request, built from the options, as the argument `request`.
+    The command receives an instance of the dataclass, built from the options, as the argument `request`.
     """
 
     def add(function: F) -> F:
@@ -400,9 +400,9 @@ def excited_experiment(
     cutoff: str | None,
     **named: Any,
 ) -> Experiment:
-    """Return the experiment of a rig that is excited, from the options of a command.
+    """Return the experiment of a rig that is excited to measure its impedance, from the options of a command.
 
-    `named` are `ExcitationSettings`; a value of None leaves the experiment's value.
+    `named` are settings of the excitation; a value of None leaves the experiment's value.
     """
     given = {name: value for name, value in named.items() if value is not None}
     if url is not None:
@@ -436,7 +436,7 @@ def preset_of(url: str | None, file: Path | None) -> str | None:
 
 
 def changes(rate: str | None = None, sets: tuple[str, ...] = (), **named: Any) -> dict[str, Any]:
-    """Return the changed values by dotted key, from --rate, --set KEY=VALUE and `CommandSettings` (`named`)."""
+    """Return the changed settings by key, like ``wall.stiffness``, from --rate, --set and other options (`named`)."""
     changed = changes_of({name: value for name, value in named.items() if value is not None}, CommandSettings)
     if rate is not None:
         changed["controller.position_rate"], changed["controller.velocity_rate"] = parse_rate(rate)
@@ -472,7 +472,6 @@ def parse_rate(text: str) -> tuple[int, int]:
 
 
 def _value(text: str) -> Any:
-    """Return a text parsed as a TOML value; text that is not valid TOML is returned as a string."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -110,7 +110,7 @@ def print_table(table: Table) -> None:
 
 
 def print_check(check: Check) -> None:
-    """Print mark, name and text of a check; if the check is not passed, also why it matters and the remedy."""
+    """Print a check: pass or fail, name and text; if it is not passed, also why it matters and the remedy."""
     mark, colour = _MARKS[check.outcome]
     click.echo(f"  {click.style(mark, fg=colour)} {check.name}: {for_terminal(check.text)}")
     if check.outcome is not Outcome.OK:

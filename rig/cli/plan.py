@@ -1,4 +1,7 @@
-"""The command ``rig experiment plan``."""
+"""The command ``rig experiment plan``: check an experiment before it runs.
+
+`rig.experiments.trials.plan` checks; this file parses options and prints. Nothing may move.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +50,8 @@ def plan(
 ) -> None:
     """Check an experiment against its limits before it runs, and list what it will do; nothing moves.
 
-    With --url, --round-trip or --realtime the wall is also checked with an assumed delay of the link, as the arming
-    gate will check it with the measured delay. Exits with an error if a check refuses the experiment.
+    With --url, --round-trip or --realtime the wall is also checked with an assumed delay of the link; before a run
+    the arming gate checks it with the measured delay. Exits with an error if a check refuses the experiment.
     """
     experiment = options.chosen_experiment(file, preset or options.preset_of(url, file))
     changes = options.changes(**changed)
@@ -68,6 +71,7 @@ def plan(
     if not planned.ok:
         names = ", ".join(check.name for check in refused(planned.checks))
         raise PlanError(
-            f"the experiment is refused: {names}", remedy="follow the remedy of each of these checks"
+            f"the experiment is refused by the checks {names}",
+            remedy="follow the remedy of each of these checks",
         )
     name_next()

@@ -62,16 +62,10 @@ class _Bar:
 
 
 class SweepBar(_Bar):
-    """A progress bar of one sweep, for a ``with`` block; pass `watch` to `rig.experiments.sweep.run`.
+    """A progress bar of one sweep (a computation of many tasks), for a ``with`` block.
 
-    Parameters
-    ----------
-    what
-        Short name of the computation.
-    unit
-        Unit of the displayed rate, like ``trials``.
-    plain
-        True to print lines even on a terminal, for commands that print JSON.
+    Pass `watch` to `rig.experiments.sweep.run`. `what` is a short name of the computation, `unit` that of the displayed
+    rate, like ``trials``; with `plain` the bar prints lines even on a terminal, for commands that print JSON.
     """
 
     def __init__(self, what: str, *, unit: str = "tasks", plain: bool = False) -> None:

@@ -1,4 +1,7 @@
-"""The command ``rig recording recover``."""
+"""The command ``rig recording recover``: convert captures that a crash left to recordings.
+
+`rig.experiments.trials.recover` recovers; this file finds the captures and prints.
+"""
 
 from __future__ import annotations
 

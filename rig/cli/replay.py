@@ -25,7 +25,7 @@ from rig.recording.reader import open_recording
 @options.picture_options("Draw recorded and replayed.", default=False, place="RECORDING-replay.png")
 @options.json_option
 def replay(recording: Path, picture: options.PictureOption, as_json: bool, **changed: Any) -> None:
-    """Compute the law again from the inputs of RECORDING, with the same law (bit-exact) or another one.
+    """Compute the control law again from the inputs of RECORDING, with the same law (bit-exact) or another one.
 
     The recorded motion is the input: the result shows what another estimator or law would have commanded, not how the
     motion would have changed.

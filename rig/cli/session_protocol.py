@@ -1,4 +1,7 @@
-"""The commands ``rig session new``, ``check`` and ``schema``."""
+"""The commands ``rig session new``, ``check`` and ``schema``: write and check the protocol of a study.
+
+`rig.session.protocols` checks; this file parses options and prints. It must not show the order to a blinded operator.
+"""
 
 from __future__ import annotations
 
@@ -124,7 +127,7 @@ def check(
     if not plan.ok:
         refused = [one.name for one in plan.checks if one.outcome == "refused"]
         raise PlanError(
-            f"the protocol is refused: {', '.join(refused)}",
+            f"the protocol is refused by the checks {', '.join(refused)}",
             remedy="follow the remedy of each of these checks",
         )
 
@@ -213,7 +216,6 @@ def _print_orders(plan: StudyPlan) -> None:
 
 
 def _letters(place: int) -> str:
-    """Return the letter of a condition by its index: A, B … Z, then A1, B1 and so on."""
     return chr(ord("A") + place % 26) + (str(place // 26) if place >= 26 else "")
 
 

@@ -1,4 +1,7 @@
-"""The commands ``rig session run``, ``resume``, ``show`` and ``amend``."""
+"""The commands ``rig session run``, ``resume``, ``show`` and ``amend``: run a participant's session.
+
+`rig.session.conducting` runs it and writes its log; this file parses options and creates the operator's console.
+"""
 
 from __future__ import annotations
 
@@ -308,8 +311,9 @@ def _when(at_s: float) -> tuple[str, str]:
 def amend(directory: Path, words: tuple[str, ...], trial: int | None, why: str, as_json: bool) -> None:
     """Correct the log in DIRECTORY: the verdict of a trial, whether a trial counts, a note, an answer.
 
-    With --trial N, VALUE is another verdict; or void, so that the trial does not count; or counts, to undo void. EVENT
-    is a number of `rig session show --log`. Nothing is erased: the correction is a separate event.
+    With --trial N, VALUE is another verdict; or void, so that the trial does not count; or counts, to undo void. Else
+    EVENT is the number of the log entry to correct (`rig session show --log`). Nothing is erased: the
+    correction is a separate event.
     """
     value = words[-1]
     numbers = [int(text) for text in words[:-1] if text.isdecimal()]

@@ -25,9 +25,9 @@ from rig.experiments.trials import live
 def set_(changes: tuple[str, ...], pid: int | None, patience_s: float, as_json: bool) -> None:
     """Change the wall of the loop that runs in real time: stiffness, damping, position, pull, damping_on.
 
-    The change must first pass the checks of a plan. The loop uses all new values from the same tick on, as soon as the
-    handle is outside the wall. A law on the device can change stiffness, damping and position only. Example: rig set
-    stiffness=400 damping=0.5
+    The change must first pass the checks of rig experiment plan. The loop uses all new values from the same tick on, as
+    soon as the handle is outside the wall. A law on the device can change stiffness, damping and position only.
+    Example: rig set stiffness=400 damping=0.5
     """
     values = options.key_values(changes)
 

@@ -1,4 +1,7 @@
-"""The command ``rig recording show``."""
+"""The command ``rig recording show``: print the content of a recording, and draw it.
+
+`rig.experiments.trials.judgement` computes the verdict. This file must not write to the recording.
+"""
 
 from __future__ import annotations
 
@@ -127,7 +130,7 @@ def _print(
 
 
 def _mark_pairs(happened: list[Mark]) -> list[tuple[str, str]]:
-    """Return name and text of each mark; the text has its time (s) since the trial's start, or since the first mark."""
+    """Return name and text of each time mark; the text has the time (s) since the trial's start or the first mark."""
     pairs = []
     for mark in happened:
         start = next((one for one in happened if one.name == "trial"), happened[0])
@@ -150,7 +153,6 @@ def _where(header: dict[str, Any]) -> str:
 
 
 def _agreement(found: dict[str, Any]) -> str:
-    """Return a text on how far the device's current agrees with the same law computed on this computer."""
     return (
         f"{found['differing']} of {found['compared']} currents differ, by {found['greatest_quanta']} quanta at most"
         + (

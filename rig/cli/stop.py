@@ -1,4 +1,7 @@
-"""The command ``rig stop``."""
+"""The command ``rig stop``: stop control loops that run in real time.
+
+`rig.__main__` requests the stop before it imports this file, which waits for the loops and prints which have ended.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ def stop(asked: list[LoopMemory] | None, pid: int | None, only_list: bool, as_js
 
 
 def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
-    """Print the loops, and a note if loops of other users may exist that this user cannot see."""
+    """Print the loops (without loops: the text `nothing`), and a note if loops of other users may exist."""
     hidden = running.hidden()
     if as_json:
         output.print_json({"loops": loops, "hidden": hidden})
@@ -58,7 +61,6 @@ def _show(loops: list[dict[str, Any]], nothing: str, as_json: bool) -> None:
 
 
 def _line(loop: dict[str, Any]) -> str:
-    """Return a line like ``process 4711: stopped after 12,345 ticks (trial), serial:///dev/ttyACM0, ….rigcap``."""
     did = {None: "runs,", True: "stopped after", False: "asked to stop after"}[loop.get("ended")]
     parts = [f"process {loop['pid']}: {did} {loop['ticks']:,} ticks ({loop['phase']})"]
     if loop["since"]:

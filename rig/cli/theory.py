@@ -1,4 +1,7 @@
-"""The command ``rig theory walls``."""
+"""The command ``rig theory walls``: compute which walls are stable by linear theory.
+
+`rig.analysis.theory` computes; this file parses options and prints.
+"""
 
 from __future__ import annotations
 
@@ -55,12 +58,12 @@ def walls(
     plot: str,
     as_json: bool,
 ) -> None:
-    """Compute which walls are stable on a rig by exact linear theory, and which condition limits K; no simulation.
+    """Compute which walls are stable on a rig by exact linear theory, and what limits their stiffness K; no simulation.
 
     For each scheme: the largest stable stiffness at B = 0 and at the wall's damping, the largest damping, islands of
-    stability above the limit, and the conditions for passivity. Friction, quantum and saturation are left out: on the
-    papers' rigs, with their Coulomb friction, `rig zwidth -B 0` finds 1.1 to 2.5 times this K_max, without friction 0.4
-    to 0.9 times; the quantum reduces the range of B by 30 to 50 %. `rig theory disagreement` shows where that matters.
+    stability above the limit, and the conditions for passivity. Friction, quantisation and saturation are left out: on
+    the papers' rigs, with their Coulomb friction, `rig zwidth -B 0` finds 1.1 to 2.5 times this K_max, without friction
+    0.4 to 0.9 times; quantisation reduces the range of B by 30 to 50 %. `rig theory disagreement` maps this.
     """
     experiment = options.chosen_experiment(file, preset)
     changes = options.changes(rate=None, sets=sets, damping=damping, cutoff=cutoff)
@@ -151,7 +154,6 @@ def _limit(at: AtDamping, unit: str) -> str:
 
 
 def _bounds(at: AtDamping) -> list[tuple[str, str]]:
-    """Return label and text for each stiffness limit; conditions with an equal limit share a line."""
     binding = at.passivity.binding
     lines: dict[str, list[Bound]] = {}
     for bound in at.passivity.bounds:

@@ -1,4 +1,7 @@
-"""The command ``rig zwidth``."""
+"""The command ``rig zwidth``: map the walls that a rig renders stably.
+
+`rig.experiments.mapping` simulates or measures the hits; this file parses options, prints and draws.
+"""
 
 from __future__ import annotations
 
@@ -147,7 +150,7 @@ def _limit(found: Boundary, lowest: float) -> str:
 
 def _notes(found: ZWidth) -> list[str]:
     notes = [] if found.cutoffs is None else [found.cutoffs]
-    if any(b.capped for b in found.boundaries):
+    if any(boundary.capped for boundary in found.boundaries):
         notes.append(
             "≥ before K: some series reached the highest stiffness before a wall failed, so the "
             "limit is higher: push harder (--effort; this begins another map)"
@@ -167,13 +170,13 @@ def _notes(found: ZWidth) -> list[str]:
                 f"commands more than the effort limit, so less than {RENDERED:.0%} of the damping is "
                 "rendered; filter the velocity more, or sample it more slowly"
             )
-    if any(limit.islands for b in found.boundaries for limit in b.limits):
+    if any(limit.islands for boundary in found.boundaries for limit in boundary.limits):
         notes.append(
             "there are islands: stable walls that are stiffer than an unstable one (see the picture)"
         )
     if found.of_device_loop:
         notes.append(stands_for_device(found.plan.experiment))
-    unknown = sum(b.unknown for b in found.boundaries if b.criterion == "any")
+    unknown = sum(boundary.unknown for boundary in found.boundaries if boundary.criterion == "any")
     if unknown:
         why = ", ".join(f"{reason} ({number})" for reason, number in found.invalid().items())
         notes.append(f"{unknown} of {found.hits} hits were invalid: {why}")
@@ -181,7 +184,7 @@ def _notes(found: ZWidth) -> list[str]:
 
 
 def _holes(found: ZWidth) -> list[str]:
-    """Return a note for each scheme with dampings at which no wall passed although walls passed at a larger damping."""
+    """Return a note for each sampling scheme with a damping without stable wall, below one with stable walls."""
     notes = []
     for number, scheme in enumerate(found.plan.schemes):
         holes = {name: found.width(number, name).holes for name in CRITERIA}

@@ -171,7 +171,7 @@ ROWS = (
         ((NO_FILE, 9, NO_FILE),)),
     Row("estimators rank",
         "tests/extras/papers/test_ranking.py::test_the_command_writes_results_and_the_page_that_follows_from_them", "",
-        "", (("no-rig", 2, "koul-rigid"), ("hapkit --entry mine", 2, "is not an entry"))),
+        "", (("no-rig", 2, "koul-rigid"), ("hapkit --entry mine", 2, "does not name an estimator"))),
     Row("reproduce",
         "tests/extras/papers/test_reproduction.py::test_the_command_writes_one_report_and_resumes_from_its_journal", "",
         "", (("unknown", 2, "koul"), ("koul --quick -o mine.toml/below", 9, "cannot make"),

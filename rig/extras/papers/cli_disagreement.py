@@ -34,7 +34,7 @@ def disagreement(
 ) -> None:
     """Hit every wall of a range, and report where linear theory and hits differ, and why.
 
-    Walls that differ are hit again without friction, quantum, saturation or loss of contact, one at a time and
+    Walls that differ are hit again without friction, quantisation, saturation or loss of contact, one at a time and
     together, to find the cause. Prints a paragraph to cite, and draws a picture.
     """
     plan = DisagreementPlan(map=walls.plan(map_options.chosen(**rig)))

@@ -41,7 +41,10 @@ def _figure_7(panels: Sequence[Panel]) -> Table:
     rows = []
     for panel in panels:
         outcomes = zip(panel.peaks, panel.comparison.outcomes, strict=True)
-        cells = [f"{peak:.2f} ({one.peaks[0]:g}…{one.peaks[1]:g})" for peak, one in outcomes]
+        cells = []
+        for peak, outcome in outcomes:
+            least, largest = outcome.peaks
+            cells.append(f"{peak:.2f} ({least:g}…{largest:g})")
         rows.append((f"{panel.arithmetic}, {panel.position_rate / 1e3:g} kHz", *cells))
     caption = "figure 7: peak penetration (counts), mean over the encoder offsets (least…largest)"
     return Table(("", "no damping", "uniform", "dual-rate"), rows, caption)
@@ -64,14 +67,14 @@ def _word_lengths(words: Sequence[WordLength]) -> Table:
 def _figure_8(profiles: Profiles) -> Table:
     rows = [
         (
-            f"{p.arithmetic}, {p.velocity_rate / 1e3:g} kHz",
-            "–" if p.delay_s is None else f"{1e3 * p.delay_s:.3f}",
-            f"{p.noise_early:.3g}",
-            f"{p.noise_late:.3g}",
-            f"{100 * p.reading_early:.3g}",
-            f"{100 * p.reading_late:.3g}",
+            f"{one.arithmetic}, {one.velocity_rate / 1e3:g} kHz",
+            "–" if one.delay_s is None else f"{1e3 * one.delay_s:.3f}",
+            f"{one.noise_early:.3g}",
+            f"{one.noise_late:.3g}",
+            f"{100 * one.reading_early:.3g}",
+            f"{100 * one.reading_late:.3g}",
         )
-        for p in profiles.profiles
+        for one in profiles.profiles
     ]
     caption = (
         f"figure 8: velocity after the impact, early ({profiles.speed_early:.2g} rad/s rms) "

@@ -17,7 +17,7 @@ from rig.extras.papers.chawda.levant_plot import levant_regions as compute
 @options.picture_options("Draw it.", default=True, place="levant-regions.png")
 @options.json_option
 def levant_regions(picture: options.PictureOption, as_json: bool) -> None:
-    """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by two proofs and by number."""
+    """Draw the gains with which Levant's differentiator converges: α = μ1·C, λ = μ2·√C, by proofs and numerically."""
     computed = compute()
     picture.draw(Path("levant-regions"), lambda path: draw_levant_regions(computed, path))
     if as_json:

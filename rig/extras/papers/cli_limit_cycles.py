@@ -34,7 +34,7 @@ def limit_cycles(
     sets: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Predict how the encoder's quantum makes walls oscillate, by describing functions, and simulate the same walls.
+    """Predict how the encoder's quantisation makes walls oscillate, by describing functions, and simulate these walls.
 
     Prints amplitude (counts) and frequency, predicted and simulated, with and without Coulomb friction. A constant push
     holds the handle half-way between two counts, where walls oscillate most; no hand holds it.

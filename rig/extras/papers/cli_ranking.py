@@ -1,4 +1,4 @@
-"""Command ``rig estimators rank``: rank estimators and laws by the areas of rendered walls."""
+"""Command ``rig estimators rank``: rank estimators and control laws by the range of walls that they render."""
 
 from __future__ import annotations
 
@@ -33,10 +33,11 @@ from rig.recording.files import whole_file
 def rank(
     rigs: tuple[str, ...], entries: tuple[str, ...], workers: int | None, directory: Path, as_json: bool
 ) -> None:
-    """Rank estimators and laws on RIGS (or all) by the areas of rendered walls, and write a page of tables.
+    """Rank velocity estimators and control laws on RIGS (or all) by the range of walls that they render.
 
-    Each rig and eight variations are hit without a hand and in three grips, with 0, 1 and 2 ticks of delay. All rigs
-    take about 40 minutes of one core; the same command resumes an interrupted ranking.
+    The range is an area in the plane of stiffness and damping. Each rig and eight variations of its parameters are hit
+    without a hand and in three grips, with 0, 1 and 2 ticks of delay. Writes a page of tables. All rigs take about 40
+    minutes of one core; the same command resumes an interrupted ranking.
     """
     own = [_entry(text) for text in entries]
     make_directory(directory)
@@ -69,6 +70,6 @@ def _entry(text: str) -> Tuned:
     except ValueError:
         pass
     raise ConfigError(
-        f"--entry {text} is not an entry",
+        f"--entry {text} does not name an estimator and a range of one parameter",
         remedy="write NAME:PARAMETER=LOW:HIGH with two numbers above 0, like alpha-beta:bandwidth_hz=10:400",
     )
