@@ -28,21 +28,10 @@ HEADERS = {
 
 
 class Access:
-    """Checks of host name, origin and token for one served page.
+    """Checks of host name, origin and token for the page that is served on `port`.
 
-    Parameters
-    ----------
-    port
-        Port on which the page is served.
-    hosts
-        Further names, NAME:PORT, under which a browser may reach the page, such as the local end of a tunnel.
-
-    Attributes
-    ----------
-    url
-        URL of the page, with its token.
-    participants
-        Token of participants' screens.
+    `hosts` are further names, NAME:PORT, under which a browser may reach the page, such as the local end of a tunnel.
+    `url` contains the page's token, `participants` is the token of participants' screens.
     """
 
     def __init__(self, port: int, hosts: Iterable[str] = ()) -> None:
@@ -64,11 +53,11 @@ class Access:
         return origin.removeprefix("http://") in self._hosts and origin.startswith("http://")
 
     def token_right(self, token: object) -> bool:
-        """Return True if `token` is the page's token; compare in constant time, so that the duration leaks nothing."""
+        """Return True if `token` is the page's token."""
         return _same(token, self._token)
 
     def participants_right(self, token: object) -> bool:
-        """Return True if `token` is the token of participants' screens; compare in constant time."""
+        """Return True if `token` is the token of participants' screens."""
         return _same(token, self.participants)
 
     def bearer_right(self, headers: Headers) -> bool:
@@ -88,12 +77,12 @@ class Access:
 
 
 def _only(headers: Headers, name: str) -> str:
-    """Return the value of a header; empty if the header is missing or was sent more than once."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else ""
 
 
 def _same(presented: object, token: str) -> bool:
+    # In constant time, so that the duration does not reveal how many characters are right.
     return isinstance(presented, str) and hmac.compare_digest(
         presented.encode(errors="replace"), token.encode()
     )

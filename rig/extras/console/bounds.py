@@ -2,8 +2,8 @@
 
 Before its token is checked, a connection may send only the head of one HTTP request, of at most `MOST_HEAD_BYTES`. At
 most `MOST_AT_DOOR` such connections exist, each for at most `DOOR_S` (s); one more replaces the oldest. Frames are
-parsed only after the token was checked. Connections are accepted one at a time, between turns of the sockets of pages,
-so that a flood of connections blocks no page and delays no STOP (`tests/benchmarks/console_flood.py`).
+parsed only after the token was checked. Connections are accepted one at a time, alternating with the sockets of open
+pages, so that a flood of connections blocks no page and delays no STOP (`tests/benchmarks/console_flood.py`).
 """
 
 from __future__ import annotations
@@ -28,15 +28,7 @@ MOST_A_SECOND = 200.0  # messages per second of one socket
 
 
 class Places(Generic[One]):
-    """A set of at most `most` members, such as connections; one more replaces the member that was silent longest.
-
-    Parameters
-    ----------
-    most
-        Greatest number of members.
-    lose
-        Called with the member that is removed.
-    """
+    """A set of at most `most` members; one more replaces the member that was silent longest, which `lose` receives."""
 
     def __init__(self, most: int, lose: Callable[[One], None]) -> None:
         self._most, self._lose = most, lose

@@ -79,7 +79,7 @@ class Client:
         self._view = None if followed is None else View(followed.history, followed.rate, self.shown)
 
     def wake(self) -> None:
-        """Wake the task `send`, so that it sends new rows of the history."""
+        """Make the method `send` continue, because new samples for the page's scope have arrived."""
         self._wake.set()
 
     async def send(self) -> None:
@@ -95,7 +95,6 @@ class Client:
                 await self._socket.send(frame)
 
     def _frames(self) -> list[bytes]:
-        """Return the scope's unsent frames; an error disables only this page's scope."""
         if self._view is None or self.paused:
             return []
         try:

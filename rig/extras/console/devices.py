@@ -1,4 +1,7 @@
-"""Handle a page's requests about devices: connected devices, the quality of a link, the meaning of each fault."""
+"""Handle a page's requests about devices: connected devices, the quality of a link, the meaning of each fault.
+
+The server uses `Devices`; the job's process calls `doctor`. This file must not move a rig.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ class Examine(Request):
 
 
 class Devices(Service):
-    """Service for requests about devices."""
+    """Service that handles a page's requests about devices."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
@@ -57,7 +60,10 @@ class Devices(Service):
 
 
 def doctor(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Examine computer and device as a job; return ``items`` for the page, and ``error``, a text or None."""
+    """Examine this computer and the device at ``content["url"]``, and report the progress through `talk`.
+
+    Return ``items``, the findings for the page, and ``error``, a text or None.
+    """
     url = str(content["url"])
     question = ExaminationRequest(
         experiment=experiment_of(content),

@@ -39,7 +39,7 @@ ERRANDS: dict[str, Callable[..., Any]] = {
 
 
 def main() -> None:
-    """Run the tasks (errands) that arrive on standard input, one a line, until it ends."""
+    """Read, draw or compute for a page as each line of standard input requests, until the input ends."""
     answers = os.fdopen(os.dup(1), "wb")
     # Libraries print on standard output, which must contain replies only: send their output to standard error.
     os.dup2(2, 1)

@@ -32,11 +32,11 @@ class Errands:
     async def run(
         self, errand: str, *, compiling: Callable[[bool], None] = lambda busy: None, **content: Any
     ) -> tuple[Any, bytes]:
-        """Run an errand in another process: `errand` is a key of `rig.extras.console.errand_worker.ERRANDS`.
+        """Read, draw or compute in another process; `errand` names the function, and `content` has its arguments.
 
-        `content` are the errand's arguments. Return its result and its bytes, which may be empty. `compiling` is called
-        with True when a compilation begins, and with False when it ends. Raises `RigError` if the errand fails, its
-        process dies, or its reply is longer than `LINE_BYTES`.
+        Return the function's result as JSON values, and its bytes (a picture or samples; may be empty). `compiling` is
+        called with True when a compilation begins, and with False when it ends. Raises `RigError` if the function
+        fails, its process dies, or its reply is longer than `LINE_BYTES`.
         """
         async with self._free_processes:
             process = self._idle.pop() if self._idle else await self._start()

@@ -1,4 +1,7 @@
-"""Find the control loops that run on this computer, and read the rows (one for each tick) of one loop."""
+"""Find the control loops that run on this computer, and read the rows (one for each tick) of one loop.
+
+The live view uses it. It reads shared memory and must not delay the loop: it writes only a request to stop.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +34,10 @@ _COUNTERS = {
 
 
 class Followed:
-    """A control loop whose rows are read from shared memory; only its stop word is ever written.
+    """A control loop whose samples are read from shared memory; only a request to stop is ever written there.
 
-    Attributes
-    ----------
-    pid, info
-        Process of the loop, and the facts that the loop publishes about its run.
-    rate
-        Rows a second (Hz).
-    history
-        Rows read so far.
+    `pid` is the process of the loop, `info` has the facts that the loop publishes about its run, `rate` is in rows
+    (samples of all columns) a second (Hz), `history` has the rows read so far.
     """
 
     def __init__(self, loop: RunningLoop, history: History) -> None:
@@ -56,14 +53,14 @@ class Followed:
         self.ended = False
 
     def poll(self) -> None:
-        """Read the loop's new rows into the history, and check whether the loop has ended."""
+        """Append the loop's new samples to `history`, and check whether the loop has ended."""
         # Read this flag before the rows: if it is set, no row can follow after the ones read next.
         done = self._ring.get(control_words.LOOP_DONE) != 0
         self.history.add(self._reader.new())
         self.ended = done
 
     def stop(self) -> None:
-        """Write the loop's stop word: the effort becomes zero within one tick."""
+        """Request a stop in the loop's shared memory: the effort becomes zero within one tick."""
         self._ring.put(STOP, -os.getpid())
 
     def changed(self) -> bool:
@@ -96,7 +93,7 @@ class Followed:
         return state
 
     def about(self) -> dict[str, Any]:
-        """Return the facts about the run (process, rate, experiment, recording), for JSON."""
+        """Return the facts about the loop's run (process, rate, experiment, recording), for JSON."""
         return {
             "pid": self.pid,
             "since": self.since,
@@ -108,7 +105,7 @@ class Followed:
         }
 
     def close(self) -> None:
-        """Release the loop's shared memory; rows that were read stay in the history."""
+        """Release the loop's shared memory; rows that were read stay available in `history`."""
         self._ring.close()
 
     def _look_at_info(self) -> bool:
@@ -120,7 +117,7 @@ class Followed:
 
 
 def attach(loop: RunningLoop, history: History) -> Followed | None:
-    """Open the shared memory of a running loop; return a reader that adds its new rows to `history`.
+    """Open the shared memory of a running control loop; return a reader that adds its new samples to `history`.
 
     Return None if the loop has just ended, or if its shared memory has another version of the layout.
     """
@@ -130,7 +127,6 @@ def attach(loop: RunningLoop, history: History) -> Followed | None:
 
 
 def _rate_of(info: Mapping[str, Any]) -> float:
-    """Return the rate of the rows (Hz) from a loop's facts; raise `RigError` if it is not valid."""
     try:
         rate = float(((info.get("experiment") or {}).get("controller") or {}).get("position_rate") or 1000.0)
     except (AttributeError, TypeError, ValueError):
@@ -143,7 +139,7 @@ def _rate_of(info: Mapping[str, Any]) -> float:
 
 
 def newest(pid: int | None = None) -> RunningLoop | None:
-    """Return the loop that started last, of all processes or of process `pid`; None if no loop runs."""
+    """Return the control loop that started last, of all processes or of process `pid`; None if no loop runs."""
     found = [loop for loop in running() if pid in (None, loop.pid)]
     return found[-1] if found else None
 

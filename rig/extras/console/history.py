@@ -49,12 +49,7 @@ class HistoryExcerpt:
 class History:
     """Rows of one control loop, numbered from 0 in the order of arrival.
 
-    Attributes
-    ----------
-    rows
-        Number of rows that have arrived.
-    start_ns
-        Time of the first row (ns, device clock).
+    `rows` is the number of rows that have arrived, `start_ns` the time of the first row (ns, device clock).
     """
 
     def __init__(self, raw_rows: int = RAW_ROWS, buckets: int = BUCKETS) -> None:
@@ -101,7 +96,7 @@ class History:
         return self._rows_of(max(first, self.oldest_row), min(last, self.rows))
 
     def row_at(self, seconds: float) -> int:
-        """Return the row at `seconds` (s since the first row), rounded up to a multiple of 32; at most `rows`."""
+        """Return the row at `seconds` (s since the first row) rounded up to a multiple of 32, at most the row count."""
         if self._buckets == 0 or seconds >= self._newest_s():
             return self.rows
         kept = np.arange(max(0, self._buckets - len(self._times)), self._buckets)

@@ -1,4 +1,8 @@
-"""Jobs that hit a wall with a rig: pushed by the motor, or by a person who drags the handle of a simulated rig."""
+"""Jobs that hit a wall with a rig: pushed by the motor, or by a person who drags the handle of a simulated rig.
+
+The job's process (`worker`) calls `hit` and `play`; other jobs and errands use the functions that read an experiment.
+This file must not run in the server, which would delay its replies.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +41,17 @@ def experiment_of(content: Mapping[str, Any]) -> Experiment:
 
 
 def apply_changes(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
-    """Return the experiment in real time with a page's changes; raise `RigError` if a key or value is not valid."""
+    """Return the experiment with the settings that a page has changed, for a run in real time.
+
+    Raise `RigError` if a key or value is not valid.
+    """
     found = config.with_realtime(experiment, changes)
     for_experiment(found, current_quantum_a=found.rig.amplifier.current_quantum_a)
     return found
 
 
 def describe_rig(rig: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``experiment`` (all settings, with a page's changes) and its ``digest``, for JSON."""
+    """Return ``experiment`` (all settings, with those that a page has changed) and its ``digest``, for JSON."""
     experiment = apply_changes(experiment_of({"rig": rig}), changes)
     return {"experiment": config.as_mapping(experiment), "digest": digest_of(experiment)}
 
@@ -61,7 +68,7 @@ def short(data: bytes) -> str:
 
 
 def hit(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run a hit in real time as a job; return its results.
+    """Run a wall hit in real time, as a page requests it by `content`; return verdict and recording for the page.
 
     Raise `ConfigError` if the experiment has changed since a person at the rig confirmed it.
     """
@@ -76,7 +83,10 @@ def hit(content: Mapping[str, Any], talk: Talk) -> Any:
 
 
 def play(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Run a simulated rig whose handle a person drags; the page writes the hand's position to a shared file."""
+    """Run a simulated rig whose handle a person drags on a page; the page's hand position arrives in a shared file.
+
+    `content` is the page's request, `talk` the connection to the console.
+    """
     url = str(content.get("url") or SIMULATED)
     if not url.startswith("sim:"):
         raise ConfigError(

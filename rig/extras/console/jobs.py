@@ -1,4 +1,7 @@
-"""Jobs of a console (runs, sessions, maps): one at a time, each in a process that ends with the console."""
+"""Background jobs of a console (runs, sessions, maps): one at a time, each in a process that ends with the console.
+
+The server starts and stops jobs here. A control loop must not run in this process.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ LINE_BYTES = 1 << 24  # largest message: a result with all its numbers
 
 
 class Job:
-    """A running job and its process (`rig.extras.console.worker`).
+    """A running job (a run, a session or a map) and its process.
 
     Attributes
     ----------
@@ -55,9 +58,9 @@ class Job:
         return self._process.pid
 
     def end(self) -> None:
-        """Set the stop word of the job's control loops, or interrupt the job if no loop runs yet. Never waits.
+        """Stop the control loops of the job, or interrupt the job if no loop runs yet. Never waits.
 
-        A job that `asks` receives a stop message instead of the interrupt, and continues as the operator decides.
+        A session, which must ask its operator how to continue, receives a stop message instead of the interrupt.
         """
         loops = ask_to_stop(self.pid)
         if self.asks:
@@ -74,7 +77,7 @@ class Job:
             self._process.stdin.write(json.dumps(value).encode() + b"\n")
 
     def beat(self) -> None:
-        """Send a heartbeat to the job, which reports that the console still runs."""
+        """Send a heartbeat to the job's process, so that it does not end because the console seems to hang."""
         if self._process.stdin is not None and self._process.stdin.transport.get_write_buffer_size() == 0:
             self._process.stdin.write(b"\n")
 
@@ -112,7 +115,6 @@ class Job:
                 await self._process.wait()
 
     async def _read_last_error_line(self) -> str:
-        """Read standard error until the process ends; return its last line, which is the reason of a crash."""
         assert self._process.stderr is not None
         kept = b""
         while data := await self._process.stderr.read(TAIL_BYTES):
@@ -132,7 +134,7 @@ def _message(line: bytes) -> dict[str, Any] | None:
 
 
 class Jobs:
-    """Starter of jobs; only one job runs at a time.
+    """Starter of background jobs (runs, sessions, maps); only one job runs at a time.
 
     `tell` is called with the job and each of its messages; the last message reports its end.
     """
@@ -148,14 +150,10 @@ class Jobs:
     async def start(
         self, name: str, content: Mapping[str, Any], *, is_detached: bool = False, asks: bool = False
     ) -> Job:
-        """Start the job `name`, one of `rig.extras.console.worker.JOBS`; the flags are those of `Job`.
+        """Start a process for the job `name`, one of `rig.extras.console.worker.JOBS`, with the arguments `content`.
 
-        Raises
-        ------
-        ConfigError
-            Another job runs, or the console is shutting down.
-        RigError
-            The process of the job could not be started.
+        `is_detached`: the job continues without its operator. `asks`: after a STOP it asks how to continue. Raise
+        `ConfigError` if another job runs or the console is shutting down, `RigError` if the process cannot be started.
         """
         busy = self._starts if self.running is None else self.running.name
         if busy:
@@ -190,13 +188,13 @@ class Jobs:
         return job
 
     def end(self) -> None:
-        """End the running job, or the job whose process is just being started; see `Job.end`."""
+        """End the running job, also if its process is just being started: stop its control loops, or interrupt it."""
         self._stops += 1
         if self.running is not None:
             self.running.end()
 
     def beat(self) -> None:
-        """Send a heartbeat to the running job."""
+        """Send a heartbeat to the process of the running job, which ends without heartbeats."""
         if self.running is not None:
             self.running.beat()
 

@@ -24,10 +24,7 @@ class LeaseState:
 
 
 class Lease:
-    """The right to operate the rig, which one page has at a time.
-
-    `now` returns the time (s, monotonic).
-    """
+    """The right to operate the rig, which one page has at a time; `now` returns the time (s, monotonic)."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -59,8 +56,7 @@ class Lease:
     def expire(self) -> str | None:
         """End the right of a page that was silent for more than `LOST_S` (s) to operate the rig.
 
-        Return the page's name once, else None. Call this every `LOOK_S`. After a late call the right ends one call
-        later, so that waiting heartbeats can be read.
+        Return the page's name once, else None. Call this every `LOOK_S` (s).
         """
         now = self._now()
         late, self._last_call_s = now - self._last_call_s > 2.0 * LOOK_S, now

@@ -1,4 +1,7 @@
-"""The live view: choose the control loop that the pages follow, and send its rows and state to the pages' scopes."""
+"""The live view: choose the control loop that the pages follow, and send its rows and state to the pages' scopes.
+
+The server uses it. A bug here must not stop the server, which must receive a STOP (`Live._surviving`).
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ DEFECT_S = 10.0  # between two reports of the same bug
 
 
 class Live(Service):
-    """Service for the live view, and owner of the followed control loop.
+    """Service that handles requests about the live view; it owns the control loop whose samples the pages show.
 
     If `own`, follow only runs that this console started.
     """
@@ -66,10 +69,8 @@ class Live(Service):
         self.stop_all()
 
     def stop_all(self) -> None:
-        """Set the stop word of every control loop of this user.
-
-        The followed loop and the job are stopped first, because finding all other loops takes time.
-        """
+        """Request a stop of every control loop of this user: zero effort within a tick."""
+        # The followed loop and the job first, because finding all other loops takes time.
         if self._followed is not None and not self._followed.ended:
             self._followed.stop()
         self._shared.jobs.end()
@@ -91,7 +92,7 @@ class Live(Service):
         )
 
     async def _cut(self, client: Client, request: asked.Cut) -> object:
-        """Save a time span of the recording file; the history does not contain all rows at full rate."""
+        """Save a time span of the recording file, because the memory of the scope lacks older rows at full rate."""
         self._shared.must_operate(client)
         followed = self._followed
         recorded = None if followed is None else followed.info.get("recording")
@@ -99,7 +100,7 @@ class Live(Service):
             raise ConfigError("the page shows no run with a recording", remedy="run a hit first")
         if not followed.ended:
             raise ConfigError(
-                "the run has not ended, and a cut needs the complete recording",
+                "the run has not ended: only a part of a complete recording can be saved",
                 remedy="stop the run, or wait for its end",
             )
         path = Path(str(recorded))
@@ -164,12 +165,10 @@ class Live(Service):
 
     @contextmanager
     def _surviving(self, what: str) -> Iterator[None]:
-        """Report an exception to the pages, at most once per `DEFECT_S` (s), without raising it.
-
-        The server must survive a bug in the live view, because it must receive a STOP.
-        """
+        """Report an exception to the pages, at most once per `DEFECT_S` (s), without raising it."""
         try:
             yield
+        # The server must survive any bug in the live view, because it must receive a STOP.
         except Exception as error:
             now = time.monotonic()
             if now - self._defects.get(what, -math.inf) > DEFECT_S:
@@ -177,7 +176,7 @@ class Live(Service):
                 self._shared.report_trouble(defect(what, error))
 
     async def search(self) -> None:
-        """Follow the control loop of the job, or of a page's choice; none if the operator must not see the wall."""
+        """Follow the running job's control loop, else the one that a page chose; none while the operator is blinded."""
         if self._shared.blinded:
             self._withhold()
             return
@@ -252,7 +251,7 @@ class Live(Service):
                 client.put(message)
 
     async def close(self) -> None:
-        """Release the followed loop and cancel the service's tasks."""
+        """Release the followed control loop, and cancel the tasks of this service."""
         self._terminal.withdraw()
         if self._followed is not None:
             self._followed.close()

@@ -1,4 +1,7 @@
-"""Work for a page outside the server's process: list and describe stiffness maps, read results, find recordings."""
+"""Work for a page outside the server's process: list and describe maps of stable walls, read results, find recordings.
+
+`errand_worker` calls these functions. They must not write into the directory of a map.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,11 @@ MOST = 500  # maps of a list
 
 
 def directories(directory: str) -> list[dict[str, Any]]:
-    """Return up to `MOST` maps of a directory, newest first: name, rig, domain, number of schemes, and state."""
+    """Return up to `MOST` maps (measurements of which walls are stable or passive) of a directory, newest first.
+
+    Each has name, rig, domain ("time": wall hits; "frequency": impedances), number of schemes, and state ("running",
+    "finished", "stopped").
+    """
     found = [path.parent for path in Path(directory).glob(f"*/{maps.PLAN}")]
     found.sort(key=lambda path: -_changed_s(path))
     return [_headline(path) for path in found[:MOST]]
@@ -77,7 +84,7 @@ def _read(path: Path, changed_ns: int) -> tuple[MapPlan | FrequencyPlan, str]:
 
 
 def describe_map(directory: str) -> dict[str, Any]:
-    """Return axes, sampling schemes and units of a map, with the relative cost of each scheme."""
+    """Return axes, units and sampling schemes of a map of stable walls, with the computing cost of each scheme."""
     path = Path(directory)
     plan, _ = _plan(path)
     experiment = plan.experiment
@@ -108,7 +115,7 @@ def describe_map(directory: str) -> dict[str, Any]:
 
 
 def growth(directory: str, place: int) -> dict[str, Any]:
-    """Read the results that were added to a map's journal after the byte offset `place`.
+    """Read the results that were added to a map's journal (its file of results) after the byte offset `place`.
 
     Return the new columns (results at one damping), the new offset, and the state: "running", "finished" or "stopped".
     """
@@ -146,7 +153,6 @@ def _hits(plan: MapPlan, key: str, rows: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def _code(row: dict[str, Any], criterion: str, suffix: str) -> int:
-    """Return the verdict on a hit by one stability criterion, as an index in `KINDS` (stable, limit cycle, …)."""
     passes = row[f"passes_{criterion}{suffix}"]
     if passes is None:
         return INVALID
@@ -171,7 +177,7 @@ def _impedances(plan: FrequencyPlan, key: str, rows: list[dict[str, Any]]) -> di
 
 
 def theory(directory: str) -> list[dict[str, Any]]:
-    """Return the curves of linear theory for a map: index of the scheme, name, dampings and stiffnesses (SI)."""
+    """Return the largest stable and passive stiffness over damping (SI) by linear theory, for each scheme of a map."""
     plan, _ = _plan(Path(directory))
     if isinstance(plan, FrequencyPlan):
         return [
@@ -186,16 +192,18 @@ def theory(directory: str) -> list[dict[str, Any]]:
 
 
 def find_recording(directory: str, key: str, stiffness: float, output: str) -> dict[str, Any]:
-    """Return name and map of the recording of one hit; a hit of a simulated map is repeated and recorded in `output`.
+    """Return name and map of the recording of one wall hit; a hit of a simulated map is repeated and recorded.
 
-    `key` names the stiffness search that made the hit, as scheme/damping/encoder offset/repeat.
-    Raises `ConfigError` if the map has no such hit, or contains impedances instead of hits.
+    `key` names the stiffness search that made the hit, as scheme/damping/encoder offset/repeat; `output` is the
+    directory of such new recordings. Raises `ConfigError` if the map has no such hit, or contains impedances instead of
+    hits.
     """
     path = Path(directory)
     plan, device = _plan(path)
     if isinstance(plan, FrequencyPlan):
         raise ConfigError(
-            "this map has impedances and no hits", remedy="measure a single wall: rig impedance"
+            "this map contains impedances, so it has no recording of a hit",
+            remedy="measure the impedance of a single wall: rig impedance measure",
         )
     row = next(
         (

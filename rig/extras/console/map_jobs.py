@@ -1,4 +1,7 @@
-"""The job that maps a simulated rig like ``rig zwidth``; the page reads the results in the directory of the map."""
+"""Measure a map (which walls a simulated rig renders stably) for a page, like ``rig zwidth``, in a process of its own.
+
+The page reads the results in the directory of the map.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ from rig.extras.console.talk import Talk
 
 
 def zwidth(content: Mapping[str, Any], talk: Talk) -> Any:
-    """Map hits or impedances of a simulated rig as `rig.extras.console.maps.RunMap` requests; return the map's name."""
+    """Measure which walls of a simulated rig are stable or passive; return the name of the map's directory.
+
+    `content` has the fields of the page's request `RunMap`; `talk` reports the progress.
+    """
     experiment = config.override(experiment_of(content), content["changes"], "the page")
     frequency = content["domain"] == "frequency"
     plan = _impedances(experiment, content) if frequency else MapRequest(**_fields(content)).plan(experiment)

@@ -1,4 +1,4 @@
-"""Handle a page's requests about stiffness maps: show maps that any program wrote, and update them.
+"""Handle a page's requests about maps (which walls are stable or passive): show maps of any program, and update them.
 
 A map that a page starts is a job like others (`rig.extras.console.map_jobs`), whose results are also read from the
 directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each hit.
@@ -30,12 +30,12 @@ JOB = "map"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskMaps(Request):
-    """Request the list of maps."""
+    """Request the list of maps (which walls are stable or passive)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunMap(Request, MapRequest):
-    """Request a map of a simulated rig."""
+    """Request to measure which walls of a simulated rig are stable or passive."""
 
     domain: Literal["time", "frequency"] = "time"
     rig: Name = "koul-compliant"
@@ -46,12 +46,12 @@ class RunMap(Request, MapRequest):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EndMap(Request):
-    """Request the end of the running map. Finished results are stored, and a repeated request continues the map."""
+    """Request the end of the running map of stable walls; finished results stay, and a repeated request continues."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WatchMap(Request):
-    """Request a map and updates while it is being measured; an empty name ends the updates."""
+    """Request a map of stable walls and updates while it is being measured; an empty name ends the updates."""
 
     map: Name
 
@@ -65,7 +65,10 @@ class AskTheory(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskHit(Request):
-    """Request the recording of one hit of a map, by `key` of its series and stiffness (N/m or N·m/rad)."""
+    """Request the recording of one wall hit of a map, by its stiffness (N/m or N·m/rad) and its stiffness search.
+
+    `key` is the search, as scheme/damping/encoder offset/repeat.
+    """
 
     map: Name
     key: Name
@@ -74,18 +77,18 @@ class AskHit(Request):
 
 @dataclass(slots=True)
 class Watched:
-    """A map that at least one page shows.
+    """A map (which walls are stable or passive) that at least one page shows.
 
     A *column* has the results of all stiffnesses at one damping, for one scheme, encoder offset and repeat.
 
     Attributes
     ----------
     facts, columns
-        Axes and sampling schemes of the map, and the columns of its journal that were read so far.
+        Axes and sampling schemes of the map, and the columns read so far from its journal (the file of results).
     place
         Byte offset in the journal at which the next line will begin.
     begun_s, begun_weight
-        Time of the first column (s, monotonic), and the weight of all columns until then: the remaining time is
+        Time of the first column (s, monotonic), and the computing cost of all columns until then: the remaining time is
         extrapolated from later work only, without compilation.
     """
 
@@ -104,7 +107,7 @@ class Watched:
         return len(self.facts["schemes"]) * len(self.facts["dampings"]) * len(self.facts["stripes"])
 
     def take(self, grown: Mapping[str, Any], now_s: float) -> None:
-        """Append new results of the map; `grown` is the reply of `rig.extras.console.map_errands.growth`."""
+        """Append new results of the map; `grown` has the columns read, the journal's next offset and the state."""
         self.columns += grown["columns"]
         self.place = grown["place"]
         self.state = "finished" if len(self.columns) >= self.total else grown["state"]
@@ -137,7 +140,7 @@ class Watched:
 
 
 class MapService(Service):
-    """Service for requests about stiffness maps."""
+    """Service that handles requests about maps (which walls are stable or passive)."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
@@ -145,7 +148,7 @@ class MapService(Service):
         self._watched: dict[str, Watched] = {}
 
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return request class and handler of each request about stiffness maps, by the request's name."""
+        """Return request class and handler of each request about maps of stable walls, by the request's name."""
         return {
             "maps": (AskMaps, self._list),
             "map-run": (RunMap, self._run),

@@ -1,4 +1,7 @@
-"""Open a console from a program or a command. Without the extra `console`, importing this raises `ConfigError`."""
+"""Open a console from a program or a command. Without the extra `console`, importing this raises `ConfigError`.
+
+`rig console` uses it. The process must end on Ctrl-C, even if a thread waits for a missing disk (`end_on_signal`).
+"""
 
 from __future__ import annotations
 
@@ -31,10 +34,11 @@ def open_console(
     output: str | Path = "recordings",
     announce: Callable[[str], None] = print,
 ) -> None:
-    """Serve the page on this computer until Ctrl-C.
+    """Serve the page for operating rigs on this computer until Ctrl-C; recordings are written to `output`.
 
-    The arguments are those of `rig.extras.console.server.ConsoleSettings`. Raises `ConfigError` if a host is not of the
-    form NAME:PORT, or the port is in use.
+    `port` 0 is any free port; `hosts` are further names NAME:PORT of this server; `verified`: the operator has checked
+    the polarity of encoder and motor; `own`: show only runs of this console; `announce` receives the URL. Raises
+    `ConfigError` if a host is not of the form NAME:PORT, or the port is in use.
     """
     for host in hosts:
         name, colon, number = host.rpartition(":")
@@ -50,12 +54,9 @@ def open_console(
 
 
 def end_on_signal(serve: Callable[[asyncio.Event], Coroutine[None, None, None]]) -> None:
-    """Run `serve` with an event, and set the event on a signal such as Ctrl-C.
-
-    Exit the process if it has not ended `END_S` (s) after the signal: otherwise a thread that waits for a missing disk
-    would keep it running for ever. By then every control loop has received its stop word, and each job's process
-    completes its own recording.
-    """
+    """Run `serve` with an event, and set the event on a signal such as Ctrl-C; exit at most `END_S` (s) later."""
+    # A thread that waits for a missing disk would keep the process running for ever. When the timer ends it, every
+    # control loop has received its request to stop, and each job's process completes its own recording.
     late = threading.Timer(END_S, _leave)
     late.daemon = True
 

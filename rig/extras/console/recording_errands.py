@@ -1,4 +1,7 @@
-"""Work for a page outside the server's process: list recordings, cut a time span, replay, draw and export."""
+"""Work for a page outside the server's process: list recordings, cut a time span, replay, draw and export.
+
+`errand_worker` calls these functions. They must not change or delete an existing recording.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +91,6 @@ def _entry(path: Path, changed_ns: int) -> dict[str, Any]:
 
 
 def _settings(facts: Recording) -> dict[str, Any]:
-    """Return a recording's settings and verdict for the list; None for each value that the header lacks."""
     header, trailer = facts.header, facts.trailer or {}
     parts = {name: part for name, part in facts.experiment.items() if isinstance(part, dict)}
     wall, rates, trial, operator = (
@@ -172,10 +174,10 @@ def describe_recording(path: str) -> dict[str, Any]:
 def cut(
     path: str, columns: Sequence[str], first_s: float, last_s: float, changes: Mapping[str, Any] | None = None
 ) -> tuple[None, bytes]:
-    """Return columns between `first_s` and `last_s` (s since the first row), packed by `rig.extras.console.view.pack`.
+    """Return columns between `first_s` and `last_s` (s since the first row) as bytes for a scope.
 
-    With `changes` of settings, replay the recording and return the columns `COMPARED` of the replay. Errors as
-    `rig.recording.data.Recording.column` and `rig.experiments.trials.replay.replay`.
+    With `changes` of settings, replay the recording and return velocity and effort of the replay. Raise `RigError` if a
+    column is missing or the recording cannot be replayed.
     """
     recording = _open(path)
     rows, extra = recording.rows, dict[str, Any]()

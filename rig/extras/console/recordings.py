@@ -32,7 +32,7 @@ TRASH = "trash"  # directory inside that of the recordings
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskRecordings(Request):
-    """Request recordings that match every word of `search`, newest first, skipping the `first` ones; or the trash."""
+    """Request recordings (or those in the trash) that match every word of `search`, newest first, from `first` on."""
 
     search: Name = ""
     first: Annotated[int, Ge(0), Le(2**31)] = 0
@@ -72,7 +72,7 @@ class Restore(Request):
 
 
 class Recordings(Service):
-    """Service for requests about recordings."""
+    """Service that handles a page's requests about recordings."""
 
     def __init__(self, shared: ServiceContext) -> None:
         self._shared = shared
@@ -126,7 +126,7 @@ class Recordings(Service):
         restore(_recording_in(self._shared.output / TRASH, request.name), self._shared.output)
 
     async def download(self, path: str) -> Download | None:
-        """Return a cut, picture or export of a recording for a path below ``/recordings``; None for another path."""
+        """Return samples, picture or export of a recording for a path below ``/recordings``; None for another path."""
         parts, _, query = path.partition("?")
         match [unquote(part) for part in parts.split("/")]:
             case ["", "recordings", name, what]:
@@ -164,7 +164,6 @@ class Recordings(Service):
 
 
 def _recording_in(directory: Path, name: str) -> Path:
-    """Return the path of a recording in `directory`, readable or not; raise `ConfigError` for any other file."""
     path = file_in(directory, name)
     if path.suffix not in SUFFIXES:
         raise ConfigError(

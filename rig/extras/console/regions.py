@@ -1,4 +1,7 @@
-"""Compute the stiffness limits of linear theory at one damping, which a page shows beside its slider."""
+"""Compute the stiffness limits of linear theory at one damping, which a page shows beside its slider.
+
+`errand_worker` calls it, so that the server's process is not blocked.
+"""
 
 from __future__ import annotations
 
@@ -43,21 +46,18 @@ class Regions:
 
 
 def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_ticks: int) -> Regions:
-    """Compute the stiffness limits for a rig with a page's changes (`rig.extras.console.hits.apply_changes`)."""
+    """Compute the largest passive and stable stiffness by linear theory, with the settings that a page has changed.
+
+    `damping` is the wall's (SI), `delay_ticks` the measured delay of the link.
+    """
     return regions(apply_changes(experiment_of({"rig": rig}), changes), delay_ticks, damping)
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:
-    """Compute the stiffness limits at one damping; if theory gives none, they are None and `note` has the reason.
+    """Compute the stiffness limits at one damping (SI); if theory gives none, they are None and `note` has the reason.
 
-    Parameters
-    ----------
-    experiment
-        Experiment with all changes; its rates, estimator and hand are used, its wall is not.
-    delay_ticks
-        Measured delay of the link (ticks).
-    damping
-        Damping of the wall (SI).
+    Rates, estimator and hand of the experiment are used, its wall is not; `delay_ticks` is the measured delay of the
+    link.
     """
     try:
         late = LateLoops.of(experiment, delay_ticks)
@@ -82,7 +82,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
 
 
 def _passive(late: LateLoops, dampings: Sequence[float]) -> list[float]:
-    """Return the largest passive stiffness (SI) at each damping without a hand, the least of all velocity rates."""
+    """Return the largest passive stiffness (SI) at each damping without a hand, valid at all velocity rates."""
     return [
         min(curve)
         for curve in zip(*(passive_curve(loop, dampings) for loop in late.by_hand["none"]), strict=True)

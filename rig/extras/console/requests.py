@@ -79,7 +79,7 @@ class Hand(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Show(Request):
-    """Set columns, window and trigger of the page's scope; while `paused` the scope receives no new rows."""
+    """Set columns, window and trigger of the page's scope; while `paused` the scope receives no new samples."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     window_s: float = 2.0
@@ -89,7 +89,7 @@ class Show(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Zoom(Request):
-    """Request a time span of the followed loop's history (s since its first row) in detail, for a paused scope."""
+    """Request the stored samples of a time span (s since the loop's first row) in detail, for a paused scope."""
 
     columns: Annotated[tuple[Name, ...], MaxLen(100)] = DEFAULT
     first_s: float
@@ -123,7 +123,7 @@ class AskRegions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AskExperiment(Request):
-    """Request the experiment as it would run in real time with changed settings."""
+    """Request all settings of an experiment, in real time and with changed settings, and their digest; nothing runs."""
 
     rig: Name = "koul-compliant"
     changes: Changes = field(default_factory=dict)

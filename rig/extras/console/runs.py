@@ -26,14 +26,9 @@ PLAY = "play"  # the job whose hand is dragged
 
 
 class Runs(Service):
-    """Service for requests that start and change runs.
+    """Service that starts runs, or changes the wall of the control loop that `live` follows, as a page requests.
 
-    Parameters
-    ----------
-    live
-        The live view, whose followed control loop is changed.
-    verified
-        True if the operator has checked the polarity of encoder and motor, with the handle at position zero.
+    `verified` is True if the operator has checked the polarity of encoder and motor, with the handle at position zero.
     """
 
     def __init__(
@@ -69,7 +64,6 @@ class Runs(Service):
         return await self._start(request)
 
     async def _run_agreed(self, client: Client, request: asked.Run) -> dict[str, Any]:
-        """Start a run on a real rig after a person at the rig has agreed; meanwhile other requests are handled."""
         found = await self._described(request.rig, request.changes)
         digest = str(found["digest"])
         lines = consent.describe_run(
@@ -126,17 +120,14 @@ class Runs(Service):
         return found
 
     async def every_beat(self) -> None:
-        """End the running job when no page operates: its operator has left, or has given back the right to operate.
-
-        An exception in this task ends the job, even a detached one, and then the console, because no other task would
-        end the job later.
-        """
+        """End the running job when no page operates: its operator has left, or has given back the right to operate."""
         ending: Job | None = None  # job that received the request to end
         try:
             while True:
                 ending = self._beat(ending)
                 await asyncio.sleep(LOOK_S)
         except Exception:
+            # No other task would end the job later: end it, even a detached one, and then the console.
             self._shared.jobs.end()
             raise
 

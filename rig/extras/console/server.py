@@ -57,6 +57,7 @@ MOST_AT_ONCE = 1
 MOST_WAITING = 128  # connections that the operating system queues meanwhile
 # A worker that reconnects leaves its old socket open until a ping fails, hence more sockets than pages.
 MOST_HOLDS = 4 * MOST_CLIENTS
+POLICY_VIOLATION, TRY_AGAIN_LATER = 1008, 1013  # close codes of RFC 6455 and its registry
 CLOSE_S = 1.0  # for a page to confirm that its socket is closed
 # websockets counts a download as part of the handshake, and its content may have to be computed first.
 DOWNLOAD_S = 600.0
@@ -70,18 +71,15 @@ class ConsoleSettings:
 
     Attributes
     ----------
-    port
-        Port on loopback (this computer only); 0: any free port.
-    hosts
-        Further names NAME:PORT under which a browser may reach the page.
+    port, hosts
+        Port on loopback (this computer only), 0: any free port; further names NAME:PORT by which a browser may reach
+        it.
     output
         Directory of the recordings.
     verified
         True if the operator has checked the polarity of encoder and motor, with the handle at position zero.
-    own
-        Show only runs that this console started.
-    announce
-        Called with the URL once the server accepts connections.
+    own, announce
+        Show only runs that this console started; function that receives the URL once the server accepts connections.
     """
 
     port: int = 0
@@ -93,7 +91,7 @@ class ConsoleSettings:
 
 
 class Console:
-    """The services of a running server, and the state that all pages share."""
+    """Services that handle the requests to a running server (one for each view of the page), and shared state."""
 
     def __init__(self, settings: ConsoleSettings, hand: SharedHand, terminal: Terminal) -> None:
         self._shared = ServiceContext(set(), Lease(), Jobs(self._handle_job_message), settings.output)
@@ -122,7 +120,7 @@ class Console:
         with suppress(ConnectionClosed):
             name = self.access.guest(socket.request)
             if name is None:
-                await socket.close(1008, "the token is missing or wrong")
+                await socket.close(POLICY_VIOLATION, "the token is missing or wrong")
                 return
             if path == "/hold":
                 await self._hold(socket, name)
@@ -130,26 +128,28 @@ class Console:
                 await self._live(socket, Client(socket, name, participant=path == "/participant"))
 
     async def _hold(self, socket: ServerConnection, name: str) -> None:
-        """Receive heartbeats and STOP on a socket; carry out a STOP before checking the rate limit."""
         allowance = Allowance()
         try:
             self._holds.hear(socket)
             async for text in socket:
                 self._holds.hear(socket)
+                # A STOP is carried out even if the socket exceeds its rate limit.
                 if asked.json_of(text).get("stop") is True:
                     self.live.stop_all()
                     await socket.send(json.dumps({"stopped": time.monotonic()}))
                 else:
                     self._shared.lease.beat(name)
                 if not allowance.take():
-                    await socket.close(1008, f"more than {MOST_A_SECOND:g} messages a second")
+                    await socket.close(POLICY_VIOLATION, f"more than {MOST_A_SECOND:g} messages a second")
         finally:
             self._holds.leave(socket)
 
     async def _live(self, socket: ServerConnection, client: Client) -> None:
         pages = self._shared.participants if client.participant else self._shared.clients
         if len(pages) >= MOST_CLIENTS:
-            await socket.close(1013, f"{MOST_CLIENTS} pages are open, the most that are allowed; close one")
+            await socket.close(
+                TRY_AGAIN_LATER, f"{MOST_CLIENTS} pages are open, the most that are allowed; close one"
+            )
             return
         pages.add(client)
         self._greet(client)
@@ -157,7 +157,7 @@ class Console:
         try:
             async for text in socket:
                 if not client.allowance.take():
-                    await socket.close(1008, f"more than {MOST_A_SECOND:g} messages a second")
+                    await socket.close(POLICY_VIOLATION, f"more than {MOST_A_SECOND:g} messages a second")
                     return
                 await self._answer(client, text)
         finally:
@@ -200,14 +200,14 @@ class Console:
                 client.put(json.dumps(envelope))
 
     async def download(self, path: str) -> Download | None:
-        """Return the file for a URL path from the first service that has one; None if no service has."""
+        """Return the file for the path of a URL, from the first service that has one; None if no service has."""
         for service in self.services:
             if (found := await service.download(path)) is not None:
                 return found
         return None
 
     async def close(self) -> None:
-        """End the running job and close all services."""
+        """End the running job, and cancel the tasks of all services."""
         await self._shared.jobs.close()
         for service in self.services:
             await service.close()
@@ -215,7 +215,6 @@ class Console:
 
 
 def _facts() -> dict[str, Any]:
-    """Return what a page receives once when it connects: columns with units, rigs, estimators."""
     return {
         "columns": [
             {
@@ -232,7 +231,6 @@ def _facts() -> dict[str, Any]:
 
 
 def _estimator(name: str) -> dict[str, Any]:
-    """Return name and settings of an estimator; `problem` is the reason if it cannot be used, else empty."""
     if problem := estimators.broken(name):
         return {"name": name, "settings": [], "problem": problem}
     settings = estimators.get(name).settings
@@ -247,12 +245,7 @@ def _setting(setting: Setting | Choice) -> dict[str, Any]:
 async def run(settings: ConsoleSettings, terminal: Terminal, ended: asyncio.Event) -> None:
     """Serve the page until the event `ended` is set.
 
-    Raises
-    ------
-    ConfigError
-        The port is in use.
-    RigError
-        The server has a bug; it has ended all runs before.
+    Raise `ConfigError` if the port is in use, `RigError` for a bug of the server, after it has ended all runs.
     """
     static = _page()
     async with AsyncExitStack() as stack:
@@ -324,7 +317,6 @@ def _page() -> dict[str, tuple[str, bytes]]:
 async def _respond(
     console: Console, static: Mapping[str, tuple[str, bytes]], socket: ServerConnection, request: HttpRequest
 ) -> Response | None:
-    """Return the HTTP response to a request, or None if the request may open a socket."""
     access, headers = console.access, request.headers
     if not access.host_allowed(headers):
         return _response(

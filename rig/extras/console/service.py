@@ -1,4 +1,8 @@
-"""Base class of the server's services: each service handles the requests, job messages and downloads of one view."""
+"""Base class of the server's services: each service handles the requests, job messages and downloads of one view.
+
+`devices`, `live`, `maps`, `recordings`, `runs` and `sessions` are services; `server` passes requests to them. A handler
+must not block the server's event loop.
+"""
 
 from __future__ import annotations
 
@@ -30,20 +34,16 @@ class Download:
 
 @dataclass(slots=True)
 class ServiceContext:
-    """State that all services share.
+    """State that the services of all views of the page share.
 
     Attributes
     ----------
-    clients
-        Open pages.
-    participants
-        Open participants' screens.
-    lease, jobs
-        The right to operate the rig, and the running job.
+    clients, participants
+        Open pages of operators, and open participants' screens.
+    lease, jobs, errands
+        The right to operate the rig; the running job; processes that read, draw and compute for a page.
     output
         Directory of the recordings.
-    errands
-        Processes that read, draw and compute for a page.
     blinded
         True if the operator must not know the wall of the current run: no page then shows its control loop.
     """
@@ -86,17 +86,14 @@ LATER = object()  # returned by a handler that sends its reply later
 
 
 class Service(ABC):
-    """Base class: the server's part of one view of the page, such as maps or recordings."""
+    """Base class of a service: it handles the requests of one view of the page, such as maps or recordings."""
 
     @cached_property
     def _working(self) -> set[asyncio.Task[None]]:
         return set()
 
     def answer_later(self, client: Client, request: Request, work: Coroutine[Any, Any, Any]) -> object:
-        """Reply to a request when the coroutine `work` is done, and handle the page's next requests meanwhile.
-
-        Return `LATER`, which a handler must return.
-        """
+        """Reply to a request when the coroutine `work` is done; return `LATER`, which the handler must return."""
 
         async def answered() -> None:
             try:
@@ -118,24 +115,21 @@ class Service(ABC):
 
     @abstractmethod
     def handlers(self) -> Mapping[str, tuple[type[Request], Handler]]:
-        """Return request class and handler by the request's name (its field ``do``).
-
-        A handler raises `RigError` to refuse a request.
-        """
+        """Return request class and handler by the request's name; a handler refuses a request by raising `RigError`."""
 
     def greet(self, client: Client) -> None:  # noqa: B027  (most have nothing to say)
         """Send a newly connected page its initial messages."""
 
     def handle_job_message(self, job: Job, message: Mapping[str, Any]) -> bool:
-        """Handle a message of a job; return True if the pages must not receive the message."""
+        """Handle a message of a background job (run, session or map); return True if the pages must not receive it."""
         return False
 
     async def download(self, path: str) -> Download | None:
-        """Return the file for a URL path, or None if this service does not serve the path."""
+        """Return the file for the path of a URL, or None if this service does not serve the path."""
         return None
 
     async def close(self) -> None:
-        """Cancel the service's tasks that still run, and wait for their end."""
+        """Cancel the tasks of this service that still run, and wait for their end."""
         for task in self._working:
             task.cancel()
         await asyncio.gather(*self._working, return_exceptions=True)

@@ -4,10 +4,8 @@ The session engine runs in the job's process, with a *desk*, which exchanges que
 The server (`rig.extras.console.sessions`) renders the pages and interprets keys. Besides the messages of every job
 (`rig.extras.console.worker`) the two processes exchange:
 
-======  ===========================================================================
-server  ``setup`` process, keys, hand; ``view``; ``ask`` number, question
-job     ``reply`` number, action, value, shown_s; ``stop``
-======  ===========================================================================
+* to the server: ``setup`` (process id, meaning of keys, hand), ``view`` (console state), ``ask`` (number, question)
+* to the job: ``reply`` (number, action, value, time since the question was shown), ``stop``
 """
 
 from __future__ import annotations
@@ -33,19 +31,11 @@ REMEDY = "continue with `rig session resume`, or on the page"
 
 
 class PageDesk(AskingDesk):
-    """Connection of a session to its operator, who uses a page of the console.
+    """Connection of a session to its operator, who uses a page of the console, through the messages of `talk`.
 
-    Parameters
-    ----------
-    talk
-        Messages to and from the console.
-    keymap
-        Meaning of each key, from the study's protocol.
-    hand
-        Device that moves the simulated hand on the page (mouse or keyboard), and its press (N); None if the hand moves
-        by itself.
-    silence_s
-        Longest time without a message from the console during a hit (s).
+    `keymap` is the meaning of each key, from the study's protocol. `hand` is the device that moves the simulated hand
+    on the page (mouse or keyboard), and its press (N); None if the hand moves by itself. After `silence_s` (s) without
+    a message from the console during a hit, the hit is stopped.
     """
 
     def __init__(
@@ -88,7 +78,7 @@ def digest_of(protocol: str, directory: str) -> str:
 
 
 def session(content: Mapping[str, Any], talk: Talk) -> dict[str, Any]:
-    """Run or resume a session as a job; `content` comes from `rig.extras.console.sessions`.
+    """Run or resume a participant's session as a page requests it by `content`; `talk` connects to the page's server.
 
     Raise `ConfigError` if protocol or experiment have changed since a person at the rig confirmed their ``digest``.
     """

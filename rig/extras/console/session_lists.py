@@ -1,4 +1,7 @@
-"""List the sessions that a page may begin or resume: from the working directory, and from the templates."""
+"""List the sessions that a page may begin or resume: from the working directory, and from the templates.
+
+`errand_worker` and the job `session` call it. It must not write into a session.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,10 @@ def protocols() -> list[dict[str, str]]:
 
 
 def resumable() -> list[dict[str, Any]]:
-    """Return the unfinished sessions below the working directory, newest first: directory, code, title, trials."""
+    """Return the unfinished sessions below the working directory, newest first.
+
+    Each has directory, participant's code, title, number of trials, why it stopped, and if it is a rehearsal.
+    """
     return [session for log in _logs()[:MOST] if (session := _describe_unfinished(log)) is not None]
 
 
@@ -65,7 +71,6 @@ def _logs() -> list[Path]:
 
 
 def _describe_unfinished(log: Path) -> dict[str, Any] | None:
-    """Return what a list shows of an unfinished session; None if the session is finished or its log is unreadable."""
     with suppress(RigError):
         state, events = session_state(log.parent)
         if state.ended is None:

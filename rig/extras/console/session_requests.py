@@ -20,7 +20,7 @@ class ListSessions(Request):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SessionPerson:
-    """Settings of the simulated participant of a rehearsal (`rig.session.engine._rehearsal.Person`)."""
+    """Simulated participant of a rehearsal: thresholds, spread, lapse rate, and variation between people."""
 
     __pydantic_config__ = STRICT
 
@@ -32,10 +32,7 @@ class SessionPerson:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginSession(Request):
-    """Begin a session of `protocol`, or resume the session in `directory`.
-
-    `study` is the directory that contains all participants, or empty.
-    """
+    """Begin a session of `protocol` below the directory `study` (may be empty), or resume that in `directory`."""
 
     protocol: Name = ""
     code: Name = ""

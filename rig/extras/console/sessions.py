@@ -1,9 +1,8 @@
-"""Handle a page's requests about sessions: begin and resume sessions, and operate a session as at a terminal.
+"""Handle a page's requests about sessions: begin, resume and operate them by the rules of a session at a terminal.
 
-The server sends texts (`rig.session.terminal._words`) and receives keys and lines, so that a page follows the same
-rules as a terminal. A key is sent with the number of the question that was open when it was pressed; a key for an
-earlier question is ignored. A participant's screen shows only what a participant may see, and can answer only verdicts
-and questionnaire items.
+The server sends texts and receives keys and lines. A key is sent with the number of the question that was open when it
+was pressed; a key for an earlier question is ignored. A participant's screen shows only what a participant may see, and
+can answer only verdicts and questionnaire items.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ ROUND_S = 0.08  # between two updates of the session's state
 
 
 class Sessions(Service):
-    """Service for sessions: it starts the job, renders its state for the pages, and sends the operator's keys to it."""
+    """Service for requests about sessions: it starts a session's process, shows its state, and sends it keys."""
 
     def __init__(
         self, shared: ServiceContext, hand: SharedHand, terminal: Terminal, *, verified: bool
@@ -110,7 +109,6 @@ class Sessions(Service):
     async def _begin_agreed(
         self, client: Client, request: BeginSession, content: dict[str, Any], *, asks: bool
     ) -> dict[str, Any]:
-        """Begin a session on a real rig after a person at the rig has agreed; meanwhile other requests are handled."""
         url = content["url"]
         content["digest"], _ = await self._shared.errands.run(
             "session digest", protocol=request.protocol, directory=request.directory
@@ -277,7 +275,7 @@ class Sessions(Service):
         }
 
     async def close(self) -> None:
-        """End the updates of the pages, and cancel the service's tasks."""
+        """Stop updating the pages, and cancel the tasks of this service."""
         self._leave()
         await super().close()
 
@@ -291,7 +289,6 @@ def _item(talk: Conversation) -> Mapping[str, Any] | None:
 
 
 def _participant(seat: Seat) -> dict[str, Any]:
-    """Return what a participant's screen shows: the cue, the instruction and the open question."""
     talk, view = seat.talk, seat.talk.view
     verdict = talk.question is not None and talk.question.kind == "verdict"
     item = _item(talk)

@@ -1,4 +1,7 @@
-"""Messages between a job and its console, on the side of the job; `rig.extras.console.worker` lists them."""
+"""Messages between a job and its console, on the side of the job; `rig.extras.console.worker` lists them.
+
+Jobs use it. Standard output carries the messages; the console ignores other lines there.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ SILENT_S = 2.0  # after which a console is taken to hang: it beats twenty times 
 
 
 class Talk:
-    """A job's connection to its console, through standard input and output.
+    """Connection of a background job (run, session or map) to the console, through standard input and output.
 
     If `is_detached`, the job continues without its console.
     """

@@ -1,4 +1,7 @@
-"""Move recordings and their pictures to the trash directory and back; never delete or overwrite a file."""
+"""Move recordings and their pictures to the trash directory and back, for a page.
+
+It must never delete or overwrite a file.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +49,6 @@ def restore(recording: Path, directory: Path) -> None:
 
 
 def _with_pictures(recording: Path) -> list[Path]:
-    """Return the paths of a recording's pictures, then of the recording."""
     pictures = [recording.with_suffix(f".{ending}") for ending in FORMATS]
     return [*(path for path in pictures if path.is_file()), recording]
 

@@ -1,4 +1,7 @@
-"""The trigger of a scope: a sweep starts at a contact with the wall, or where a column crosses a level."""
+"""The trigger of a scope: a sweep starts at a contact with the wall, or where a column crosses a level.
+
+The scope of a page (`view`) searches new rows with it.
+"""
 
 from __future__ import annotations
 

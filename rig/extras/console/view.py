@@ -1,4 +1,7 @@
-"""One page's scope: its columns, window and trigger, and the points that the page has not received yet."""
+"""One page's scope: its columns, window and trigger, and the points that the page has not received yet.
+
+`client` sends these points; errands pack points of recordings in the same way, and `page/link.js` unpacks them.
+"""
 
 from __future__ import annotations
 
@@ -52,10 +55,7 @@ class ViewRequest:
 
 
 class View:
-    """Reader of a control loop's history for one page's scope.
-
-    `rate` is in rows a second (Hz).
-    """
+    """Reader of a control loop's samples for the scope of one page; `rate` is in rows a second (Hz)."""
 
     def __init__(self, history: History, rate: float, shown: ViewRequest) -> None:
         self._history = history
@@ -70,7 +70,7 @@ class View:
         self._done = False
 
     def frames(self) -> Iterator[bytes]:
-        """Yield the packed frames to send now: new points or, with a trigger, complete sweeps."""
+        """Yield the packed frames to send to the page now: new points or, with a trigger, complete sweeps."""
         trigger = self._shown.trigger
         if trigger is None:
             last = self._history.rows // self._step * self._step
@@ -103,9 +103,10 @@ class View:
 
 
 def pack(cut: HistoryExcerpt, columns: tuple[str, ...], **header: Any) -> bytes:
-    """Pack an excerpt as bytes: length of the header, JSON header, float64 times, low, and high unless step is 1.
+    """Pack points for a scope as bytes: length of the header, JSON header, times, least and greatest values.
 
-    The length is a uint32; the numbers begin at a multiple of 8 bytes.
+    The length is a uint32, numbers are float64 and begin at a multiple of 8 bytes. Without the greatest values if each
+    point is one row.
     """
     header_fields = {
         **header,

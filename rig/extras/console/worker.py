@@ -42,7 +42,7 @@ JOBS: Mapping[str, Work] = {
 
 
 def main() -> int:
-    """Run the job that arrives on standard input; return the exit code of the process."""
+    """Run the job (run, session or map) that standard input describes; return the exit code of the process."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     job: Mapping[str, Any] = json.loads(sys.stdin.readline())
     talk = Talk(bool(job.get("is_detached")))
