@@ -1,7 +1,7 @@
 """Executor that runs the tasks of a sweep on the workers of a Dask scheduler. Needs the extra ``cluster``.
 
 If a worker dies, the scheduler gives its tasks to other workers, and computes results that are lost with the worker
-again. `perform` refuses a worker with another version of the code whenever it joins.
+again. Each task refuses to run on a worker that has another version of the code.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CENSUS_S = 1.0  # how often the workers are counted
 
 
 class Cluster:
-    """Executor for sweeps on the workers of one Dask scheduler.
+    """Executor for sweeps (many independent simulations) on the workers of one Dask scheduler.
 
     Workers may join and leave while a sweep runs; without workers no task is sent.
     """
@@ -59,7 +59,7 @@ class Cluster:
         return self._threads
 
     def explain(self, error: BaseException) -> Failure:
-        """Convert the exception of a future to a `Failure`; raise `RigError` if the scheduler is gone."""
+        """Return why a task failed and what to do; raise `RigError` if the scheduler is gone."""
         if isinstance(error, CancelledError):
             raise self._scheduler_lost_error() from error
         if isinstance(error, self._dask.KilledWorker):

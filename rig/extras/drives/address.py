@@ -1,4 +1,7 @@
-"""Read the address of a drive from a URL, find the drive on its bus, and compare it with a rig."""
+"""Read the address of a drive from a URL, find the drive on its bus, and compare it with a rig.
+
+`serve`, `link` and `describe` use it. It must not command a motion: it only reads what the drive reports.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _LARGEST_ID, _LARGEST_PREFIX, _LARGEST_NODE = 127, 0x1FFF, 62
 
 
 class DriveFacts(Protocol):
-    """Protocol of the facts that a drive of any kind reports about itself."""
+    """Interface (`typing.Protocol`) of the facts that a drive of any kind reports about itself."""
 
     @property
     def id(self) -> int:
@@ -42,14 +45,14 @@ class DriveFacts(Protocol):
 
 
 class Address(Protocol):
-    """Protocol of a drive's address, with the settings that the URL contains."""
+    """Interface (`typing.Protocol`) of a drive's address, with the settings that the URL contains."""
 
     def look(self, bus: Bus) -> DriveFacts:
         """Identify the drive without changing it; raise `RigError` if it would not execute commands as sent."""
         ...
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Return what a bridge must know about the drive; raise `RigError` if it does not match the rig `model`."""
+        """Return what firmware in front of the drive needs; raise `RigError` if the drive does not match `model`."""
         ...
 
 
@@ -90,7 +93,7 @@ class MoteusAddress:
         return moteus.find(moteus.MoteusConversation(bus, self.drive, self.prefix), self.drive)
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Return what the bridge must know about the moteus; raise `RigError` if it does not match the rig `model`."""
+        """Return what firmware in front of the moteus needs; raise `RigError` if it does not match the rig `model`."""
         return moteus.fit(self.look(bus), model, prefix=self.prefix, switches=self.switches)
 
 
@@ -118,7 +121,7 @@ class OdriveAddress:
         return odrive.find(odrive.OdriveConversation(bus, self.node, self.endpoints))
 
     def find(self, bus: Bus, model: RigModel) -> FittedDrive:
-        """Return what the bridge must know about the ODrive; raise `RigError` if it does not match the rig `model`."""
+        """Return what firmware in front of the ODrive needs; raise `RigError` if it does not match the rig `model`."""
         return odrive.fit(self.look(bus), model)
 
 

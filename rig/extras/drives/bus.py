@@ -89,14 +89,10 @@ class Bus(Protocol):
 
 
 def open_bus(url: DeviceUrl) -> Bus:
-    """Open the bus of a URL: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a Unix socket (`_connect`).
+    """Open the bus of a URL: ``moteus:///dev/fdcanusb?checksum=off``, ``odrive://can0``, or a Unix socket for tests.
 
-    Raises
-    ------
-    ConfigError
-        The URL names no bus, or an option is not valid.
-    DeviceNotFoundError
-        The port or interface does not exist, or another program uses it.
+    Raise `ConfigError` if the URL names no bus or an option is not valid, `DeviceNotFoundError` if the port or
+    interface does not exist or another program uses it.
     """
     classic = url.scheme == "odrive"
     if not url.place or (classic and "/" in url.place and not Path(url.place).is_socket()):

@@ -1,4 +1,7 @@
-"""Commands ``rig serve moteus`` and ``rig serve odrive``: run the bridge to a drive, which is then a device."""
+"""Commands ``rig serve moteus`` and ``rig serve odrive``: run firmware (a bridge) in front of a drive.
+
+Drive and firmware together appear as one device at a port.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,6 @@ if sys.platform == "linux":
 
 
 def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Callable[[options.F], options.F]:
-    """Return a decorator that adds the options of all drives to a command; `called` is the name of the drive's id."""
     return options.added(
         options.rig_option(given=True),
         click.option(
@@ -56,7 +58,6 @@ def _bridge_options(numbers: click.IntRange, default: int, called: str) -> Calla
 
 
 def _run(url: DeviceUrl, preset: str, *, describe: bool, as_json: bool) -> None:
-    """Print an experiment file for the drive (`describe`), or run the bridge to the drive."""
     refuse_real_time("a bridge", "let a board drive the motor")
     if sys.platform == "linux":
         if describe:

@@ -109,12 +109,11 @@ def text(found: DriveFacts, url: str) -> str:
 
 
 def _round_down(value: float) -> float:
-    """Round down to four significant digits, so that the value does not exceed the drive's limit."""
+    # Four digits. A value above the drive's limit would be refused when the drive is compared with the file.
     step = 10.0 ** (math.floor(math.log10(value)) - 3)
     return math.floor(value / step) * step
 
 
 def _align(line: str) -> str:
-    """Return a line of the file with its comment in the column of the other comments."""
     value, mark, comment = line.partition(" #")
     return f"{value.rstrip():36}{mark}{comment}" if mark and value.strip() else line

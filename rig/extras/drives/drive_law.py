@@ -49,7 +49,7 @@ class DriveLaw:
 
     @classmethod
     def read(cls, setting: Callable[[str], float], source: str) -> Self:
-        """Read the settings with the function `setting`; `source` is the group of settings of the output's encoder."""
+        """Read the settings; `setting` returns a value by dotted name, `source` is the encoder's prefix of names."""
         pid = "servo.pid_position"
         return cls(
             kp=setting(f"{pid}.kp"),
@@ -89,7 +89,7 @@ class DriveLaw:
 
     @property
     def gains(self) -> tuple[float, float] | None:
-        """Stiffness and damping (N·m/turn, N·m·s/turn) of the largest wall; None if there is an objection."""
+        """Largest stiffness, damping (N·m/turn, N·m·s/turn) of the drive's own wall; None if it cannot render walls."""
         return None if self.objection else (self.kp, self.kd)
 
     def describe(self, transmission: float) -> dict[str, int | float | str]:

@@ -1,4 +1,7 @@
-"""Compare a drive with the rig of an experiment: values that must agree, and limits that the drive sets."""
+"""Compare a drive with the rig of an experiment: values that must agree, and limits that the drive sets.
+
+`moteus` and `odrive` use it for what is the same for every drive. It must not communicate with a drive.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ class Output:
     Attributes
     ----------
     encoder, counts
-        Encoder that measures the position, and its counts per turn of that encoder.
+        Encoder that measures the position, and counts per turn of its own shaft.
     counts_per_turn
         Counts per turn of the output.
     torque_constant, most_current

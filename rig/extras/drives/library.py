@@ -185,20 +185,14 @@ class FittedDrive:
 
     Attributes
     ----------
-    kind
-        Kind of drive, one of `DRIVES`.
-    firmware
-        Name and version of the drive's firmware.
+    kind, firmware
+        Kind of drive, one of `DRIVES`; name and version of the drive's firmware.
     id, prefix
         Id of the drive, and prefix of its CAN ids.
-    counts_per_turn
-        Encoder counts per turn of the output.
-    transmission
-        Angle of the output (rad) for 1 rad or 1 m of the rig.
-    ranges
-        Ranges of the device's parameters that the drive limits, by name.
-    settings
-        Further facts for the recording.
+    counts_per_turn, transmission
+        Encoder counts per turn of the output; angle of the output (rad) for 1 rad or 1 m of the rig.
+    ranges, settings
+        Ranges of the device's parameters that the drive limits, by name; further facts for the recording.
     switches
         Switches on the drive's pins.
     rate_maximum
@@ -298,10 +292,7 @@ class Bridge:
             self._library.bridge_narrow(self._address, _INDEX[parameter.name], low, high)
 
     def run(self, *, host: int, bus: int, wake: int, host_stays: bool) -> None:
-        """Run in real time on three file descriptors until `wake` is readable.
-
-        Also end when the host has closed its end, unless `host_stays`.
-        """
+        """Run on three file descriptors until `wake` is readable or, unless `host_stays`, the host closes its end."""
         ends = Ends(host=host, bus=bus, wake=wake, host_stays=host_stays)
         self._library.bridge_run(self._address, ctypes.byref(ends))
 

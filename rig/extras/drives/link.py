@@ -50,14 +50,10 @@ def open_link(url: DeviceUrl, model: RigModel | None = None) -> BridgeLink:
 
 
 class BridgeLink(DescriptorLink):
-    """Link to a device (`rig.devices.device.Link`) that is a bridge in another process.
+    """Link to a device (`rig.devices.device.Link`) that is a bridge (firmware in front of a drive) in another process.
 
-    Attributes
-    ----------
-    drive, process
-        The drive that was found, and the process id of the bridge (firmware on this computer in front of a drive).
-    cpu
-        Processor on which the bridge runs; the control loop may use the same.
+    `drive` is the drive that was found, `process` the id of the bridge's process, `cpu` the processor on which the
+    bridge runs; the control loop may use the same.
     """
 
     bytes_per_second: float | None = None
@@ -104,12 +100,10 @@ class BridgeLink(DescriptorLink):
 
 
 def _facts_in(descriptor: int) -> BridgeFacts:
-    """Return the statistics of the bus in a memory file that both processes map."""
     return BridgeFacts.from_buffer(mmap.mmap(descriptor, ctypes.sizeof(BridgeFacts)))
 
 
 def _serve(announce: Any, url: DeviceUrl, model: RigModel, host: int, shared: int, cpu: int) -> None:
-    """Run the bridge in its own process; `host` and `shared` are file descriptors."""
     serve(
         url,
         model,

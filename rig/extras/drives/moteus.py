@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
@@ -50,7 +50,9 @@ SOURCE_KINDS = (
     "sensorless",
     "BiSS-C",
 )
-AUX = {1: 0x05E, 2: 0x05F}  # registers of the pins, as inputs
+# Registers (docs/protocol/registers.md): mode, fault, firmware version, register map; pins as inputs, by port.
+MODE, FAULT, VERSION, MAP_VERSION = 0x000, 0x00F, 0x101, 0x102
+AUX = {1: 0x05E, 2: 0x05F}
 STOPPED, FAULTED, TIMED_OUT = 0, 1, 11
 MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current", 10: "position"} | {
     2: "preparing", 3: "preparing", 4: "preparing", 12: "zero velocity", 13: "stay within", 15: "brake"
@@ -58,7 +60,7 @@ MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current"
 
 
 class Asked(Protocol):
-    """Protocol of a drive whose registers and settings can be read."""
+    """Interface (`typing.Protocol`) of a drive whose registers and settings can be read."""
 
     def register(self, number: int) -> int:
         """Return the value of a register as an integer."""
@@ -72,12 +74,7 @@ class Asked(Protocol):
 class MoteusConversation:
     """Requests to one moteus and its replies, before a bridge (firmware on this computer in front of a drive) runs.
 
-    Parameters
-    ----------
-    bus
-        Bus of the drive.
-    drive, prefix
-        Id of the drive, and its setting ``can.prefix``.
+    `drive` is the id of the drive on the bus, `prefix` its setting ``can.prefix``.
     """
 
     def __init__(self, bus: Bus, drive: int, prefix: int = 0) -> None:
@@ -101,7 +98,7 @@ class MoteusConversation:
                 )
 
     def stop(self) -> None:
-        """Send the stop command: it switches the motor off, and ends the drive's state after an expired watchdog."""
+        """Send the stop command: it switches the motor off, and clears the timeout state after an expired watchdog."""
         self._send(b"\x01\x00\x00", reply=False)
 
     def register(self, number: int) -> int:
@@ -155,7 +152,6 @@ class MoteusConversation:
         self._bus.send(CanFrame(sender | (REPLY if reply else 0), data))
 
     def _line(self) -> str:
-        """Return the next line of text that the drive prints on its diagnostic channel."""
         line, deadline = b"", time.monotonic() + LINE_S
         while b"\n" not in line and time.monotonic() < deadline:
             reply = self.asked(bytes([0x42, 1, DIAGNOSTIC_BYTES]), lambda data: data.startswith(b"\x41\x01"))
@@ -169,16 +165,12 @@ class MoteusFacts:
 
     Attributes
     ----------
-    id
-        Id on the bus.
-    firmware
-        Version, such as 1.1.0.
+    id, firmware
+        Id on the bus; version, such as 1.1.0.
     mode, fault
         Registers 0x000 and 0x00f.
-    counts
-        Counts per turn of the output's encoder.
-    source
-        Kind of the output's encoder.
+    counts, source
+        Counts per turn of the output's encoder, and its kind.
     on_rotor, rotor_to_output
         True if the encoder is on the rotor; turns of the output for one turn of the rotor.
     torque_constant
@@ -231,53 +223,39 @@ class MoteusFacts:
         )
 
 
+class Required(NamedTuple):
+    """A value that a setting must have: nan or 0, as text for the drive, and what happens otherwise."""
+
+    value: str
+    why: str
+
+    def accepts(self, value: float) -> bool:
+        """Return True if a setting has the required value."""
+        return math.isnan(value) if self.value == "nan" else value == float(self.value)
+
+
 # Settings that would add a torque of their own, or take some away, and the values that do not.
-REQUIRED: dict[str, tuple[Callable[[float], bool], str, str]] = {
-    "servo.timeout_mode": (
-        lambda value: value == 0,
+REQUIRED = {
+    "servo.timeout_mode": Required(
         "0",
         "after a timeout of this computer's commands the drive would brake or hold instead of giving zero torque",
     ),
-    "servo.voltage_mode_control": (
-        lambda value: value == 0,
-        "0",
-        "the drive would not apply the commanded torque",
-    ),
-    "servo.fixed_voltage_mode": (
-        lambda value: value == 0,
-        "0",
-        "the drive would not apply the commanded torque",
-    ),
-    "servo.inertia_feedforward": (
-        lambda value: value == 0,
-        "0",
-        "the drive would add torque to the commanded one",
-    ),
-    "servo.fault_position_error": (
-        math.isnan,
-        "nan",
-        "the drive would stop with a fault when the handle moves",
-    ),
-    "servo.fault_velocity_error": (
-        math.isnan,
-        "nan",
-        "the drive would stop with a fault when the handle moves",
-    ),
+    "servo.voltage_mode_control": Required("0", "the drive would not apply the commanded torque"),
+    "servo.fixed_voltage_mode": Required("0", "the drive would not apply the commanded torque"),
+    "servo.inertia_feedforward": Required("0", "the drive would add torque to the commanded one"),
+    "servo.fault_position_error": Required("nan", "the drive would stop with a fault when the handle moves"),
+    "servo.fault_velocity_error": Required("nan", "the drive would stop with a fault when the handle moves"),
 }
 
 
 def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
     """Read the settings of a moteus, and refuse settings with which it would not execute torque commands as sent.
 
-    Raises
-    ------
-    IncompatibleDeviceError
-        The firmware has another register map.
-    DeviceRefusedError
-        Another host commands the drive, it has a fault, or a setting would change the torque.
+    Raise `IncompatibleDeviceError` if the firmware has another register map, `DeviceRefusedError` if another host
+    commands the drive, it has a fault, or a setting would change the torque.
     """
     talk.refuse_others()
-    version, registers = talk.register(0x101), talk.register(0x102)
+    version, registers = talk.register(VERSION), talk.register(MAP_VERSION)
     firmware = f"{version >> 16 & 0xFF}.{version >> 8 & 0xFF}.{version & 0xFF}"
     if registers != REGISTER_MAP:
         raise IncompatibleDeviceError(
@@ -286,22 +264,21 @@ def find(talk: MoteusConversation, drive: int) -> MoteusFacts:
             remedy="update its firmware (python -m moteus.moteus_tool --flash), or this package",
         )
     mode = _mode_at_rest(talk)
-    _refuse_mode(drive, mode, talk.register(0x00F))
-    for name, (right, wanted, why) in REQUIRED.items():
+    _refuse_mode(drive, mode, talk.register(FAULT))
+    for name, required in REQUIRED.items():
         value = talk.setting(name)
-        if not right(value):
+        if not required.accepts(value):
             raise DeviceRefusedError(
-                f"the moteus {drive} has {name} = {value:g}: {why}",
-                remedy=f"set it: in tview, conf set {name} {wanted}, then conf write",
+                f"the moteus {drive} has {name} = {value:g}: {required.why}",
+                remedy=f"set it: in tview, conf set {name} {required.value}, then conf write",
             )
     return _facts(talk, drive, firmware, mode)
 
 
 def _mode_at_rest(talk: MoteusConversation) -> int:
-    """Return the drive's mode (register 0x000) once it is at rest, at most `REST_S` (s) later."""
     # After a killed bridge the drive keeps its mode until its watchdog expires; a stop then ends the time-out mode.
     deadline = time.monotonic() + REST_S
-    while (mode := talk.register(0x000)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
+    while (mode := talk.register(MODE)) not in (STOPPED, FAULTED) and time.monotonic() < deadline:
         if mode == TIMED_OUT:
             talk.stop()
         time.sleep(REST_S / 20.0)
@@ -353,14 +330,14 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
     """
     ports, bits = set(), {"hold": 0, "stop": 0}
     for name, text in texts.items():
-        match = re.fullmatch(r"aux([12])\.([0-4])", text)
+        match = re.fullmatch(r"aux(?P<port>[12])\.(?P<bit>[0-4])", text)
         if match is None:
             raise ConfigError(
                 f"{name} = {text!r} is not a pin",
                 remedy="give aux1 or aux2, a dot and a bit from 0 to 4, for example aux1.2",
             )
-        ports.add(AUX[int(match[1])])
-        bits[name] = 1 << int(match[2])
+        ports.add(AUX[int(match["port"])])
+        bits[name] = 1 << int(match["bit"])
     if len(ports) > 1:
         raise ConfigError(
             "the switches hold and stop are on different ports of the drive",
@@ -404,7 +381,6 @@ def fit(
 
 
 def _differences(found: MoteusFacts, model: RigModel) -> Iterator[Difference]:
-    """Yield each difference between the drive and the rig, as (difference, remedy)."""
     if found.torque_constant == 0.0:
         yield "the motor is not calibrated (motor.poles or motor.Kv is 0)", "run moteus_tool --calibrate"
         return

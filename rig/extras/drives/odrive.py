@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from rig.core.errors import ConfigError, DeviceNotFoundError, DeviceRefusedError, IncompatibleDeviceError
 from rig.core.model import RigModel
@@ -82,38 +82,59 @@ READ = (
     *(ENCODER_MS, TORQUES_MS, HEARTBEAT_MS, WATCHDOG, WATCHDOG_S, VELOCITY_LIMITED, OVERSPEED, VELOCITY, TOLERANCE),
     *(ENCODER, COUNTS, BANDWIDTH, TORQUE_CONSTANT, CURRENT, LEAST_TORQUE, MOST_TORQUE),
 )  # fmt: skip
-# Settings that would leave a torque, or change one, or tell too little, and what they should be.
-REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...] = (
-    (WATCHDOG, lambda v: v[WATCHDOG] == 1, "True", "the last torque would persist when this computer stops sending"),
-    (
+
+
+class Required(NamedTuple):
+    """A parameter, a test of all parameters that it must pass, the value to set, and what happens otherwise."""
+
+    path: str
+    is_right: Callable[[Mapping[str, float]], bool]
+    wanted: str
+    why: str
+
+
+# Settings that would leave a torque, or change one, or report too little, and what they should be.
+REQUIRED = (
+    Required(
+        WATCHDOG,
+        lambda values: values[WATCHDOG] == 1,
+        "True",
+        "the last torque would persist when this computer stops sending",
+    ),
+    Required(
         WATCHDOG_S,
-        lambda v: 0.0 < v[WATCHDOG_S] <= LONGEST_WATCHDOG_S * (1.0 + FLOAT),
+        lambda values: 0.0 < values[WATCHDOG_S] <= LONGEST_WATCHDOG_S * (1.0 + FLOAT),
         "0.005",
         "the last torque would persist for this time when this computer stops sending; "
         f"allowed: above 0, at most {LONGEST_WATCHDOG_S:g} s",
     ),
-    (VELOCITY_LIMITED, lambda v: v[VELOCITY_LIMITED] == 0, "False", "it would reduce the commanded torque"),
-    (
+    Required(
+        VELOCITY_LIMITED,
+        lambda values: values[VELOCITY_LIMITED] == 0,
+        "False",
+        "it would reduce the commanded torque",
+    ),
+    Required(
         ENCODER_MS,
-        lambda v: 1 <= v[ENCODER_MS] <= LONGEST_CYCLE_MS,
+        lambda values: 1 <= values[ENCODER_MS] <= LONGEST_CYCLE_MS,
         "1",
         f"the drive sends its position too rarely or not at all; allowed: 1 to {LONGEST_CYCLE_MS} ms",
     ),
-    (
+    Required(
         TORQUES_MS,
-        lambda v: v[TORQUES_MS] == v[ENCODER_MS],
+        lambda values: values[TORQUES_MS] == values[ENCODER_MS],
         f"odrv0.{ENCODER_MS}",
         f"it must equal {ENCODER_MS}, since each position needs a measured torque",
     ),
-    (
+    Required(
         HEARTBEAT_MS,
-        lambda v: 1 <= v[HEARTBEAT_MS] <= max(LONGEST_BEAT_MS, v[ENCODER_MS]),
+        lambda values: 1 <= values[HEARTBEAT_MS] <= max(LONGEST_BEAT_MS, values[ENCODER_MS]),
         f"{LONGEST_BEAT_MS}",
         f"heartbeats show that the drive has stopped; allowed: 1 to {LONGEST_BEAT_MS} ms, or to {ENCODER_MS} if longer",
     ),
-    (
+    Required(
         ENCODER,
-        lambda v: v[ENCODER] in (ONBOARD, INCREMENTAL),
+        lambda values: values[ENCODER] in (ONBOARD, INCREMENTAL),
         f"{ONBOARD}",
         f"this encoder is not supported; allowed: {ONBOARD} (onboard encoder) and {INCREMENTAL} (incremental encoder)",
     ),
@@ -124,12 +145,7 @@ REQUIRED: tuple[tuple[str, Callable[[Mapping[str, float]], bool], str, str], ...
 class Endpoints:
     """Numbers and types of a firmware's parameters, by their path, such as ``axis0.config.enable_watchdog``.
 
-    Attributes
-    ----------
-    place, firmware
-        Path of the file that lists the parameters, and version of the firmware.
-    by_path
-        Number and `struct` format of each parameter.
+    `place` is the file that lists them, for the version `firmware`; `by_path` has number and `struct` format of each.
     """
 
     place: str
@@ -160,19 +176,8 @@ class Endpoints:
 class OdriveConversation:
     """Requests to one ODrive and its replies, before a bridge (firmware on this computer in front of a drive) runs.
 
-    Parameters
-    ----------
-    bus
-        Bus of the drive.
-    node
-        Node id of the drive on the CAN bus.
-    endpoints
-        Parameters of the drive's firmware.
-
-    Attributes
-    ----------
-    quickest_s
-        Shortest round-trip time so far (s).
+    `node` is the drive's id on the CAN bus; `endpoints` are the parameters of its firmware. `quickest_s` is the
+    shortest round-trip time so far (s).
     """
 
     def __init__(self, bus: Bus, node: int, endpoints: Endpoints) -> None:
@@ -226,7 +231,6 @@ class OdriveConversation:
     def _request(
         self, question: CanFrame, command: OdriveCommand, is_answer: Callable[[bytes], bool]
     ) -> bytes:
-        """Send a request up to `TRIES` times; return the data of the reply, or raise `DeviceNotFoundError`."""
         for _ in range(TRIES):
             self._bus.send(question)
             asked = time.monotonic()
@@ -250,16 +254,8 @@ class OdriveConversation:
 class OdriveFacts:
     """What a bridge (firmware on this computer in front of a drive) must know about an ODrive.
 
-    Attributes
-    ----------
-    id
-        Node id of the drive.
-    firmware
-        Version, such as 0.6.11.
-    values
-        Parameters of the drive, by path.
-    quickest_s
-        Shortest round-trip time (s).
+    `id` is the node id of the drive, `firmware` its version, such as 0.6.11; `values` are its parameters, by path;
+    `quickest_s` is the shortest round-trip time (s).
     """
 
     id: int
@@ -270,11 +266,11 @@ class OdriveFacts:
     @property
     def output(self) -> Output:
         """Properties of the drive's shaft."""
-        v = self.values
-        onboard = v[ENCODER] == ONBOARD
-        constant = v[TORQUE_CONSTANT]
-        most_torque = min(v[MOST_TORQUE], -v[LEAST_TORQUE], v[CURRENT] * constant)
-        counts = ONBOARD_COUNTS if onboard else int(v[COUNTS])
+        values = self.values
+        onboard = values[ENCODER] == ONBOARD
+        constant = values[TORQUE_CONSTANT]
+        most_torque = min(values[MOST_TORQUE], -values[LEAST_TORQUE], values[CURRENT] * constant)
+        counts = ONBOARD_COUNTS if onboard else int(values[COUNTS])
         return Output(
             kind="odrive",
             encoder="onboard" if onboard else "incremental",
@@ -282,7 +278,7 @@ class OdriveFacts:
             counts_per_turn=float(counts),
             torque_constant=constant,
             most_current=most_torque / constant,
-            most_speed=v[VELOCITY] * max(v[TOLERANCE], 1.0) if v[OVERSPEED] else math.inf,
+            most_speed=values[VELOCITY] * max(values[TOLERANCE], 1.0) if values[OVERSPEED] else math.inf,
             encoder_setting=ENCODER,
             scale_setting=TORQUE_CONSTANT,
             current_setting="current_soft_max and torque_soft_max",
@@ -293,12 +289,9 @@ class OdriveFacts:
 def find(talk: OdriveConversation) -> OdriveFacts:
     """Read the settings of an ODrive, and refuse settings with which it would not execute torque commands as sent.
 
-    Raises
-    ------
-    IncompatibleDeviceError
-        The firmware is not 0.6, or the endpoints are for another version.
-    DeviceRefusedError
-        Another host commands the drive, it has an error, or settings would drop or change a torque; lists all of them.
+    Raise `IncompatibleDeviceError` if the firmware is not 0.6 or the endpoints are for another version,
+    `DeviceRefusedError` if another host commands the drive, it has an error, or settings would drop or change a torque;
+    the error lists all of them.
     """
     talk.refuse_others()
     version = tuple(talk.request(OdriveCommand.GET_VERSION)[4:7])
@@ -318,11 +311,11 @@ def find(talk: OdriveConversation) -> OdriveFacts:
     values = {path: talk.parameter(path) for path in READ}
     refuse(
         (
-            f"{talk.name} has {path} = {values[path]:g}: {why}",
-            f"set odrv0.{path} = {wanted}, then save_configuration()",
+            f"{talk.name} has {one.path} = {values[one.path]:g}: {one.why}",
+            f"set odrv0.{one.path} = {one.wanted}, then save_configuration()",
         )
-        for path, right, wanted, why in REQUIRED
-        if not right(values)
+        for one in REQUIRED
+        if not one.is_right(values)
     )
     if error & ~WATCHDOG_EXPIRED:
         raise DeviceRefusedError(
@@ -333,7 +326,6 @@ def find(talk: OdriveConversation) -> OdriveFacts:
 
 
 def _error_at_rest(talk: OdriveConversation) -> int:
-    """Return the error flags of the drive once it is idle; raise `DeviceRefusedError` after `REST_S` (s)."""
     # A killed bridge leaves the drive in closed loop until the drive's own watchdog expires.
     deadline = time.monotonic() + REST_S
     while True:
@@ -391,7 +383,6 @@ def fit(found: OdriveFacts, model: RigModel) -> FittedDrive:
 
 
 def _differences(found: OdriveFacts, model: RigModel) -> Iterator[Difference]:
-    """Yield each difference between the drive and the rig, as (difference, remedy)."""
     values = found.values
     if not values[TORQUE_CONSTANT] > 0.0 or not found.output.counts > 0:
         yield (

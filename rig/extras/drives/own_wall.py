@@ -20,7 +20,7 @@ BESIDE = "fdm-butterworth"
 
 
 class OwnWall:
-    """Checks for walls that a drive renders (implements `rig.config.device_law._elsewhere.WallElsewhere`)."""
+    """Checks for a wall that a drive renders itself (implements `rig.config.device_law._elsewhere.WallElsewhere`)."""
 
     stands_for = (
         "simulated with the law of the host, at its rate and with its estimator; a drive that renders "
@@ -97,12 +97,12 @@ class OwnWall:
                 f'choose controller.estimator = "{BESIDE}", which is used only for homing and in the recording',
             ),
         )
-        for there, key, shown, why, instead in lacks:
-            if there:
-                raise NotOnDeviceError(key, f'{shown} with controller.arithmetic = "drive"', why, instead)
+        for applies, key, shown, why, remedy in lacks:
+            if applies:
+                raise NotOnDeviceError(key, f'{shown} with controller.arithmetic = "drive"', why, remedy)
 
     def planned(self, experiment: Experiment) -> list[Check]:
-        """Return one check for the plan, which states what the drive's own wall lacks."""
+        """Return one check for `rig experiment plan`, which states what the drive's own wall lacks."""
         rate = experiment.controller.position_rate
         return [
             Check(

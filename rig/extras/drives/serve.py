@@ -91,7 +91,10 @@ def serve(
 
 @contextlib.contextmanager
 def _open_host_end(host: socket.socket | None) -> Iterator[tuple[int, str]]:
-    """Yield the descriptor of the bridge's end of the link, and the path that a host opens ("" for a socket)."""
+    """Yield the file descriptor by which the firmware receives from the host, and the path that a host opens.
+
+    The path is "" if `host` is a connected socket; otherwise a pseudo-terminal is opened.
+    """
     if host is not None:
         host.setblocking(False)
         yield host.fileno(), ""

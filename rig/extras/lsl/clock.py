@@ -1,8 +1,8 @@
 """Convert the device's time to the host's while the loop runs, with a line fitted to the clock exchanges so far.
 
-The loop stores each exchange in its ring for at least a tenth of a second, so that frequent readers miss none. The line
-improves during a run: a recording, whose line is fitted at the end, differs from the streamed times by less than the
-uncertainty `sd_ns` and the asymmetry bound.
+The loop stores each exchange in its ring buffer for at least a tenth of a second, so that frequent readers miss none.
+The line improves during a run: a recording, whose line is fitted at the end, differs from the streamed times by less
+than the uncertainty `sd_ns` and the asymmetry bound.
 """
 
 from __future__ import annotations
@@ -43,7 +43,10 @@ class LiveClock:
         return None if fit is None else fit.asymmetry_bound_ns + round(3.0 * fit.offset_sd_ns)
 
     def look(self, ring: Ring) -> None:
-        """Read the newest clock exchange from the ring, and fit the conversion again: at first always, later seldom."""
+        """Read the newest clock exchange from the loop's ring buffer `ring`, and fit the conversion to host time again.
+
+        The first `EAGER` exchanges are fitted each, later ones every `EVERY` exchanges.
+        """
         done, stamps = ring.clock_exchange()
         if stamps is None or done == self._seen:
             return
@@ -55,9 +58,10 @@ class LiveClock:
             self._fit = fit_if_possible(as_exchanges(self._stamps)) or self._fit
 
     def host_of(self, rows: NDArray[np.void], device_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Convert device times (ns), which count from the same zero as the rows' `device_time`, to host times (ns).
+        """Convert device times (ns, with the zero of the column `device_time` in `rows`) to host times (ns).
 
-        Without a line, the first row's time of receipt is taken as its host time, which is late by the link's delay.
+        Before a clock exchange, the first row's time of receipt is taken as its host time, which is late by the link's
+        delay.
         """
         first: NDArray[np.int64] = rows["device_time"][:1]
         received = int(rows["received_at"][0])

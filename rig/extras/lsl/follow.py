@@ -76,12 +76,12 @@ def decimation(position_rate: float, rate: float | None) -> int:
 
 
 class Follower:
-    """Reader of one control loop, from the oldest row in its ring to the loop's end.
+    """Reader of one control loop, from the oldest row in its ring buffer to the loop's end.
 
     Parameters
     ----------
     ring
-        Shared memory of the loop; it is only read.
+        Ring buffer of the loop in shared memory; it is only read.
     rate
         Largest number of samples a second; None: every row. The actual rate is the position rate over a whole number.
     blind
@@ -90,7 +90,7 @@ class Follower:
     Attributes
     ----------
     ring, info
-        Shared memory of the loop, and the facts about the run that it contained at the beginning.
+        Ring buffer of the loop, and the facts about the run that it contained at the beginning.
     position_rate, every, rate
         Rows a second; one row in `every` becomes a sample; samples a second (Hz).
     ended
@@ -145,7 +145,7 @@ class Follower:
         return Chunk(rows[wanted], times[wanted], sorted(markers, key=lambda marker: marker.time_ns))
 
     def _times(self, rows: NDArray[np.void]) -> NDArray[np.int64]:
-        """Return the rows' host times (ns), which never decrease, even if a better line gives an earlier time."""
+        # A better fit of the clocks can give an earlier time than one that was already sent.
         times: NDArray[np.int64] = np.maximum(self._clock.host_of(rows, rows["device_time"]), self._last_ns)
         self._last_ns = int(times[-1])
         return times
@@ -208,7 +208,6 @@ class Follower:
 
 
 def _wall(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``stiffness`` and ``damping`` of the wall from the facts about a run; None for missing values."""
     wall = (info.get("experiment") or {}).get("wall") or {}
     return {name: wall.get(name) for name in ("stiffness", "damping")}
 

@@ -1,4 +1,7 @@
-"""Load pylsl on first use, with an error that says how to install it, and compare LSL's clock with the host's."""
+"""Load pylsl on first use, with an error that says how to install it, and compare LSL's clock with the host's.
+
+`serve` and `streams` use it; no other file may import pylsl.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Follow running control loops, one after another, and stream their samples and markers, until interrupted."""
+"""Follow running control loops, one after another, and stream their samples and markers, until interrupted.
+
+`rig serve lsl` runs it in a process of its own. It must not write to the memory of a loop.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ DEATH_S = 1.0  # time without a row after which the process is checked
 
 @dataclass(slots=True)
 class Streamed:
-    """Numbers of followed loops, sent samples and markers, and lost rows; the last rate (Hz), the clock offset (s)."""
+    """What was streamed: numbers of loops, samples, markers, lost rows; last sample rate (Hz); LSL's clock offset."""
 
     name: str
     loops: int = 0
@@ -238,7 +241,6 @@ class _Server:
 
 
 def _next_loop(pid: int | None) -> tuple[int, Ring] | None:
-    """Return process and ring of the newest running loop, of process `pid` or of any; None if no loop runs."""
     if pid is not None:
         ring = running.memory_of(pid)
         return None if ring is None else (pid, ring)

@@ -1,4 +1,7 @@
-"""Send a session's markers to the process that streams them by LSL, without ever waiting for that process."""
+"""Send a session's markers to the process that streams them by LSL, without ever waiting for that process.
+
+`rig session run --lsl` uses it. A failed stream must not end a session.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +54,7 @@ def _refuse_if_missing() -> None:
     if sys.platform == "win32":
         raise ConfigError(
             "LSL markers need Linux or macOS",
-            remedy="run without `lsl`: recordings contain the marks and both clocks",
+            remedy="run without `lsl`: the recordings contain the events and both clocks",
         )
     elif find_spec("pylsl") is None:
         raise ConfigError("pylsl is not installed", remedy="pip install 'haptic-rig[lsl]'")
@@ -62,6 +65,8 @@ class LslMarks:
 
     After its start only `wait` raises, so that a failed stream does not end a session; `wait` and `close` may block.
     `lost` counts markers that could not be sent, with one warning for each reason. A `text` that is too long is cut.
+    The constructor raises `ConfigError` if pylsl is missing or the system is Windows, `RigError` if the process cannot
+    be started.
 
     Parameters
     ----------
@@ -73,13 +78,6 @@ class LslMarks:
         Remove everything about walls and conditions from the markers, also from the markers of `push`.
     expected
         Motion and position rate (Hz) of the loops to come; the stream of samples is then open when `wait` returns.
-
-    Raises
-    ------
-    ConfigError
-        pylsl is missing, or the system is Windows.
-    RigError
-        The process cannot be started.
     """
 
     def __init__(
@@ -194,7 +192,6 @@ class LslMarks:
             return next((dict(news["served"]) for news in self._news() if "served" in news), None)
 
     def _news(self) -> list[dict[str, Any]]:
-        """Return all messages (JSON objects) that the process has printed so far."""
         descriptor = self._output.fileno()
         size = os.fstat(descriptor).st_size
         if size == 0:

@@ -22,16 +22,8 @@ BUFFERED_S = 60  # what a receiver that reads slowly may fall behind (s)
 class SampleStream:
     """LSL outlet of the samples, named ``NAME samples``.
 
-    Parameters
-    ----------
-    pylsl
-        The library pylsl.
-    name
-        First word of the stream's name, and part of its source id, by which receivers find the stream again.
-    motion, rate, position_rate
-        Motion, which decides the units of the channels; samples a second and rows a second (Hz).
-    offset
-        Offset from the host's clock to LSL's.
+    `name` is also part of the source id, by which receivers find the stream again; `motion` decides the units of the
+    channels; `rate` and `position_rate` are samples and rows a second (Hz); `offset` is from the host's clock to LSL's.
     """
 
     def __init__(
