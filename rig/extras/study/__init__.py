@@ -1,4 +1,4 @@
-"""Analyse the logs of a study: stiffness limits with intervals, differences, agreement, order and fatigue.
+"""Analyse the logs of a study: stiffness limits, differences of conditions, agreement of people, order and fatigue.
 
     found = analyse([Path("sessions/study")])
     found.over_participants         # K_max by condition and damping

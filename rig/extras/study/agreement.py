@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ class Agreement:
     condition
         Condition of the trials; empty for all conditions.
     weights
-        How a confusion counts by the distance of its classes; see `kappa`.
+        How a confusion counts: "none": fully; "linear", "quadratic": by the distance of its classes, or its square.
     classes
         Names of the classes, for rows and columns.
     counts
@@ -85,8 +85,9 @@ def two_classes(trial: TrialRow) -> tuple[str | None, str | None]:
 
     The automatic class follows the criterion of the study's protocol.
     """
-    person = {"stable": TWO[0], "buzz": TWO[1], "unstable": TWO[1]}.get(trial.verdict)
-    automatic = None if trial.automatic_stable is None else TWO[0] if trial.automatic_stable else TWO[1]
+    stable, not_stable = TWO
+    person = {"stable": stable, "buzz": not_stable, "unstable": not_stable}.get(trial.verdict)
+    automatic = None if trial.automatic_stable is None else stable if trial.automatic_stable else not_stable
     return person, automatic
 
 
@@ -105,18 +106,26 @@ def four_classes(trial: TrialRow) -> tuple[str | None, str | None]:
     return trial.verdict or None, automatic
 
 
-_KINDS: tuple[
-    tuple[str, Callable[[TrialRow], tuple[str | None, str | None]], tuple[str, ...], Weights], ...
-] = (
-    ("two classes", two_classes, TWO, "none"),
-    ("three classes", three_classes, THREE, "linear"),
-    ("three classes", three_classes, THREE, "quadratic"),
-    ("four classes", four_classes, FOUR, "none"),
+class _Kind(NamedTuple):
+    name: str
+    split: Callable[[TrialRow], tuple[str | None, str | None]]  # class of the person, class of the program
+    classes: tuple[str, ...]
+    weights: Weights
+
+
+_KINDS = (
+    _Kind("two classes", two_classes, TWO, "none"),
+    _Kind("three classes", three_classes, THREE, "linear"),
+    _Kind("three classes", three_classes, THREE, "quadratic"),
+    _Kind("four classes", four_classes, FOUR, "none"),
 )
 
 
 def agreements(trials: Sequence[TrialRow]) -> tuple[Agreement, ...]:
-    """Return the confusion matrices of all trials that count, and of each condition; empty if no person judged."""
+    """Return the confusion matrices of people's and automatic verdicts: of all valid trials, then of each condition.
+
+    Empty if no person judged.
+    """
     judged = [
         trial for trial in trials if not trial.void and not trial.practice and trial.judged_by in _PEOPLE
     ]
@@ -176,7 +185,6 @@ def _agreement(
 
 
 def _problem(counts: Floats, classes: Sequence[str], value: float | None) -> str:
-    """Return the reason why kappa of a confusion matrix has no interval; empty if it can have one."""
     if not counts.any():
         return "no trial has both verdicts"
     for who, axis in (("the person's verdict", 1), ("the automatic verdict", 0)):
@@ -195,7 +203,6 @@ def _class_agreement(counts: Floats, place: int) -> float | None:
 
 
 def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
-    """Return the 95 % interval of kappa by leaving out one person at a time, or the reason why it is missing."""
     tables = tables[tables.sum(axis=(1, 2)) > 0.0]
     people = len(tables)
     if people < LEAST_PEOPLE:
@@ -216,16 +223,10 @@ def _jackknife(tables: Floats, weights: Weights) -> tuple[float, float] | str:
 
 
 def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none") -> float:
-    """Return Cohen's kappa of a confusion matrix.
+    """Return Cohen's kappa of a confusion matrix of shape (classes, classes).
 
-    The result is NaN without trials, or if all verdicts of both judges are of one class.
-
-    Parameters
-    ----------
-    counts
-        Number of trials, shape (classes, classes).
-    weights
-        "none": all confusions count equally; "linear", "quadratic": by the distance of the classes, or its square.
+    `weights` "none": all confusions count equally; "linear", "quadratic": by the distance of the classes, or its
+    square. The result is NaN without trials, or if all verdicts of both judges are of one class.
     """
     table = np.asarray(counts, dtype=np.float64)
     total = table.sum()
@@ -241,7 +242,6 @@ def kappa(counts: Floats | Sequence[Sequence[float]], weights: Weights = "none")
 
 
 def _weigh_pairs(classes: int, weights: Weights) -> Floats:
-    """Return how far each pair of classes counts as agreement, 0 to 1, shape (classes, classes)."""
     place = np.arange(classes)
     distance = np.abs(place[:, None] - place[None, :]).astype(np.float64)
     if weights == "none":

@@ -1,4 +1,7 @@
-"""Compute all results of a study from the logs of its sessions."""
+"""Compute all results of a study from the logs of its sessions.
+
+Command, report and tables read the results (`StudyAnalysis`). This file must not format or write anything.
+"""
 
 from __future__ import annotations
 
@@ -59,11 +62,11 @@ class AnalysisOptions:
     Attributes
     ----------
     measure
-        Definition of the stiffness limits that a report shows first; all three measures are computed.
+        Definition of the stiffness limits that a report shows first; all three definitions are computed.
     hashes
         Compare recordings with the hashes in the logs.
     across
-        Keys of the protocol in which sessions may differ although the keys can affect a result; see `read_study`.
+        Keys of the protocol in which sessions may differ although the keys can affect a result.
     seed
         Seed of all bootstraps; the same seed gives the same intervals.
     include_marked
@@ -94,11 +97,14 @@ class StudyAnalysis:
     participants, answers
         One row for each participant, and for each answer to the questionnaire.
     of_participants, over_participants, paired
-        K_max of each participant, its mean over participants, and paired differences of conditions, by all measures.
+        K_max (stiffest stable wall) of each participant, its mean over participants, and paired differences of
+        conditions, each by three definitions of the limit.
     mixed
-        One mixed model for each measure by which a run has a limit.
-    agreements, psychometrics, slopes, blocks
-        Results of the modules of these names; slopes and blocks are from `effects`.
+        A mixed model for each definition of the limit that has values.
+    agreements, psychometrics
+        Confusion matrices of people's and automatic verdicts; fitted psychometric functions.
+    slopes, blocks
+        Changes along the session (order, fatigue); summaries of the trials of each block.
     """
 
     study: Study
@@ -119,7 +125,7 @@ class StudyAnalysis:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """Messages for the reader: about the sessions, and about trials and runs that were left out."""
+        """Messages for the reader: about the sessions, and about trials and searches (runs) that were left out."""
         left = [run for run in self.runs if run.state != "complete"]
         found = []
         fast = sum(trial.too_fast and trial.counts for trial in self.trials)
@@ -188,7 +194,7 @@ class StudyAnalysis:
         }
 
     def _of_marked(self) -> Iterator[str]:
-        """Yield messages about runs that stopped at their trial limit, and limits without support by verdicts."""
+        """Yield messages about searches that stopped at their trial limit, and limits that verdicts do not support."""
         taken = (
             "included"
             if self.options.include_marked
@@ -252,21 +258,11 @@ def analyse(
     *,
     watch: Watch | None = None,
 ) -> StudyAnalysis:
-    """Analyse the sessions of a study.
+    """Analyse the sessions of a study in `paths`, directories of sessions or of studies.
 
-    Parameters
-    ----------
-    paths
-        Directories of sessions or of studies.
-    watch
-        Called with the name of a step, the number of its finished parts, and their total.
-
-    Raises
-    ------
-    RecordingError
-        A path contains no session, or a log is damaged.
-    ConfigError
-        The sessions are not of one study, or this version cannot read them.
+    `options` choose what is shown and left out (None: the defaults); `watch` is called with the name of a step, the
+    number of its finished parts, and their total. Raise `RecordingError` if a path contains no session or a log is
+    damaged, `ConfigError` if the sessions are not of one study or this version cannot read them.
     """
     options = options or AnalysisOptions()
     report = watch or (lambda _what, _done, _total: None)
@@ -338,7 +334,7 @@ def analyse_study(
     seed
         Seed of the bootstraps.
     include_marked
-        Also use limits that the verdicts do not support; see `AnalysisOptions`.
+        Also use limits that the verdicts do not support, such as those of searches that stopped at their trial limit.
     watch
         Called with the name of a step, the number of its finished parts, and their total.
 
@@ -362,9 +358,9 @@ def analyse_study(
 
 
 def _pool(study: Study, runs: Sequence[RunRow]) -> dict[tuple[Measure, str, Cell], LimitInterval]:
-    """Estimate the stiffness limit from all verdicts of a participant's complete runs under one condition and damping.
+    """Estimate the stiffness limit from all verdicts of a participant's complete searches at a condition and damping.
 
-    The keys are (measure, participant, (condition, damping)).
+    The keys are (definition of the limit, participant, (condition, damping)).
     """
     complete = complete_runs(runs)
     shares = {(run.condition, m): limit.share for run in runs for m, limit in run.limits.items()}

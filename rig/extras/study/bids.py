@@ -89,24 +89,11 @@ class Dataset:
 def export_bids(
     study: Study, directory: Path, options: BidsOptions | None = None, watch: Watch | None = None
 ) -> Dataset:
-    """Write a BIDS-motion dataset; its directory appears only when it is complete.
+    """Write a BIDS-motion dataset into a new directory, which appears only when it is complete.
 
-    Parameters
-    ----------
-    study
-        Study whose sessions are written, in their order.
-    directory
-        Directory that is created; it must not exist.
-    watch
-        Called with the number of finished recordings, and the total.
-
-    Raises
-    ------
-    ConfigError
-        Two participant codes are equal in BIDS, or `every` is below 1.
-    RecordingError
-        The directory exists, a recording cannot be read, or a file cannot be written. Recordings that are missing or
-        changed raise no error; they are listed in `Dataset.left_out`.
+    `watch` is called with the number of finished recordings and the total. Raise `ConfigError` if two participant codes
+    are equal in BIDS or `every` is below 1; `RecordingError` if the directory exists, or a file cannot be read or
+    written. Recordings that are missing or changed raise no error; they are listed in `Dataset.left_out`.
     """
     options = options or BidsOptions()
     if options.every < 1:
@@ -153,7 +140,6 @@ class _Writer:
         self.left_out: list[str] = []
 
     def participant(self, session: StudySession, trials: Iterable[TrialRow], label: str) -> None:
-        """Write the recordings and the scans file of one participant, and collect the trials that are left out."""
         name = f"sub-{label}"
         place = self._root / name / "motion"
         place.mkdir(parents=True)
@@ -204,7 +190,6 @@ class _Writer:
         )
 
     def dataset(self, study: Study, labels: Mapping[str, str]) -> None:
-        """Write the files at the root of the dataset."""
         described: dict[str, Any] = {
             "Name": study.protocol.study.title,
             "BIDSVersion": BIDS_VERSION,
@@ -266,7 +251,6 @@ def _channel_rows(columns: Iterable[Channel]) -> list[Row]:
 
 
 def _participants(study: Study, labels: Mapping[str, str]) -> tuple[tuple[str, ...], list[Row], Row]:
-    """Return columns, rows and metadata of the participants' table, with a column for each answer."""
     own = {
         "code": {"Description": "as in the study's own files"},
         "row": {"Description": "row of the order of conditions, from 0"},
@@ -337,7 +321,6 @@ def _date(acquired: datetime | None, shift: timedelta | None) -> str | None:
 
 
 def _cell(value: Any) -> str:
-    """Return a value as a cell of a table, without tabs and line ends; ``n/a`` if it is missing."""
     if value is None or value == "":
         return MISSING
     if isinstance(value, bool):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -96,16 +96,10 @@ def channels(motion: Motion, estimator: str) -> tuple[Channel, ...]:
 
 
 def write_motion(file: BinaryIO, recording: Recording, columns: Sequence[Channel], every: int = 1) -> None:
-    """Write a recording as a motion file: rows separated by tabs, without a header.
+    """Write a recording as a motion file: rows separated by tabs, without a header, `columns` in this order.
 
-    Numbers have the shortest digits that read back equal.
-
-    Parameters
-    ----------
-    columns
-        Channels to write, in this order.
-    every
-        Write only every n-th row; nothing is averaged or filtered.
+    Numbers have the shortest digits that read back equal. Only every n-th row is written (`every`); nothing is
+    filtered.
     """
     table = {
         channel.name: _cells(
@@ -172,10 +166,18 @@ def sidecar(
     }
 
 
-def spans(recording: Recording) -> list[tuple[str, float, float]]:
-    """Return kind, onset and duration (s since the first row) of each phase, contact and sync edge, sorted by onset."""
+class Span(NamedTuple):
+    """Kind, onset and duration (s; onset since the first row) of an event of a recording."""
+
+    kind: str
+    onset_s: float
+    duration_s: float
+
+
+def spans(recording: Recording) -> list[Span]:
+    """Return each phase, contact and sync edge of a recording as a span, sorted by onset."""
     time, phases = recording.time_s, recording.column("phase")
-    found: list[tuple[str, float, float]] = []
+    found: list[Span] = []
     if not len(time):
         return found
     period = 1.0 / float(recording.experiment["controller"]["position_rate"])
@@ -186,21 +188,21 @@ def spans(recording: Recording) -> list[tuple[str, float, float]]:
         if name is None:
             continue
         at, length = float(time[first]), float(time[end - 1] - time[first]) + period
-        found.append((name, at, length))
+        found.append(Span(name, at, length))
     inside = (phases == Phase.TRIAL) & ((recording.column("flags") & int(RowFlag.INSIDE)) != 0)
     if inside.any():
         first = int(np.argmax(inside))
-        rest = np.flatnonzero(~inside[first:])
-        end = first + int(rest[0]) if len(rest) else len(inside)
-        found.append(("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
-    return sorted([*found, *_find_pin_edges(recording)], key=lambda span: span[1])
+        outside = np.flatnonzero(~inside[first:])
+        end = first + int(outside[0]) if len(outside) else len(inside)
+        found.append(Span("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
+    return sorted([*found, *_find_pin_edges(recording)], key=lambda span: span.onset_s)
 
 
-def _find_pin_edges(recording: Recording) -> list[tuple[str, float, float]]:
-    """Return name, onset (s since the first row) and duration 0 of each edge at the device's sync pins."""
+def _find_pin_edges(recording: Recording) -> list[Span]:
+    """Return a span of duration 0 for each edge at the device's sync pins."""
     origin = int(recording.rows["device_time"][0])
     return [
-        (mark.name, (mark.device_time - origin) * 1e-9, 0.0)
+        Span(mark.name, (mark.device_time - origin) * 1e-9, 0.0)
         for mark in marks(recording)
         if mark.name in _PINS and mark.device_time >= origin
     ]
@@ -233,7 +235,6 @@ def unit(text: str) -> str:
 
 
 def _cells(values: Any) -> Any:
-    """Return a column as cells of a motion file; values that are not finite become ``n/a``."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return [repr(value) if np.isfinite(value) else MISSING for value in values.tolist()]
     return values

@@ -152,10 +152,6 @@ def show(found: StudyAnalysis) -> None:
 
 
 def _differences(found: StudyAnalysis) -> Iterator[Item]:
-    """Yield what the terminal shows of differences in stiffness limit between conditions.
-
-    This is the reason for a missing mixed model, the table, the reasons for missing intervals, and the model's notes.
-    """
     model, first = tables.first_contrasts(found)
     if model is not None and model.problem:
         yield f"No mixed model: {model.problem}"

@@ -29,19 +29,16 @@ class Slope:
 
     Attributes
     ----------
-    of
-        Quantity: "limit" (stiffness), "response time" (natural logarithm of s) or "invalid" (0 or 1).
+    of, measure
+        Quantity: "limit" (stiffness, by the definition `measure`), "response time" (natural logarithm of s) or
+        "invalid" (0 or 1).
     along
         Position in the session: "order" (place in the block), "block", or "trial" (number in the session).
-    measure
-        Measure of the limit; empty for the other quantities.
-    count
-        Number of values.
-    participants
-        Number of participants who have a slope.
+    count, participants
+        Number of values, and of participants who have a slope.
     slope, low, high, p, holm
         Change per place, block or trial, its interval and p; NaN if `problem` gives a reason. `holm` is p after Holm's
-        correction for the slopes of one quantity; the limits of each measure are one quantity.
+        correction for the slopes of one quantity; each definition of the limit is a quantity of its own.
     """
 
     of: str
@@ -61,16 +58,9 @@ class Slope:
 class BlockRow:
     """Summary of the trials in one block of one participant.
 
-    Attributes
-    ----------
-    trials
-        Recorded trials, also those that do not count.
-    invalid, redone, aborted
-        Invalid trials; trials repeated at the operator's request; trials cut off for safety.
-    unsure
-        Verdicts "unsure".
-    response_s
-        Median time to a verdict (s); None without a verdict.
+    `trials` counts all recorded trials, also those that do not count; `invalid` the invalid ones, `redone` those
+    repeated at the operator's request, `aborted` those cut off for safety; `unsure` counts the verdicts "unsure".
+    `response_s` is the median time to a verdict (s); None without a verdict.
     """
 
     participant: str
@@ -84,13 +74,13 @@ class BlockRow:
 
 
 def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, ...]:
-    """Compute the slopes along the session: of limits (by each definition), verdict times, and invalid trials."""
+    """Compute the slopes of stiffness limits (by each definition), verdict times and invalid trials along a session."""
     found: list[Slope] = []
-    places: tuple[tuple[str, Callable[[RunRow], float]], ...] = (
-        ("order", lambda run: float(run.order)),
-        ("block", lambda run: float(run.block)),
-        ("trial", lambda run: run.middle_trial),
-    )
+    positions: dict[str, Callable[[RunRow], float]] = {
+        "order": lambda run: float(run.order),
+        "block": lambda run: float(run.block),
+        "trial": lambda run: run.middle_trial,
+    }
     for measure in MEASURES:
         counted = [run for run in runs if run.state == "complete" and measure in run.limits]
         beyond = beyond_of((run.condition, run.damping, run.limits[measure]) for run in counted)
@@ -100,27 +90,27 @@ def slopes(runs: Sequence[RunRow], trials: Sequence[TrialRow]) -> tuple[Slope, .
         cells = [(run.participant, run.condition, run.damping) for run in counted]
         family = []
         roundings = np.array([run.limits[measure].rounding for run in counted])
-        for name, place in places:
-            at = np.array([place(run) for run in counted])
-            slope = _estimate_slope("limit", name, measure, at, limits, cells, roundings)
+        for along, position in positions.items():
+            at = np.array([position(run) for run in counted])
+            slope = _estimate_slope("limit", along, measure, at, limits, cells, roundings)
             if beyond and not counted:
                 slope = replace(slope, problem="most limits lie beyond the searched levels")
             family.append(slope)
         found += _correct_holm(family)
     kept = [trial for trial in trials if not trial.practice and trial.void not in VOIDED]
     timed = [
-        t
-        for t in kept
-        if t.judged_by in ("person", "simulated")
-        and t.response_time_s is not None
-        and t.response_time_s > 0.0
+        trial
+        for trial in kept
+        if trial.judged_by in ("person", "simulated")
+        and trial.response_time_s is not None
+        and trial.response_time_s > 0.0
     ]
-    logs = [math.log(trial.response_time_s) for trial in timed if trial.response_time_s]
-    useless = [float(trial.void == "invalid") for trial in kept]
-    for what, of, values in (("response time", timed, logs), ("invalid", kept, useless)):
-        at = np.array([float(trial.trial) for trial in of])
-        each = [(trial.participant, trial.condition, trial.damping) for trial in of]
-        found += _correct_holm([_estimate_slope(what, "trial", "", at, np.array(values), each)])
+    log_times = [math.log(trial.response_time_s) for trial in timed if trial.response_time_s]
+    invalid = [float(trial.void == "invalid") for trial in kept]
+    for quantity, used, values in (("response time", timed, log_times), ("invalid", kept, invalid)):
+        at = np.array([float(trial.trial) for trial in used])
+        cells = [(trial.participant, trial.condition, trial.damping) for trial in used]
+        found += _correct_holm([_estimate_slope(quantity, "trial", "", at, np.array(values), cells)])
     return tuple(found)
 
 
@@ -134,23 +124,23 @@ def blocks(trials: Sequence[TrialRow]) -> tuple[BlockRow, ...]:
     for trial in trials:
         if not trial.practice:
             groups.setdefault((trial.participant, trial.block), []).append(trial)
-    return tuple(_block(code, block, of) for (code, block), of in groups.items())
+    return tuple(_block(code, block, group) for (code, block), group in groups.items())
 
 
-def _block(code: str, block: int, of: Sequence[TrialRow]) -> BlockRow:
+def _block(code: str, block: int, trials: Sequence[TrialRow]) -> BlockRow:
     times = [
-        t.response_time_s
-        for t in of
-        if t.judged_by in ("person", "simulated") and t.response_time_s is not None
+        trial.response_time_s
+        for trial in trials
+        if trial.judged_by in ("person", "simulated") and trial.response_time_s is not None
     ]
     return BlockRow(
         participant=code,
         block=block,
-        trials=len(of),
-        invalid=sum(trial.void == "invalid" for trial in of),
-        redone=sum(trial.void == "redone" for trial in of),
-        aborted=sum(trial.aborted != "" for trial in of),
-        unsure=sum(trial.verdict == "unsure" for trial in of),
+        trials=len(trials),
+        invalid=sum(trial.void == "invalid" for trial in trials),
+        redone=sum(trial.void == "redone" for trial in trials),
+        aborted=sum(trial.aborted != "" for trial in trials),
+        unsure=sum(trial.verdict == "unsure" for trial in trials),
         response_s=median(times) if times else None,
     )
 
@@ -166,42 +156,36 @@ def _estimate_slope(
 ) -> Slope:
     each = within_slopes(at, values, cells)
     rounding = 0.0 if roundings is None or not each else _rounding_of_slopes(at, roundings, cells, each)
-    found = _average_slopes(each, _is_shared(cells), rounding)
-    slope, low, high, p = (math.nan,) * 4 if isinstance(found, str) else found
+    mean = _average_slopes(each, _is_shared(cells), rounding)
     return Slope(
         of=of,
         along=along,
         measure=measure,
         count=len(values),
         participants=len(each),
-        slope=slope,
-        low=low,
-        high=high,
-        p=p,
-        problem=found if isinstance(found, str) else "",
+        slope=mean.slope,
+        low=mean.low,
+        high=mean.high,
+        p=mean.p,
+        problem=mean.problem,
     )
 
 
 def within_slopes(at: Floats, values: Floats, cells: Sequence[tuple[str, str, float]]) -> dict[str, float]:
-    """Return the slope of `values` along `at` by participant, for participants whose values have different places.
+    """Return the slope of `values` along their places `at` in the session, by participant.
 
-    Parameters
-    ----------
-    at, values
-        Place in the session, and value (same shape).
-    cells
-        Participant, condition and damping of each value.
+    `cells` are participant, condition and damping of each value. Participants with a single place are left out.
     """
     if not cells:
         return {}
-    moved, changed = less_means(at, cells), less_means(values, cells)
-    codes = np.array([cell[0] for cell in cells])
+    centred_at, centred_values = less_means(at, cells), less_means(values, cells)
+    codes = np.array([code for code, _, _ in cells])
     found = {}
-    for code in dict.fromkeys(cell[0] for cell in cells):
+    for code in dict.fromkeys(codes.tolist()):
         own = codes == code
-        square = float(moved[own] @ moved[own])
+        square = float(centred_at[own] @ centred_at[own])
         if square > 0.0:
-            found[code] = float(moved[own] @ changed[own]) / square
+            found[code] = float(centred_at[own] @ centred_values[own]) / square
     return found
 
 
@@ -209,17 +193,22 @@ def _rounding_of_slopes(
     at: Floats, roundings: Floats, cells: Sequence[tuple[str, str, float]], each: Mapping[str, float]
 ) -> float:
     """Return the standard deviation of the slopes that follows from rounding limits to the searched stiffnesses."""
-    moved, codes = less_means(at, cells), np.array([cell[0] for cell in cells])
-    own = [codes == code for code in each]
-    return rounding_of(
-        [float(np.linalg.norm(moved[of] * roundings[of]) / (moved[of] @ moved[of])) for of in own]
-    )
+    centred_at, codes = less_means(at, cells), np.array([code for code, _, _ in cells])
+    own_values = [(centred_at[codes == code], roundings[codes == code]) for code in each]
+    return rounding_of([float(np.linalg.norm(at * rounding) / (at @ at)) for at, rounding in own_values])
 
 
-def _average_slopes(
-    each: Mapping[str, float], shared: bool, rounding: float
-) -> tuple[float, float, float, float] | str:
-    """Return mean, 95 % interval and p of the participants' slopes (Student), or the reason why they are missing.
+@dataclass(frozen=True, slots=True)
+class _MeanSlope:
+    slope: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    p: float = math.nan
+    problem: str = ""
+
+
+def _average_slopes(each: Mapping[str, float], shared: bool, rounding: float) -> _MeanSlope:
+    """Return mean, 95 % interval and p of the participants' slopes (Student), or the `problem` with them.
 
     If `shared`, the means of the conditions are estimated from the same values, which takes one more degree of freedom:
     with two conditions, each searched once, this is the two-sample test of a crossover.
@@ -229,19 +218,20 @@ def _average_slopes(
     slopes = np.array(list(each.values()))
     count = len(slopes)
     if count == 0:
-        return "this effect cannot be separated from participants and conditions"
+        return _MeanSlope(problem="this effect cannot be separated from participants and conditions")
     if count < LEAST_VALUES:
-        return too_few_words(count, "participants with a slope of their own")
+        return _MeanSlope(problem=too_few_words(count, "participants with a slope of their own"))
     if not np.any(slopes):
-        return "all values are equal within participants and conditions"
-    mean, free = float(slopes.mean()), count - (2 if shared else 1)
-    rest = slopes - mean
-    scatter = math.sqrt(float(rest @ rest) / free)
+        return _MeanSlope(problem="all values are equal within participants and conditions")
+    mean, freedom = float(slopes.mean()), count - (2 if shared else 1)
+    residuals = slopes - mean
+    scatter = math.sqrt(float(residuals @ residuals) / freedom)
     if not is_resolved(scatter, rounding, float(np.abs(slopes).max())):
-        return unresolved_words("the slopes of the participants", scatter, rounding)
+        return _MeanSlope(problem=unresolved_words("the slopes of the participants", scatter, rounding))
     deviation = scatter / math.sqrt(count)
-    low, high = stats.t.interval(0.95, free, mean, deviation)
-    return mean, float(low), float(high), float(2.0 * stats.t.sf(abs(mean) / deviation, free))
+    low, high = stats.t.interval(0.95, freedom, mean, deviation)
+    p = float(2.0 * stats.t.sf(abs(mean) / deviation, freedom))
+    return _MeanSlope(mean, float(low), float(high), p)
 
 
 def _is_shared(cells: Sequence[tuple[str, str, float]]) -> bool:
@@ -254,17 +244,18 @@ def less_means(values: Floats, cells: Sequence[tuple[str, str, float]]) -> Float
     if not cells:
         return values
     if _is_shared(cells):
-        fixed = np.column_stack([_indicators(of) for of in ([c[0] for c in cells], [c[1:] for c in cells])])
-        left = np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
+        participants, conditions = [code for code, *_ in cells], [tuple(rest) for _, *rest in cells]
+        fixed = np.column_stack([_indicators(participants), _indicators(conditions)])
+        residuals = np.asarray(values - fixed @ np.linalg.lstsq(fixed, values, rcond=None)[0])
     else:
-        number = {cell: place for place, cell in enumerate(dict.fromkeys(cells))}
-        of = np.array([number[cell] for cell in cells])
-        left = np.asarray(values - (np.bincount(of, values) / np.bincount(of))[of])
-    left[np.abs(left) <= FLOATING * np.abs(values).max()] = 0.0
-    return left
+        numbers = {cell: number for number, cell in enumerate(dict.fromkeys(cells))}
+        groups = np.array([numbers[cell] for cell in cells])
+        residuals = np.asarray(values - (np.bincount(groups, values) / np.bincount(groups))[groups])
+    residuals[np.abs(residuals) <= FLOATING * np.abs(values).max()] = 0.0
+    return residuals
 
 
 def _indicators(keys: Sequence[object]) -> Floats:
     values = list(dict.fromkeys(keys))
-    place = np.array([values.index(key) for key in keys])
-    return np.asarray(place[:, None] == np.arange(len(values)), dtype=np.float64)
+    indices = np.array([values.index(key) for key in keys])
+    return np.asarray(indices[:, None] == np.arange(len(values)), dtype=np.float64)

@@ -1,4 +1,7 @@
-"""Export the recordings of a study for other programs: one file for each trial, and a table of the trials."""
+"""Export the recordings of a study for other programs: one file for each trial, and a table of the trials.
+
+`rig session export` uses it. It must not overwrite a directory.
+"""
 
 from __future__ import annotations
 
@@ -33,24 +36,10 @@ class Exported:
 def export_trials(study: Study, directory: Path, kind: str, watch: Watch | None = None) -> Exported:
     """Write each recording as ``CODE/t0001.…`` into a new directory, which appears only when it is complete.
 
-    Parameters
-    ----------
-    study
-        Study whose recordings are written.
-    directory
-        Directory that is created; it must not exist.
-    kind
-        Format, one of `rig.recording.export.EXPORTERS`.
-    watch
-        Called with the number of finished recordings, and the total.
-
-    Raises
-    ------
-    ConfigError
-        Two participant codes would share a directory.
-    RecordingError
-        The directory exists, the format is unknown, a recording cannot be read, or a file cannot be written. Recordings
-        that are missing or changed raise no error; they are listed in `Exported.left_out`.
+    `kind` is the format, one of `rig.recording.export.EXPORTERS`; `watch` is called with the number of finished
+    recordings and the total. Raise `ConfigError` if two participant codes would share a directory; `RecordingError` if
+    the directory exists, the format is unknown, or a file cannot be read or written. Recordings that are missing or
+    changed raise no error; they are listed in `Exported.left_out`.
     """
     trials = [row for row in trials_of(study) if row.recorded != "none"]
     sources = {session.code: session.directory for session in study.sessions}

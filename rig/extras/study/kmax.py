@@ -1,9 +1,9 @@
-"""Estimate K_max by condition and damping: of each participant, with an interval over repeats, and over participants.
+"""Estimate K_max, the stiffest stable wall, by condition and damping: of each participant, and over participants.
 
-With the measure "rule", K_max is the mean over repeats of the limits by the search rule; K50 is estimated from all
-verdicts together. A limit beyond the searched stiffnesses (levels) is *censored*: it is replaced by the nearest level
-and counted, so a mean that contains censored limits is a bound. ``rig/session/README.md`` states how often these
-intervals contain the true value.
+`analyse` calls it; `mixed` uses its intervals and counts. By the definition "rule", K_max is the mean over repeats of
+the limits by the search rule; K50 is estimated from all verdicts together. A limit beyond the searched stiffnesses
+(levels) is *censored*: it is replaced by the nearest level and counted, so a mean that contains censored limits is a
+bound. ``rig/session/README.md`` states how often these intervals contain the true value.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from rig.session.search import FLOATING, is_resolved, unresolved_words
 
 Floats = NDArray[np.float64]
 
-# participants or repeats, for an interval over them: two say next to nothing of their scatter
-LEAST_VALUES = 3
+LEAST_VALUES = (
+    3  # participants or repeats for an interval: two give almost no information about their scatter
+)
 RESAMPLES = 9999
 
 ENOUGH_REPEATS = 10  # for a bootstrap
@@ -38,7 +39,7 @@ Cell = tuple[str, float]  # condition, damping
 
 @dataclass(frozen=True, slots=True)
 class Beyond:
-    """Number of limits, and how many of them are above or below all searched stiffnesses, or marked as doubtful."""
+    """Number of stiffness limits, and how many are above or below all searched stiffnesses, or marked as doubtful."""
 
     limits: int = 0
     above: int = 0
@@ -76,7 +77,7 @@ class OfParticipant:
     Attributes
     ----------
     repeats
-        Number of complete runs that have the measure.
+        Number of complete searches that give a limit by this definition.
     mean, deviation
         Mean and standard deviation over repeats; for K50 the median of the posterior, and NaN.
     low, high, interval
@@ -90,7 +91,7 @@ class OfParticipant:
     rounding
         Standard deviation of the error of `mean` that rounding to the searched stiffnesses makes.
     marked
-        Number of marked limits (`rig.extras.study.rows.LimitInterval`); 0 unless `include_marked`.
+        Number of doubtful limits, which the verdicts do not support; 0 unless `include_marked`.
     """
 
     measure: Measure
@@ -115,7 +116,7 @@ class OfParticipant:
 
     @property
     def beyond(self) -> Beyond:
-        """Numbers of all, censored and doubtful (marked) limits."""
+        """Numbers of all, of censored and of doubtful (marked) stiffness limits."""
         return Beyond(self.limits, self.above, self.below, self.marked)
 
 
@@ -145,12 +146,13 @@ class OverParticipants:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paired:
-    """Difference of two conditions within participants: Student's paired test of their means over repeats.
+    """Difference of K_max (stiffest stable wall) of two conditions within participants, by Student's paired test.
 
     With `damping` None it is the difference of the means over the dampings that both conditions have. `holm` is p after
-    Holm's correction for all differences of the same measure. `beyond` counts the limits used, and those censored.
-    Censored limits make the difference a bound: `bound` is "least", "most", or "unknown" if they do both. Interval and
-    p are NaN if `problem` is not empty; `withheld` is True if most limits of a condition and damping are censored.
+    Holm's correction for all differences by the same definition of the limit. `beyond` counts the limits used, and
+    those censored. Censored limits make the difference a bound: `bound` is "least", "most", or "unknown" if they do
+    both. Interval and p are NaN if `problem` is not empty; `withheld` is True if most limits of a condition and damping
+    are censored.
     """
 
     measure: Measure
@@ -176,18 +178,18 @@ def beyond_of(limits: Iterable[tuple[str, float, LimitInterval]]) -> dict[Cell, 
     """Count all, censored and doubtful (marked) stiffness limits by (condition, damping)."""
     found: dict[Cell, Beyond] = {}
     for condition, damping, limit in limits:
-        one = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
-        found[condition, damping] = found.get((condition, damping), NONE_BEYOND) + one
+        counts = Beyond(1, limit.censored == "above", limit.censored == "below", limit.mark != "")
+        found[condition, damping] = found.get((condition, damping), NONE_BEYOND) + counts
     return found
 
 
 def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bound:
-    """Return the kind of bound that censored limits make of the difference `condition` minus `against`.
+    """Return how censored limits bound the difference of K_max under `condition` minus that under `against`.
 
-    The kinds are "least" (lower bound), "most" (upper bound), "unknown" (both), and "" without censored limits.
+    The result is "least" (lower bound), "most" (upper bound), "unknown" (both), or "" without censored limits.
     """
     sides = {
-        name: sum((b for (of, _), b in beyond.items() if of == name), NONE_BEYOND)
+        name: sum((counts for (other, _), counts in beyond.items() if other == name), NONE_BEYOND)
         for name in (condition, against)
     }
     more = sides[condition].above > 0 or sides[against].below > 0
@@ -196,7 +198,7 @@ def bound_of(beyond: Mapping[Cell, Beyond], condition: str, against: str) -> Bou
 
 
 def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> tuple[Observed, ...]:
-    """Return the stiffness limits of complete runs, by the definition `measure`.
+    """Return the stiffness limits of complete searches, by the definition `measure`.
 
     `pooled` has the limits from all verdicts of a participant under a condition at a damping, which K50 uses.
     """
@@ -210,8 +212,8 @@ def collect_limits(runs: Sequence[RunRow], measure: Measure, pooled: Pooled) -> 
     for run in counted:
         groups.setdefault((run.participant, (run.condition, run.damping)), []).append(run)
     return tuple(
-        _collect_limit(measure, of, pooled[measure, code, cell])
-        for (code, cell), of in groups.items()
+        _collect_limit(measure, group, pooled[measure, code, cell])
+        for (code, cell), group in groups.items()
         if (measure, code, cell) in pooled
     )
 
@@ -230,7 +232,7 @@ def _collect_limit(measure: Measure, runs: Sequence[RunRow], limit: LimitInterva
 
 
 def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0) -> tuple[OfParticipant, ...]:
-    """Estimate each participant's K_max (stiffest stable wall), by measure, condition and damping.
+    """Estimate each participant's K_max (stiffest stable wall), by definition of the limit, condition and damping.
 
     `pooled` has the limits from all verdicts of a participant under a condition at a damping; `seed` is for the
     bootstrap.
@@ -238,10 +240,12 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
     found = []
     for measure in MEASURES:
         groups: dict[tuple[str, Cell], list[Observed]] = {}
-        for one in collect_limits(runs, measure, pooled):
-            groups.setdefault((one.participant, (one.condition, one.damping)), []).append(one)
-        for (code, cell), of in groups.items():
-            limits = [one.limit for one in of]
+        for observed in collect_limits(runs, measure, pooled):
+            key = observed.participant, (observed.condition, observed.damping)
+            groups.setdefault(key, []).append(observed)
+        for (code, cell), group in groups.items():
+            condition, damping = cell
+            limits = [observed.limit for observed in group]
             values = np.array([limit.value for limit in limits])
             beyond = next(iter(beyond_of((*cell, limit) for limit in limits).values()))
             by_student, by_bootstrap = (math.nan, math.nan), (math.nan, math.nan)
@@ -257,9 +261,9 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
                 OfParticipant(
                     measure=measure,
                     participant=code,
-                    condition=cell[0],
-                    damping=cell[1],
-                    repeats=sum(one.runs for one in of),
+                    condition=condition,
+                    damping=damping,
+                    repeats=sum(observed.runs for observed in group),
                     mean=float(values.mean()),
                     deviation=_deviation(values),
                     low=low,
@@ -282,32 +286,32 @@ def estimate_participants(runs: Sequence[RunRow], pooled: Pooled, seed: int = 0)
 def over_participants(
     each: Sequence[OfParticipant], conditions: Sequence[str]
 ) -> tuple[OverParticipants, ...]:
-    """Average K_max (stiffest stable wall) over participants, by measure, condition and damping.
-
-    `conditions` gives the order of the results.
-    """
+    """Average K_max (stiffest stable wall) over participants, by definition of the limit, condition and damping."""
     groups: dict[tuple[Measure, str, float], list[OfParticipant]] = {}
     for one in each:
         groups.setdefault((one.measure, one.condition, one.damping), []).append(one)
     found = []
-    places = {name: place for place, name in enumerate(conditions)}
-    ordered = sorted(groups, key=lambda key: (MEASURES.index(key[0]), places[key[1]], key[2]))
-    for measure, condition, damping in ordered:
-        of = groups[measure, condition, damping]
-        values = np.array([one.mean for one in of])
-        beyond = sum((one.beyond for one in of), NONE_BEYOND)
+
+    def in_order(key: tuple[Measure, str, float]) -> tuple[int, int, float]:
+        measure, condition, damping = key
+        return MEASURES.index(measure), conditions.index(condition), damping
+
+    for measure, condition, damping in sorted(groups, key=in_order):
+        group = groups[measure, condition, damping]
+        values = np.array([one.mean for one in group])
+        beyond = sum((one.beyond for one in group), NONE_BEYOND)
         interval = (
             Student(problem=MOSTLY_CENSORED)
             if beyond.mostly
-            else student(values, rounding_of([one.rounding for one in of]))
+            else student(values, rounding_of([one.rounding for one in group]))
         )
         found.append(
             OverParticipants(
                 measure=measure,
                 condition=condition,
                 damping=damping,
-                participants=len(of),
-                runs=sum(one.repeats for one in of),
+                participants=len(group),
+                runs=sum(one.repeats for one in group),
                 mean=float(values.mean()),
                 deviation=_deviation(values),
                 low=interval.low,
@@ -323,7 +327,10 @@ def over_participants(
 
 
 def compare_pairs(each: Sequence[OfParticipant], conditions: Sequence[str]) -> tuple[Paired, ...]:
-    """Return the differences of all pairs of conditions, at each common damping and over all common dampings."""
+    """Return the differences of K_max (stiffest stable wall) of all pairs of conditions.
+
+    There is one at each damping that both conditions have, and one over all these dampings.
+    """
     return tuple(
         one for measure in MEASURES for one in _correct_holm(_compare_pairs(each, measure, conditions))
     )
@@ -337,14 +344,12 @@ def _correct_holm(family: Sequence[Paired]) -> list[Paired]:
 def _compare_pairs(
     each: Sequence[OfParticipant], measure: Measure, conditions: Sequence[str]
 ) -> list[Paired]:
-    """Return the differences of all pairs of conditions for one definition of limits, without Holm's correction."""
-    of = [one for one in each if one.measure == measure]
-    known = {(one.participant, one.condition, one.damping): (one.mean, one.rounding) for one in of}
+    known = {(one.participant, one.condition, one.damping): one for one in each if one.measure == measure}
     beyond: dict[Cell, Beyond] = {}
-    for one in of:
+    for one in known.values():
         cell = (one.condition, one.damping)
         beyond[cell] = beyond.get(cell, NONE_BEYOND) + one.beyond
-    dampings: list[float | None] = [*sorted({one.damping for one in of})]
+    dampings: list[float | None] = [*sorted({one.damping for one in known.values()})]
     if len(dampings) > 1:
         dampings.append(None)
     found: list[Paired] = []
@@ -353,8 +358,8 @@ def _compare_pairs(
             differences, rounding = _differences(known, against, condition, damping)
             if not len(differences):
                 continue
-            behind = _find_used_cells(beyond, against, condition, damping)
-            withheld = any(one.mostly for one in behind.values())
+            used = _find_used_cells(beyond, against, condition, damping)
+            withheld = any(counts.mostly for counts in used.values())
             tested = (
                 Student(problem=MOSTLY_CENSORED)
                 if withheld
@@ -372,8 +377,8 @@ def _compare_pairs(
                     high=tested.high,
                     p=tested.p,
                     holm=math.nan,
-                    bound=bound_of(behind, condition, against),
-                    beyond=sum(behind.values(), NONE_BEYOND),
+                    bound=bound_of(used, condition, against),
+                    beyond=sum(used.values(), NONE_BEYOND),
                     withheld=withheld,
                     problem=tested.problem,
                 )
@@ -384,12 +389,14 @@ def _compare_pairs(
 def _find_used_cells(
     beyond: Mapping[Cell, Beyond], against: str, condition: str, damping: float | None
 ) -> dict[Cell, Beyond]:
-    """Return counts of censored limits for each (condition, damping) that contributes to a difference."""
-    both = {b for name, b in beyond if name == against} & {b for name, b in beyond if name == condition}
+    dampings = {
+        name: {of_cell for other, of_cell in beyond if other == name} for name in (against, condition)
+    }
+    common = dampings[against] & dampings[condition]
     return {
-        (name, b): one
-        for (name, b), one in beyond.items()
-        if name in (against, condition) and b in both and damping in (None, b)
+        (name, of_cell): counts
+        for (name, of_cell), counts in beyond.items()
+        if name in (against, condition) and of_cell in common and damping in (None, of_cell)
     }
 
 
@@ -406,19 +413,11 @@ class Student:
 def student(
     values: Floats, rounding: float = 0.0, *, of: str = "participants", what: str = "the values"
 ) -> Student:
-    """Compute Student's interval and test of a mean.
+    """Compute Student's interval and test of the mean of `values`, one for each participant or repeat.
 
     `problem` gives the reason if there are fewer than `LEAST_VALUES` values, or if their scatter is no larger than
-    rounding.
-
-    Parameters
-    ----------
-    values
-        One value for each participant or repeat.
-    rounding
-        Standard deviation that rounding to the levels causes, see `rig.session.search._resolution`.
-    of, what
-        Words for the values in `Student.problem`.
+    `rounding`, the standard deviation that rounding to the searched stiffnesses causes. `of` and `what` are words for
+    the values in this reason.
     """
     if len(values) < LEAST_VALUES:
         return Student(problem=too_few_words(len(values), of))
@@ -443,16 +442,16 @@ def rounding_of(roundings: Sequence[float]) -> float:
 
 def holm(p: Sequence[float]) -> list[float]:
     """Correct p values by Holm's method (Scandinavian Journal of Statistics 6, 1979); NaN stays NaN, not counted."""
-    known = sorted((value, place) for place, value in enumerate(p) if math.isfinite(value))
+    known = sorted((value, index) for index, value in enumerate(p) if math.isfinite(value))
     adjusted, largest = [math.nan] * len(p), 0.0
-    for rank, (value, place) in enumerate(known):
+    for rank, (value, index) in enumerate(known):
         largest = max(largest, min(1.0, (len(known) - rank) * value))
-        adjusted[place] = largest
+        adjusted[index] = largest
     return adjusted
 
 
 def bootstrap(values: Floats, seed: int = 0) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of a mean (BCa, else percentile); NaN if `student` has no interval."""
+    """Return the 95 % bootstrap interval of a mean (BCa, else percentile); NaN if there are too few or equal values."""
     if student(values).problem:
         return math.nan, math.nan
     for method in ("BCa", "percentile"):
@@ -487,34 +486,33 @@ def _interval(
 
 
 def _differences(
-    known: Mapping[tuple[str, str, float], tuple[float, float]],
+    known: Mapping[tuple[str, str, float], OfParticipant],
     against: str,
     condition: str,
     damping: float | None,
 ) -> tuple[Floats, float]:
-    """Return `condition` minus `against` for each participant who has both, at `damping`.
+    """Return K_max under `condition` minus that under `against` for each participant who has both, at `damping`.
 
     With `damping` None it is the mean difference over all common dampings. The second value is the standard deviation
     of the differences that rounding to the searched stiffnesses causes.
     """
     participants = dict.fromkeys(code for code, _, _ in known)
-    of = {name: {b for _, other, b in known if other == name} for name in (against, condition)}
-    dampings = [damping] if damping is not None else sorted(of[against] & of[condition])
+    tested = {name: {at for _, other, at in known if other == name} for name in (against, condition)}
+    dampings = [damping] if damping is not None else sorted(tested[against] & tested[condition])
     if damping is None and len(dampings) < 2:
         # With one common damping the difference is already listed at this damping.
         return np.array([]), 0.0
     values, variances = [], []
     for code in participants:
-        pairs = [(known.get((code, condition, b)), known.get((code, against, b))) for b in dampings]
+        pairs = [(known.get((code, condition, at)), known.get((code, against, at))) for at in dampings]
         both = [(one, other) for one, other in pairs if one is not None and other is not None]
         if both and len(both) == len(pairs):
-            values.append(sum(_subtract(one[0], other[0]) for one, other in both) / len(both))
-            variances.append(sum(one[1] ** 2 + other[1] ** 2 for one, other in both) / len(both) ** 2)
+            values.append(sum(_subtract(one.mean, other.mean) for one, other in both) / len(both))
+            variances.append(sum(one.rounding**2 + other.rounding**2 for one, other in both) / len(both) ** 2)
     return np.array(values), math.sqrt(sum(variances) / len(variances)) if variances else 0.0
 
 
 def _subtract(one: float, other: float) -> float:
-    """Return the difference of two means; 0 if it is only a floating-point error."""
     return 0.0 if math.isclose(one, other, rel_tol=FLOATING) else one - other
 
 

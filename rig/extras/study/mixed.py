@@ -1,4 +1,4 @@
-"""Fit a linear mixed model of the participants' limits, by statsmodels, to compare conditions and dampings.
+"""Fit a linear mixed model of the participants' stiffness limits, by statsmodels, to compare conditions and dampings.
 
     limit ~ 0 + condition:damping + order + block
             + (1 | participant) + (1 | participant:condition) + (1 | participant:damping)
@@ -55,9 +55,9 @@ class Term:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contrast:
-    """Difference `condition` minus `against` at a damping, or over the dampings that both conditions have (None).
+    """Stiffness limit under `condition` minus that under `against`, at a damping or over their common ones (None).
 
-    `holm`, `bound` and `beyond` are defined in `rig.extras.study.kmax.Paired`.
+    `holm` is p after Holm's correction. `beyond` counts the censored limits, which make the difference a `bound`.
     """
 
     condition: str
@@ -88,7 +88,7 @@ class LikelihoodRatio:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mixed:
-    """Mixed model of the limits by one measure, in units of stiffness.
+    """Mixed model of the stiffness limits by one definition (`measure`), in units of stiffness.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Mixed:
 
 
 def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence[str]) -> Mixed:
-    """Fit the mixed model to the limits by the definition `measure`. Raise no error: `Mixed.problem` has the reason.
+    """Fit the mixed model to stiffness limits by the definition `measure`. Raise no error: `problem` has the reason.
 
     Each of `conditions` is compared with all conditions before it in the sequence.
     """
@@ -188,11 +188,14 @@ def fit_mixed(values: Sequence[Observed], measure: Measure, conditions: Sequence
 
 
 def _sort_cells(cells: Iterable[Cell], conditions: Sequence[str]) -> list[Cell]:
-    return sorted(cells, key=lambda cell: (conditions.index(cell[0]), cell[1]))
+    def in_order(cell: Cell) -> tuple[int, float]:
+        condition, damping = cell
+        return conditions.index(condition), damping
+
+    return sorted(cells, key=in_order)
 
 
 def _problem(kept: Sequence[Observed], cells: Sequence[Cell], *, censored: bool) -> str:
-    """Return the reason why no mixed model can be fitted to the limits; empty if one can."""
     participants = len({one.participant for one in kept})
     problem = ""
     if censored and not cells:
@@ -297,7 +300,6 @@ class _Design:
         return np.hstack(made)
 
     def rank(self, *terms: str) -> int:
-        """Return the rank of the design matrix of these terms."""
         return int(np.linalg.matrix_rank(self.columns(*terms)))
 
     def by_person(self, values: Floats) -> Floats:
@@ -319,7 +321,6 @@ class _Design:
 
     @cached_property
     def participants(self) -> int:
-        """Number of participants with a limit."""
         return int(self.frame["participant"].nunique())
 
     @cached_property
@@ -379,26 +380,27 @@ def _minus_log_likelihood(
     """
     covariance = np.eye(limits.shape[1]) + sum(v * part for v, part in zip(variances, parts, strict=True))
     inverse = np.linalg.inv(covariance)
-    seen = inverse @ fixed
-    known = np.einsum("pvi,pvj->ij", fixed, seen)
-    effects = np.linalg.solve(known, np.einsum("pvi,pv->i", seen, limits))
+    weighted = inverse @ fixed
+    information = np.einsum("pvi,pvj->ij", fixed, weighted)
+    effects = np.linalg.solve(information, np.einsum("pvi,pv->i", weighted, limits))
     residual = np.einsum("pvw,pw->pv", inverse, limits - fixed @ effects)
-    free, unlike = count, float(np.sum(limits * residual))
-    value = float(np.linalg.slogdet(covariance)[1].sum())
+    freedom, squares = count, float(np.sum(limits * residual))
+    _, log_determinants = np.linalg.slogdet(covariance)
+    value = float(log_determinants.sum())
     gradient = np.array([np.sum(inverse * part) for part in parts])
     if reml:
-        free -= len(known)
-        value += float(np.linalg.slogdet(known)[1])
-        lost = seen @ np.linalg.solve(known, np.swapaxes(seen, 1, 2))
-        gradient -= [np.sum(lost * part) for part in parts]
-    unlike = max(unlike, np.finfo(np.float64).tiny)  # rounding may give 0 if no residual remains
-    value += free * (math.log(2.0 * math.pi * unlike / free) + 1.0)
-    gradient -= [free / unlike * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
+        freedom -= len(information)
+        _, log_determinant = np.linalg.slogdet(information)
+        value += float(log_determinant)
+        projected = weighted @ np.linalg.solve(information, np.swapaxes(weighted, 1, 2))
+        gradient -= [np.sum(projected * part) for part in parts]
+    squares = max(squares, np.finfo(np.float64).tiny)  # rounding may give 0 if no residual remains
+    value += freedom * (math.log(2.0 * math.pi * squares / freedom) + 1.0)
+    gradient -= [freedom / squares * np.einsum("pv,pvw,pw", residual, part, residual) for part in parts]
     return 0.5 * value, 0.5 * gradient
 
 
 def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum | None:
-    """Maximise the likelihood for the design matrix `fixed`; return None if the search does not converge."""
     parts = [design.alike(part) for part in design.parts]
     limits = design.frame["limit"].to_numpy()
     data = len(limits), design.by_person(limits), design.by_person(fixed), parts
@@ -427,10 +429,7 @@ def _optimum(design: _Design, fixed: Floats, *, reml: bool = True) -> _Optimum |
 
 @dataclass(frozen=True)
 class _Model:
-    """A fitted mixed model: fixed effects and their covariance matrix, in units of stiffness.
-
-    The effects are those of the cells (condition, damping), then of the covariates.
-    """
+    """Fitted mixed model: fixed effects (cells, then covariates) and their covariance matrix, in units of stiffness."""
 
     mean: Floats
     covariance: Floats
@@ -477,19 +476,16 @@ class _Model:
         )
 
     def term(self, name: str, weights: Floats) -> Term:
-        """Return a linear combination of the fixed effects with its 95 % interval."""
         value, deviation = float(weights @ self.mean), self.deviation(weights)
         low, high = stats.t.interval(0.95, self.degrees, value, deviation)
         return Term(name=name, value=value, low=float(low), high=float(high))
 
     def p(self, weights: Floats) -> float:
-        """Return the two-sided p that a linear combination of the fixed effects is zero."""
         return float(
             2.0 * stats.t.sf(abs(float(weights @ self.mean)) / self.deviation(weights), self.degrees)
         )
 
     def deviation(self, weights: Floats) -> float:
-        """Return the standard error of a linear combination of the fixed effects."""
         return math.sqrt(float(weights @ self.covariance @ weights))
 
 
@@ -532,17 +528,18 @@ def _contrasts(
 def _difference(
     cells: Iterable[Cell], condition: str, against: str, damping: float | None
 ) -> dict[Cell, float]:
-    """Return the weights of the means (condition, damping) in a difference of two conditions.
-
-    Empty if the conditions share no damping, or if `damping` is None and they share only one.
-    """
-    of = {name: {b for other, b in cells if other == name} for name in (condition, against)}
-    both = of[condition] & of[against]
+    """Return the weights of the means (condition, damping) in a difference; empty if too few dampings are shared."""
+    tested = {name: {of_cell for other, of_cell in cells if other == name} for name in (condition, against)}
+    common = tested[condition] & tested[against]
     if damping is not None:
-        both &= {damping}
-    elif len(both) < 2:
+        common &= {damping}
+    elif len(common) < 2:
         return {}
-    return {(name, b): (1.0 if name == condition else -1.0) / len(both) for name in of for b in both}
+    return {
+        (name, of_cell): (1.0 if name == condition else -1.0) / len(common)
+        for name in tested
+        for of_cell in common
+    }
 
 
 def _tests(design: _Design) -> tuple[LikelihoodRatio, ...]:
@@ -594,9 +591,9 @@ def _notes(
         )
     for cell in of_all:
         if cell not in cells:
-            one = beyond[cell]
+            counts = beyond[cell]
             notes.append(
-                f"{one.count} of {one.limits} limits of {_name(cell)} lie beyond the searched levels: excluded"
+                f"{counts.count} of {counts.limits} limits of {_name(cell)} lie beyond the searched levels: excluded"
             )
     within = sum((beyond[cell] for cell in cells), NONE_BEYOND)
     if within.count:
@@ -608,4 +605,5 @@ def _notes(
 
 
 def _name(cell: Cell) -> str:
-    return f"{cell[0]}, B = {cell[1]:g}"
+    condition, damping = cell
+    return f"{condition}, B = {damping:g}"

@@ -1,4 +1,7 @@
-"""Compute the tables of participants and of their answers, and count trials by their use."""
+"""Compute the tables of participants and of their answers, and count trials by their use.
+
+`analyse` uses it. It must not decide which trials count: the session's log does.
+"""
 
 from __future__ import annotations
 

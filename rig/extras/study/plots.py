@@ -1,4 +1,4 @@
-"""Draw the pictures of a study: the Z-width over participants, tracks, psychometric functions, agreement, fatigue.
+"""Draw the pictures of a study: Z-width over participants, searches, psychometric functions, agreement, fatigue.
 
 Each condition has one colour and one marker in all pictures. Verdicts differ in colour and in shape. Triangles mark
 limits beyond the levels (searched stiffnesses): ▲ above the stiffest, ▼ below the softest.
@@ -88,20 +88,11 @@ def draw_session(
     watch: Callable[[int, int], None] | None = None,
     on_failure: Callable[[Exception, str], None] | None = None,
 ) -> dict[str, Path]:
-    """Draw all pictures of a study into an existing directory; return the paths by file name.
+    """Draw all pictures of a study into an existing directory, in the formats `endings`; return the paths by name.
 
-    Raises `RecordingError` if a file cannot be written.
-
-    Parameters
-    ----------
-    directory
-        Directory of the pictures; existing files of the same names are replaced.
-    endings
-        File formats, some of `rig.views.plots.style.FORMATS`.
-    watch
-        Called with the number of finished pictures, and the total.
-    on_failure
-        Called with the error and the picture's name if a picture fails; None: raise the error.
+    Existing files of the same names are replaced. `watch` is called with the number of finished pictures and the total,
+    `on_failure` with the error and the picture's name if a picture fails (None: the error is raised). Raises
+    `RecordingError` if a file cannot be written.
     """
     written: dict[str, Path] = {}
     chosen = pictures(found)
@@ -200,11 +191,17 @@ def _side_by_side(
     for code in dict.fromkeys(one.participant for one in each):
         line = [(names.index(one.condition), one) for one in each if one.participant == code]
         line.sort(key=lambda pair: pair[0])
-        axes.plot([x for x, _ in line], [one.mean for _, one in line], color=_QUIET, linewidth=0.8, zorder=1)
-        for x, one in line:
-            colour = style_of(x)
-            axes.plot([x], [one.mean], "o", color=colour, markersize=4, alpha=0.5, zorder=2)
-            _draw_censored(axes, x, one.mean, one.above, one.below, colour, size=26, alpha=0.7)
+        axes.plot(
+            [number for number, _ in line],
+            [one.mean for _, one in line],
+            color=_QUIET,
+            linewidth=0.8,
+            zorder=1,
+        )
+        for number, one in line:
+            colour = style_of(number)
+            axes.plot([number], [one.mean], "o", color=colour, markersize=4, alpha=0.5, zorder=2)
+            _draw_censored(axes, number, one.mean, one.above, one.below, colour, size=26, alpha=0.7)
     for number, name in enumerate(names):
         means = [one for one in over if one.condition == name]
         if means:
@@ -257,12 +254,19 @@ def _ends(one: OverParticipants, each: Sequence[OfParticipant]) -> tuple[float, 
 
 
 def _draw_censored(
-    axes: Any, x: float, y: float, above: int, below: int, colour: str, *, size: float, alpha: float
+    axes: Any,
+    position: float,
+    value: float,
+    above: int,
+    below: int,
+    colour: str,
+    *,
+    size: float,
+    alpha: float,
 ) -> None:
-    """Draw a triangle at (x, y) for limits above, and another for limits below all searched stiffnesses."""
     for count, marker in ((above, "^"), (below, "v")):
         if count:
-            axes.scatter([x], [y], marker=marker, s=size, color=colour, alpha=alpha, zorder=5)
+            axes.scatter([position], [value], marker=marker, s=size, color=colour, alpha=alpha, zorder=5)
 
 
 # ---------------------------------------------------------------------------------------------- psychometric curves
@@ -350,10 +354,7 @@ def _draw_functions(axes: Any, of: Sequence[PsychometricFit], judge: str, colour
 
 
 def _describe_k50(one: PsychometricFit) -> str:
-    """Return K50 (stiffness with half of the verdicts stable) as text: with ≥ or ≤ if it is a bound.
-
-    If participants have bounds of both kinds, the text is their number instead.
-    """
+    """Return K50 as text, with ≥ or ≤ if it is a bound; if participants have bounds of both kinds, their number."""
     if one.above and one.below:
         return f"K50 of {one.above + one.below} of {one.participants} censored"
     mark = "≥" if one.above else "≤" if one.below else "="
@@ -361,7 +362,6 @@ def _describe_k50(one: PsychometricFit) -> str:
 
 
 def _find_common(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
-    """Return the fit of all participants together, or of the only participant; None if there is no fit."""
     for one in of:
         if one.participant == "":
             return one
@@ -373,7 +373,7 @@ def _find_common(of: Sequence[PsychometricFit]) -> PsychometricFit | None:
 
 @style.own_style()
 def tracks_figure(found: StudyAnalysis, code: str) -> Any:
-    """Draw the stiffness of each trial with its verdict, in a panel for each run of a participant."""
+    """Draw the stiffness of each trial with its verdict, in a panel for each search (run) of a participant."""
     runs = [run for run in found.runs if run.participant == code]
     trials = [trial for trial in found.trials if trial.participant == code and not trial.practice]
     columns = min(_RUNS_IN_A_ROW, max(len(runs), 1))
@@ -445,7 +445,6 @@ def _paint(colour: str, filled: bool) -> dict[str, Any]:
 
 
 def _add_legend(axes: Any, trials: Sequence[TrialRow]) -> None:
-    """Add legend entries for the markers that occur in `trials`."""
     for verdict, (colour, marker) in VERDICTS.items():
         if any(_verdict_of(trial) == verdict for trial in trials):
             name = _VERDICT_WORDS.get(verdict, verdict)
@@ -475,7 +474,6 @@ def agreement_figure(found: StudyAnalysis) -> Any:
 
 
 def _keep_one_per_name(tables: Sequence[Agreement]) -> list[Agreement]:
-    """Return one confusion matrix of each name; matrices that differ only in their weights have the same counts."""
     by_name: dict[str, Agreement] = {}
     for table in tables:
         by_name.setdefault(table.name, table)
@@ -509,7 +507,7 @@ def _draw_confusions(axes: Any, table: Agreement) -> None:
 
 @style.own_style()
 def effects_figure(found: StudyAnalysis) -> Any:
-    """Draw limits minus the mean of participant and condition against place in the block, block and trial.
+    """Draw stiffness limits, minus the mean of participant and condition, against place in the block, block and trial.
 
     Lower panels: time to a verdict along the session, and share of trials of each block that were invalid, redone or
     cut off.
@@ -517,21 +515,22 @@ def effects_figure(found: StudyAnalysis) -> Any:
     measure = found.options.measure
     runs = [run for run in found.runs_as_counted if run.state == "complete" and measure in run.limits]
     limits = np.array([run.limits[measure].value for run in runs])
-    left = less_means(limits, [(run.participant, run.condition, run.damping) for run in runs])
+    centred = less_means(limits, [(run.participant, run.condition, run.damping) for run in runs])
     figure = style.new_figure(10.5, 6.2)
     panels = figure.subplots(2, 3)
-    places: tuple[tuple[str, str, Callable[[RunRow], float]], ...] = (
-        ("order", "place in the block", lambda run: run.order),
-        ("block", "block", lambda run: run.block),
-        ("trial", "mean trial of the run", lambda run: run.middle_trial),
-    )
-    for axes, (along, label, place) in zip(panels[0], places, strict=True):
-        at = [place(run) for run in runs]
+    (first, *_), (times, lost, over_session) = panels
+    positions: dict[str, tuple[str, Callable[[RunRow], float]]] = {
+        "order": ("place in the block", lambda run: run.order),
+        "block": ("block", lambda run: run.block),
+        "trial": ("mean trial of the run", lambda run: run.middle_trial),
+    }
+    for axes, (along, (label, position)) in zip(panels[0], positions.items(), strict=True):
+        at = [position(run) for run in runs]
         for number, name in enumerate(_conditions(found)):
-            chosen = [i for i, run in enumerate(runs) if run.condition == name]
+            chosen = [index for index, run in enumerate(runs) if run.condition == name]
             axes.plot(
-                [at[i] for i in chosen],
-                [left[i] for i in chosen],
+                [at[index] for index in chosen],
+                [centred[index] for index in chosen],
                 MARKERS[number % len(MARKERS)],
                 color=style_of(number),
                 markersize=4,
@@ -543,12 +542,12 @@ def effects_figure(found: StudyAnalysis) -> Any:
         axes.set_xlabel(label, fontsize=9)
         style.at_least(axes, "y", _LEAST_SPAN * float(limits.max(initial=0.0)))
         _count_runs(axes, runs)
-    panels[0][0].set_ylabel(f"limit less the mean ({found.study.unit('stiffness')})", fontsize=9)
+    first.set_ylabel(f"limit less the mean ({found.study.unit('stiffness')})", fontsize=9)
     if runs:
-        panels[0][0].legend(fontsize=7, loc="best")
-    _draw_response_times(panels[1][0], found)
-    _draw_lost_trials(panels[1][1], found)
-    _limits_over_session(panels[1][2], found, runs, measure)
+        first.legend(fontsize=7, loc="best")
+    _draw_response_times(times, found)
+    _draw_lost_trials(lost, found)
+    _limits_over_session(over_session, found, runs, measure)
     figure.suptitle("Order and fatigue", fontsize=11)
     return figure
 
@@ -570,7 +569,6 @@ def _draw_slope(
 
 
 def _draw_response_times(axes: Any, found: StudyAnalysis) -> None:
-    """Draw the time to a verdict along the session: medians of `_TOGETHER` trials, a line for each participant."""
     for number, session in enumerate(found.study.sessions):
         timed = [
             (trial.trial, trial.response_time_s)
@@ -662,7 +660,7 @@ def _conditions(found: StudyAnalysis) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Return a user's text for matplotlib, so that no part is read as a formula or hidden from a legend."""
+    # matplotlib reads text between $ as a formula, and hides labels that begin with _ from a legend.
     text = text.replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text
 

@@ -45,8 +45,8 @@ class PsychometricFit:
     participants
         Number of participants whose verdicts were used.
     threshold, spread
-        K50 and scale s, in units of stiffness. If K50 lies beyond the levels, it is the nearest level, see
-        `rig.session.search._psychometric.Located`; over participants it is the mean of their K50.
+        K50 (stiffness with half of the verdicts stable) and scale s, in units of stiffness. If K50 lies beyond the
+        levels (searched stiffnesses), it is the nearest level; over participants it is the mean of their K50.
     above, below
         Number of participants whose K50 lies above or below the levels.
     lapse_rate
@@ -54,7 +54,7 @@ class PsychometricFit:
     levels, verdicts, stable
         For each judged level: stiffness, number of verdicts, and number of stable verdicts.
     step, mark
-        Distance of the levels around K50 (stiffness); why the verdicts do not support K50, as in `LimitInterval`.
+        Distance of the levels around K50 (stiffness); why the verdicts do not support K50, empty if they do.
     """
 
     participant: str
@@ -91,8 +91,8 @@ def psychometrics(
 ) -> tuple[PsychometricFit, ...]:
     """Fit all functions, by judge, condition and damping: of each participant, then of all participants together.
 
-    `complete` has participant and number of each run that counts, see `complete_runs`. Participants whose fit is marked
-    (not supported by the verdicts) are left out of the common function, unless `include_marked`.
+    `complete` has participant and number of each run (search) that counts. Participants whose fit is marked (not
+    supported by the verdicts) are left out of the common function, unless `include_marked`.
     """
     found: list[PsychometricFit] = []
     judges: tuple[Judge, ...] = ("person", "automatic")
@@ -118,7 +118,7 @@ def psychometrics(
 
 
 def complete_runs(runs: Sequence[RunRow]) -> set[tuple[str, int]]:
-    """Return (participant, number) of each complete run."""
+    """Return (participant, number) of each complete search (run)."""
     return {(run.participant, run.run) for run in runs if run.state == "complete"}
 
 
@@ -127,12 +127,8 @@ def gather_verdicts(
 ) -> dict[tuple[str, float], dict[str, Verdicts]]:
     """Return verdicts as (stiffness, stable), by (condition, damping) and participant.
 
-    Parameters
-    ----------
-    judge
-        Source of the verdicts, see `rig.extras.study.trials.answers`.
-    complete
-        Participant and number of each run that counts.
+    `judge` is the source of the verdicts ("person" or "automatic"); `complete` has participant and number of each run
+    that counts.
     """
     found: dict[tuple[str, float], dict[str, Verdicts]] = {}
     for session in study.sessions:
@@ -154,10 +150,7 @@ def fit(
     levels: tuple[float, ...],
     verdicts: Sequence[tuple[float, bool]],
 ) -> PsychometricFit:
-    """Fit the psychometric function of one participant to verdicts (stiffness, stable).
-
-    `levels` are the stiffnesses that the search could choose.
-    """
+    """Fit one participant's psychometric function to verdicts (stiffness, stable) on the stiffnesses `levels`."""
     grid = of_levels(tuple(levels))
     posterior = grid.posterior(verdicts)
     half = half_way(levels, verdicts)
@@ -187,7 +180,7 @@ def fit(
 def together(
     each: Sequence[PsychometricFit], levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]]
 ) -> PsychometricFit:
-    """Fit the common function of several participants under one condition to all of their verdicts.
+    """Fit the common psychometric function of several participants under one condition to all of their verdicts.
 
     K50 (stiffness with half of the verdicts stable) is the mean of the single fits `each`, with Student's interval.
     """

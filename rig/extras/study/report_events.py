@@ -97,7 +97,6 @@ def _deviation(session: StudySession, event: Event, what: str, detail: str) -> D
 
 
 def _sentence(session: StudySession, event: Event) -> str:
-    """Return the description of an event as one line, from the template."""
     content, before = event.content, session.events[: event.number]
     trial = content.get("trial")
     verdicts = [one.content["verdict"] for one in session.of_kind("judged") if one.content["trial"] == trial]
@@ -123,7 +122,6 @@ def _sentence(session: StudySession, event: Event) -> str:
 
 
 def _pause_s(session: StudySession, event: Event) -> float | None:
-    """Return the length (s) of the pause before a session was resumed or continued; None for other events."""
     since = [
         one
         for one in session.events[: event.number]
@@ -133,7 +131,6 @@ def _pause_s(session: StudySession, event: Event) -> float | None:
 
 
 def _with_units(session: StudySession, reasons: str) -> str:
-    """Add units to the numbers in the reasons of a verdict."""
     return _REASON.sub(lambda found: f"{found[0]} {_unit(session, _MEASURED[found[1]])}", reasons)
 
 

@@ -136,7 +136,6 @@ def analysed_with() -> dict[str, str]:
 
 
 def _collect_facts(found: StudyAnalysis) -> dict[str, Any]:
-    """Return, by name, all values in the template of the report's Methods section (`TEMPLATE`)."""
     study, protocol, measure = found.study, found.study.protocol, found.options.measure
     experiments = effective(found)
     x = first_experiment(found)
@@ -202,13 +201,15 @@ def _conditions(
     found: StudyAnalysis, experiments: Mapping[str, Experiment | RigError]
 ) -> Iterator[_Condition]:
     for condition in found.study.protocol.condition:
-        x = experiments[condition.name]
+        experiment = experiments[condition.name]
         yield _Condition(
             name=condition.name,
             fit=condition.fit,
             dampings=tuple(f"{damping:g}" for damping in condition.damping),
-            controller=x.controller if isinstance(x, Experiment) else None,
-            estimator=estimators.get(x.controller.estimator) if isinstance(x, Experiment) else None,
+            controller=experiment.controller if isinstance(experiment, Experiment) else None,
+            estimator=estimators.get(experiment.controller.estimator)
+            if isinstance(experiment, Experiment)
+            else None,
             changes=_settings(found, condition.changes, _SCHEME),
         )
 
@@ -216,7 +217,6 @@ def _conditions(
 def _settings(
     found: StudyAnalysis, changes: Mapping[str, Any], elsewhere: tuple[str, ...]
 ) -> tuple[_Setting, ...]:
-    """Return the changed settings of the experiment, without keys that begin with one of `elsewhere`."""
     known, motion = parameters(), found.study.motion
     settings = []
     for key, value in changes.items():
@@ -230,7 +230,6 @@ def _settings(
 
 
 def _searches(found: StudyAnalysis) -> Iterator[_StatedSearch]:
-    """Yield the study's search, unless each condition has its own, and the conditions' own searches."""
     protocol = found.study.protocol
     own = [(one.name, one.search) for one in protocol.condition if one.search is not None]
     shared = [(None, protocol.search)] if len(own) < len(protocol.condition) else []
@@ -263,7 +262,6 @@ def _collect_opened(found: StudyAnalysis, *names: str) -> list[tuple[Any, ...]]:
 
 
 def _versions(found: StudyAnalysis) -> Iterator[str]:
-    """Yield the software versions of the sessions as text, each combination once."""
     sets = dict.fromkeys(tuple((s.began.get("versions") or {}).items()) for s in found.study.sessions)
     for versions in filter(None, sets):
         named = [f"{name} {text}" for name, text in versions if name not in ("sources", "protocol")]

@@ -1,4 +1,7 @@
-"""Format the tables of a study for the HTML page of `rig session analyse`; the terminal prints some of them."""
+"""Format the tables of a study for the HTML page of `rig session analyse`; the terminal prints some of them.
+
+They must not compute a result: all numbers are in `StudyAnalysis`.
+"""
 
 from __future__ import annotations
 
@@ -369,10 +372,10 @@ def drop_empty_columns(table: Table) -> Table:
 
 
 def first_contrasts(found: StudyAnalysis) -> tuple[Mixed | None, list[tuple[Contrast | Paired, str]]]:
-    """Return the mixed model, and the differences to show first as (difference, method).
+    """Return the mixed model, and the differences between conditions to show first, as (difference, method).
 
-    The differences are the model's, or the paired ones without a model. Paired differences that are only bounds are
-    added to the model's.
+    They are the model's differences, or without a model the paired ones. Paired differences that are only bounds are
+    added.
     """
     measure = found.options.measure
     paired = [one for one in found.paired if one.measure == measure and one.participants > 1]

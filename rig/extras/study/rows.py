@@ -122,10 +122,10 @@ class LimitInterval:
 class RunRow:
     """One search (run): one condition, one damping, one repeat.
 
-    `limits` contains the limit by each measure; K50 is the median of its posterior. A measure is missing if nothing
-    determines it: there are no verdicts or, for the rule, verdicts that the search had used were amended afterwards, so
-    that it would have chosen other walls. `caught` does not count catch trials at an end of the levels beyond which the
-    limit lies.
+    `limits` contains the stiffness limit by each definition ("rule", "K50 …"); K50 is the median of its posterior. A
+    limit is missing if nothing determines it: there are no verdicts or, for the rule, verdicts that the search had used
+    were amended afterwards, so that it would have chosen other walls. `caught` does not count catch trials at an end of
+    the levels beyond which the limit lies.
     """
 
     participant: Annotated[str, Quantity("", "code")]
@@ -185,7 +185,7 @@ def runs_as_counted(runs: Iterable[RunRow], *, include_marked: bool = False) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """One limit of a participant that K_max and the mixed model use.
+    """One stiffness limit of a participant that K_max and the mixed model use.
 
     For the rule it is the limit of a run. For K50 it is the limit from all verdicts of a participant under a condition
     at a damping, because a single run may determine K50 badly: if its only verdict "not stable" is a lapse, its K50

@@ -45,10 +45,8 @@ class StudySession:
 
     Attributes
     ----------
-    directory
-        Directory of the session.
-    events
-        Events of the session's log.
+    directory, events
+        Directory of the session, and the events of its log.
     state
         State of the session after all events, which decides which trials count.
     began
@@ -200,7 +198,7 @@ def find_sessions(paths: Iterable[Path]) -> list[Path]:
 
 
 def read_session(directory: Path, *, hashes: bool = True) -> StudySession:
-    """Read the directory of one session; raise `RigError` if it cannot be read (see `read_study`)."""
+    """Read the directory of one session; raise `RigError` if it contains no session or a damaged log."""
     path = directory / LOG
     events = read(path)
     try:
@@ -259,7 +257,6 @@ def _refuse(sessions: Sequence[StudySession]) -> None:
 
 
 def _protocol_differences(sessions: Sequence[StudySession], across: Sequence[str]) -> list[Difference]:
-    """Return the differences of the protocols; raise `ConfigError` if one affects results and is not in `across`."""
     differ = protocol_differences(
         {one.code: settings_of(one.state.protocol, one.state.experiment) for one in sessions}
     )
@@ -290,7 +287,6 @@ def _decides_cells(one: Difference) -> bool:
 
 
 def _describe_differences(differ: Sequence[Difference]) -> list[str]:
-    """Return sentences for the reader about the differences between protocols."""
     stated = [
         f"analysed together despite a difference in {one.sentence}" for one in differ if not one.is_neutral
     ]
@@ -343,7 +339,6 @@ def _describe_session(session: StudySession) -> list[str]:
 
 
 def _changed_between(session: StudySession) -> Iterator[str]:
-    """Yield sentences about a change of device, firmware or software between trials."""
     used: list[tuple[Mapping[str, Any], list[str]]] = []
     for trial, opened in session.devices().items():
         if not used or used[-1][0] is not opened:
@@ -368,7 +363,6 @@ def _changed_between(session: StudySession) -> Iterator[str]:
 
 
 def _has_changed(one: Any, other: Any) -> bool:
-    """Return True if both values are known and differ."""
     return one is not None and other is not None and one != other
 
 

@@ -103,7 +103,6 @@ def _unit(column: DataColumn, found: StudyAnalysis) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a table value for a file; None if it is not finite."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
@@ -176,10 +175,7 @@ def _own(name: str, kind: type, quantity: str, meaning: str, field: str = "") ->
 
 
 def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
-    """Describe columns for all annotated fields of a row class, or for the fields `names`.
-
-    Type, unit and meaning come from the annotations.
-    """
+    """Describe columns, by their annotations, for all fields of a row class or for the fields `names`."""
     known, hints = quantities(described), get_type_hints(described)
     return tuple(
         DataColumn(
@@ -194,7 +190,6 @@ def columns_of(described: type, *names: str) -> tuple[DataColumn, ...]:
 
 
 def _kind(hint: Any) -> type:
-    """Return the type of a field's values from its type hint: bool, int, float or str; None is ignored."""
     kinds = (
         [one for one in get_args(hint) if one is not type(None)] if isinstance(hint, UnionType) else [hint]
     )
@@ -575,7 +570,6 @@ def _answer(item: str) -> Callable[[ParticipantRow], Any]:
 
 
 def _differences(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Return the paired differences and the differences of the mixed models as rows of one table."""
     rows: list[Mapping[str, Any]] = [
         _difference(one, one.measure, "paired", one.participants) for one in found.paired
     ]
@@ -598,7 +592,6 @@ _OF_TABLE = ("kappa", "low", "high", "problem", "share", "positive", "negative",
 
 
 def _list_confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
-    """Return a row for each cell of each confusion matrix, with the kappa of its matrix."""
     return [
         {
             "name": table.name,
@@ -606,10 +599,10 @@ def _list_confusions(found: StudyAnalysis) -> list[Mapping[str, Any]]:
             "weights": table.weights,
             "person": person,
             "automatic": automatic,
-            "trials": table.counts[i][j],
+            "trials": table.counts[row][column],
             **{name: getattr(table, name) for name in _OF_TABLE},
         }
         for table in found.agreements
-        for i, person in enumerate(table.classes)
-        for j, automatic in enumerate(table.classes)
+        for row, person in enumerate(table.classes)
+        for column, automatic in enumerate(table.classes)
     ]

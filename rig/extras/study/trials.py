@@ -1,4 +1,7 @@
-"""Compute the two basic tables of an analysis: all trials of a study, and its runs (searches) with their limits."""
+"""Compute the two basic tables of an analysis: all trials of a study, and its runs (searches) with their limits.
+
+All other tables and the exports follow from these two. Verdicts come from the log alone; no recording is read.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ Watch = Callable[[int, int], None]
 
 
 def trials_of(study: Study) -> tuple[TrialRow, ...]:
-    """Return a row for each recorded hit, by participant, also for hits that do not count (`TrialRow.void`)."""
+    """Return a row for each recorded wall hit, by participant, also for trials that do not count (`TrialRow.void`)."""
     schemes = schemes_of(study)
     rows: list[TrialRow] = []
     for session in study.sessions:
@@ -101,10 +104,7 @@ def schemes_of(study: Study) -> dict[str, str]:
 
 
 def _scheme_words(text: str | None, own: Mapping[str, Any]) -> str:
-    """Return rates, estimator and settings as text.
-
-    They come from the scheme `text`, or from the controller's settings `own`; no estimator is loaded.
-    """
+    """Return rates, estimator and settings as text, from a sampling scheme or from the controller's own settings."""
     if text is None:
         rates = own["position_rate"], own["velocity_rate"]
         settings, estimator = dict(own["parameters"]), own["estimator"]
@@ -149,15 +149,9 @@ def half_way(
 ) -> LimitInterval:
     """Estimate the stiffness with this share of stable verdicts (None: 0.5), as the median of its posterior.
 
-    Verdicts of several runs are treated as if the limit were the same in all of them; if it drifts, the interval is too
-    narrow. Beyond the levels the result is the nearest level, see `rig.session.search._psychometric.Located`.
-
-    Parameters
-    ----------
-    grid
-        Levels (stiffnesses) of the search.
-    verdicts
-        Stiffness, and True if it was judged stable; at least one.
+    `grid` are the levels (stiffnesses) of the search; `verdicts` are a stiffness, and True if it was judged stable.
+    Verdicts of several searches are treated as if the limit were the same in all of them; if it drifts, the interval is
+    too narrow. If the stiffness lies beyond the levels, the result is the nearest level.
     """
     share = share or 0.5
     found = locate(tuple(grid), verdicts, share)
@@ -173,7 +167,7 @@ def half_way(
 
 
 def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe]:
-    """Return the verdicts of a run's trials by one judge.
+    """Return the verdicts on the trials of one search (run), from one source.
 
     `judge` is "followed": the verdicts that the search rule received; "person": the same verdicts, or an empty list if
     no person judged a trial; or "automatic": whether each wall is stable under the study's criterion.
@@ -188,7 +182,6 @@ def answers(state: SessionState, run: SearchRun, judge: str) -> list[JudgedProbe
 
 
 def _runs_in_order(state: SessionState) -> Iterable[tuple[int, int, SearchRun]]:
-    """Yield block number, place in the block, and run, in the order of the plan, without practice."""
     for block in state.blocks:
         if not block.practice:
             for order, run in enumerate(block.runs, start=1):
@@ -274,7 +267,6 @@ def _caught(
 
 
 def _limits(state: SessionState, run: SearchRun, rule: str) -> tuple[dict[Measure, LimitInterval], str]:
-    """Estimate the stiffness limits of a run; return them by definition (*measure*), and a note about them."""
     found: dict[Measure, LimitInterval] = {}
     grid = levels(state.protocol, run.condition)
     probes, note = answers(state, run, "followed"), ""
