@@ -72,7 +72,6 @@ def read_claims(
 
 
 def _sections(text: str) -> dict[str, dict[str, str]]:
-    """Return the fields of each section of a filled template by name; a line without a field name continues a field."""
     found: dict[str, dict[str, str]] = {}
     key = name = ""
     for line in text.splitlines():

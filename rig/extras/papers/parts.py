@@ -18,13 +18,16 @@ Part = Sequence[Task]  # of one kind; weights in hits of a 20 kHz rig
 
 
 def part(work: Callable[[Any], Any], payload: Mapping[str, Any], weight: float) -> Part:
-    """Return a part (group of sweep tasks) with a single task, which calls `work(payload)`."""
+    """Return a group of tasks (part) with a single task, which calls `work(payload)`.
+
+    `weight` is its computing cost, for the progress display.
+    """
     return (Task("all", work, payload, weight),)
 
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Results of all tasks by name of the part, duration of the sweep (s), number of tasks found in the journal."""
+    """Results of all tasks by name of their group, duration (s), and number of results from an earlier, stopped run."""
 
     results: Mapping[str, Sequence[Any]]
     seconds: float
@@ -43,7 +46,10 @@ def run_parts(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Parts:
-    """Run all groups of tasks (parts) as one sweep; `rig.experiments.sweep.run` explains arguments and errors."""
+    """Run all groups of tasks (parts) as one sweep; a stopped sweep resumes from `journal`, a file of finished results.
+
+    `workers` is the number of processes, `watch` receives the progress. Raise `RigError` if a task fails.
+    """
     started = time.monotonic()
     tasks = [replace(task, key=f"{name}:{task.key}") for name, part in parts.items() for task in part]
     kept = 0

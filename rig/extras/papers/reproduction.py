@@ -28,13 +28,13 @@ MARKS = dict.fromkeys(ClaimStatus, "only") | {ClaimStatus.REPRODUCED: "yes", Cla
 
 
 class ReproductionPlan(Protocol):
-    """Protocol of the plan of a reproduction: all sweep tasks, and the conversion of their results."""
+    """Interface (`typing.Protocol`): all sweep tasks of a reproduction, and the conversion of their results."""
 
     def parts(self) -> dict[str, Part]:
-        """Return all sweep tasks, by the name of their group."""
+        """Return all tasks of the computation, by the name of their group."""
 
     def results(self, done: Parts) -> Any:
-        """Convert the results of all sweep tasks to one typed object."""
+        """Convert the results of all tasks of the computation to one typed object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,16 +123,11 @@ def reproduce(
     workers: int | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Reproduction:
-    """Compute and judge all claims of a paper.
+    """Compute and judge all claims of a paper, with the settings `scale`: `paper.full` or `paper.quick`.
 
-    Raises `SweepStoppedError` if the operator pressed Ctrl-C; finished tasks stay in the journal.
-
-    Parameters
-    ----------
-    paper, scale
-        Paper to reproduce, and its settings `paper.full` or `paper.quick`.
-    journal, workers, watch
-        See `rig.experiments.sweep.run`; with a journal, a stopped reproduction resumes.
+    `journal` is a file of finished results, from which a stopped reproduction resumes; `workers` the number of
+    processes; `watch` receives the progress. Raises `SweepStoppedError` if the operator pressed Ctrl-C; finished
+    results stay in the journal.
     """
     plan = paper.plan(scale)
     done = run_parts(plan.parts(), journal=journal, workers=workers, watch=watch)
@@ -167,7 +162,10 @@ def render(found: Reproduction, pictures: Mapping[str, bytes]) -> str:
 
 
 def draw(found: Reproduction, on_failure: OnFailure | None = None) -> dict[str, bytes]:
-    """Draw every picture of the report; return PNG data by name, without pictures that failed (see `draw_into`)."""
+    """Draw every picture of the report; return PNG data by name, without pictures that failed.
+
+    `on_failure` receives the error and the name of a picture that fails; None: the error is raised.
+    """
     with scratch(found.paper.name) as place:
         paths = draw_into(found, place, "png", on_failure)
         return {name: path.read_bytes() for name, path in paths.items()}
@@ -200,7 +198,8 @@ def write_report(
 ) -> tuple[Path, Path]:
     """Write the HTML report and the JSON file with all numbers into a directory; return the paths of both.
 
-    Raise `RecordingError` if a file cannot be written. For a picture that fails see `draw_into`.
+    Raise `RecordingError` if a file cannot be written. `on_failure` receives the error and the name of a picture that
+    fails; None: the error is raised.
     """
     page = render(found, draw(found, on_failure)).encode()
     numbers = json.dumps(found.as_mapping(), ensure_ascii=False, allow_nan=False, indent=1).encode()

@@ -115,9 +115,10 @@ class Ruling:
 def judge(
     cases: Mapping[str, bool], *, conditions: Mapping[str, Sequence[str]] | None = None, **numbers: Any
 ) -> Ruling:
-    """Judge a claim: "reproduced" if it holds in all `cases`, "reproduced only with" a condition if in all its cases.
+    """Judge a claim: "reproduced" if it holds in all `cases`.
 
-    `numbers` are for the report's sentence only. A claim without cases is not reproduced.
+    It is "reproduced only with" a condition if it holds in all cases of this condition. `numbers` are for the report's
+    sentence only. A claim without cases is not reproduced.
     """
     found = Ruling(status=ClaimStatus.NOT, cases=cases, numbers=numbers, conditions=conditions or {})
     if cases and all(cases.values()):

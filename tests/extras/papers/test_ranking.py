@@ -176,13 +176,13 @@ def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme
         "run: rig estimators rank, and copy results and page"
     )
     assert compare.RESULTS.stat().st_size <= 200_000
-    wins = {pair for one in found for n in one.axis(1) for pair in one.recommended(n) if is_new(pair)}
+    wins = {pair for one in found for n in one.delays for pair in one.recommended(n) if is_new(pair)}
     listed = {name for name, _ in _listing._estimators(presets.load("chawda-linear"), 1000)}
     assert {pair.split(", ")[0] for pair in wins} == listed & {"tracking", "disturbance"}
 
 
 def test_an_unknown_rig_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no-rig is not ranked"):
+    with pytest.raises(ConfigError, match="no-rig is not in the ranking"):
         Ground.of("no-rig")
 
 

@@ -1,4 +1,7 @@
-"""Judge the claims of Chawda et al.: pass the computed numbers to the rule of each claim (`rules` in this folder)."""
+"""Judge the claims of Chawda et al.: pass the computed numbers to the rule of each claim (`rules` in this folder).
+
+`reproduction` uses it. Thresholds are in `rules`, sentences in ``claims.j2``.
+"""
 
 from __future__ import annotations
 

@@ -25,9 +25,9 @@ from rig.extras.papers.rules import over
 
 
 def curve(chawda: Chawda, name: str) -> list[float]:
-    """Return, for each damping of Fig. 3, the largest stiffness (N/m) at which hits show no velocity ripple.
+    """Return, for each damping of Fig. 3, the largest stiffness (N/m) at which hits are stable without velocity ripple.
 
-    The hits must also be stable. `name` is one of `Chawda.hit_names`; each value is a mean over the encoder offsets.
+    `name` is one of `Chawda.hit_names`; each value is a mean over the encoder offsets.
     """
     return [b.stiffness for b in chawda.hits.curve(chawda.hit_names.index(name), "felt")]
 
@@ -42,9 +42,10 @@ def drops(chawda: Chawda) -> dict[str, float]:
 
 
 def over_filtered(chawda: Chawda, name: str, up_to: float = math.inf) -> list[float]:
-    """Return a sampling scheme's stiffness limit over that of the filtered difference, at dampings to `up_to` (N·s/m).
+    """Return a sampling scheme's stiffness limit divided by that with the filtered difference, at each damping.
 
-    B = 0 is left out, and so are dampings at which both limits exceed the searched stiffnesses.
+    Dampings are above 0 and at most `up_to` (N·s/m), without those at which both limits exceed the searched
+    stiffnesses.
     """
     of, filtered = (chawda.hits.curve(chawda.hit_names.index(one), "felt") for one in (name, rigs.FILTERED))
     return [
@@ -62,17 +63,17 @@ def akf_over_fdm(chawda: Chawda) -> dict[str, list[float]]:
     """
     akf, fdm = (chawda.linear[name]["stable"] for name in (rigs.AKF, rigs.FDM))
     linear = [
-        over(a, f)
-        for b, a, f in zip(chawda.linear_dampings, akf, fdm, strict=True)
-        if b >= rules.LEAST_DAMPING
+        over(kalman, filtered)
+        for damping, kalman, filtered in zip(chawda.linear_dampings, akf, fdm, strict=True)
+        if damping >= rules.LEAST_DAMPING
     ]
     hits = [
-        over(a.stiffness, f.stiffness)
-        for a, f in zip(
+        over(kalman.stiffness, filtered.stiffness)
+        for kalman, filtered in zip(
             *(chawda.slow_hits.curve(rigs.ESTIMATORS.index(name), "felt") for name in (rigs.AKF, rigs.FDM)),
             strict=True,
         )
-        if rules.LEAST_DAMPING <= a.damping <= chawda.linear_dampings[-1]
+        if rules.LEAST_DAMPING <= kalman.damping <= chawda.linear_dampings[-1]
     ]
     return {"linear theory, stable": linear, "hits at 1 kHz": hits}
 
@@ -84,7 +85,7 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
     """Compare the results with Table I, for each upper edge (Hz) of the frequency band of the passivity test.
 
     There is a pair for each passivity test with this edge and each measurement: True if all K-widths (stiffest passive
-    walls) are near Table I, and True if all fidelity errors are.
+    walls) are within a factor of `rules.NEAR_WIDTH` of Table I, and True if all fidelity errors are.
     """
     fits: dict[float, list[tuple[bool, bool]]] = {high: [] for high in rigs.HIGHEST_HZ}
     stiffness = {name: printed.stiffness for name, printed in rigs.PRINTED.items()}
@@ -98,7 +99,7 @@ def by_edge(chawda: Chawda) -> dict[float, list[tuple[bool, bool]]]:
 
 
 def closed_widths(chawda: Chawda, name: str) -> list[float]:
-    """Return the stiffest wall (N/m) that linear theory calls passive at any damping, for each of `rigs.HIGHEST_HZ`.
+    """Return the stiffest wall (N/m) that linear theory calls passive at any damping, for each upper edge of the band.
 
     `name` is the name of a linear estimator.
     """
@@ -193,7 +194,7 @@ def common_gains(chawda: Chawda, reading: int = rigs.MAIN) -> dict[str, list[flo
 
 
 def common_gains_by_edge(chawda: Chawda) -> dict[float, dict[str, list[float]]]:
-    """Return the shares by which FOAW's fidelity error is lower (see `common_gains`), by upper band edge (Hz)."""
+    """Return by which share FOAW's fidelity error is below that of FDM+filter and of AKF, by upper band edge (Hz)."""
     main = rigs.READINGS[rigs.MAIN]
     return {
         high: common_gains(chawda, rigs.READINGS.index(replace(main, high_hz=high)))
@@ -229,10 +230,10 @@ def errors_of_quarters(chawda: Chawda) -> dict[str, tuple[float, float]]:
 
 
 def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
-    """Compare the K-widths (stiffest passive walls) of schemes 0 and 1, by allowed tolerance of the phase.
+    """Count how often the first sampling scheme has a larger K-width (stiffest passive wall) than the second.
 
-    A value is (number of results in which scheme 0 has the larger K-width, number in which the K-widths differ); there
-    is one result for each band and measurement.
+    The key is the allowed tolerance of the phase. A value is (results in which the first is larger, results in which
+    the K-widths differ); there is one result for each frequency band and measurement.
     """
     counts: dict[str, tuple[int, int]] = {}
     for number, reading in enumerate(found.grid.readings):
@@ -247,7 +248,7 @@ def larger_first(found: Readings) -> dict[str, tuple[int, int]]:
 def at_softest_wall(chawda: Chawda) -> tuple[int, int]:
     """Return the number of maps whose largest fidelity error is at the softest wall, and the number of all maps.
 
-    There is one map for each estimator and measurement.
+    There is one map (all walls of a grid) for each estimator and measurement.
     """
     worst = [width.worst_stiffness for name in rigs.SCHEMES for width in chawda.widths(name)]
     return sum(k == chawda.map.grid.stiffnesses[0] for k in worst), len(worst)
@@ -311,10 +312,6 @@ def rank_schemes(found: Readings, reading: int) -> list[Ranked]:
 
 
 def _relative_error(found: Readings, reading: int, number: int, reference: int) -> Spread:
-    """Return a sampling scheme's mean fidelity error divided by that of a reference scheme, with its spread.
-
-    Means are over the walls that are passive with both schemes, the spread is over measurements; schemes are indices.
-    """
     ratios = []
     for m in range(found.grid.measurements):
         held = connected(found.passive[m, reading, number]) & connected(found.passive[m, reading, reference])
@@ -333,7 +330,7 @@ class BestDual:
     near
         Other dual-rate schemes whose area differs from the best by at most the sum of both standard deviations.
     faithful
-        The dual-rate scheme with the smallest relative error; None if no scheme has a known error.
+        The dual-rate scheme with the smallest fidelity error, relative to the paper's dual-rate wall; None if unknown.
     uniform
         The uniform-rate scheme with the largest area.
     """

@@ -107,7 +107,6 @@ def draw_levant_regions(computed: LevantRegions, picture: str | Path) -> Path:
 
 
 def _mark(axes: Any, mu1: float, mu2: float, name: str, marker: str, offset: tuple[int, int]) -> None:
-    """Draw a pair of gains as a marker, with its label `offset` points (1/72 inch) away."""
     axes.plot([mu2], [mu1], marker, color="#333333", markersize=5)
     label = f"{name} ({mu1:.5g}, {mu2:.5g})"
     axes.annotate(label, (mu2, mu1), xytext=offset, textcoords="offset points", fontsize=8)

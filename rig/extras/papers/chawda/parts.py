@@ -50,8 +50,8 @@ CONTROL_SETTLING = 40  # periods
 def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Compute the largest stable and the largest passive stiffness (N/m) of one sampling scheme by linear theory.
 
-    `payload` has ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), ``low_hz``, and
-    ``highest_hz``, the upper edges of the bands (Hz) in which passivity is tested, every 1 Hz. In the result ``stable``
+    `payload` has ``experiment``, ``scheme`` (with a linear estimator), ``dampings`` (N·s/m), and the lower and upper
+    edges (``low_hz``, ``highest_hz``) of the bands in which passivity is tested, every 1 Hz. In the result ``stable``
     has a stiffness for each damping, ``passive`` a list of stiffnesses for each upper edge; ``range`` is the largest
     stable damping (N·s/m).
     """
@@ -70,7 +70,10 @@ def linear(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def constant(payload: Mapping[str, Any]) -> dict[str, float]:
-    """Identify the constant C of Levant's differentiator from a hit on the wall in `payload`; see `identify_wall`."""
+    """Identify the constant C of Levant's differentiator from a simulated hit on a wall.
+
+    `payload` has the wall's ``stiffness`` (N/m) and ``damping`` (N·s/m).
+    """
     return identify_wall(payload["stiffness"], payload["damping"])
 
 
@@ -105,8 +108,9 @@ def identify_wall(stiffness: float, damping: float) -> dict[str, float]:
 def control(payload: Mapping[str, Any]) -> dict[str, float]:
     """Compute two values that theory predicts, to check the method, on a rig without friction and encoder quantisation.
 
-    ``stiffness`` is the largest K (N/m) at B = 0 whose impedance is passive without any tolerance, by bisection;
-    ``fidelity`` is the rms of |Z| without a wall (N·s/m).
+    `payload` has the experiment, the scheme, the search and the band. ``stiffness`` is the largest K (N/m) at B = 0
+    whose impedance is passive without any tolerance, by bisection; ``fidelity`` is the rms of |Z| without a wall
+    (N·s/m).
     """
     experiment = _ideal(config.restore_experiment(payload["experiment"]))
     reading = [Reading(low_hz=payload["low_hz"], high_hz=payload["high_hz"], tolerance=0.0)]
@@ -123,20 +127,22 @@ def control(payload: Mapping[str, Any]) -> dict[str, float]:
     low, high = -1, len(rungs)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if excited(rungs[middle])[0] else (low, middle)
-    return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": excited(0.0)[1]}
+        passes, _ = excited(rungs[middle])
+        low, high = (middle, high) if passes else (low, middle)
+    _, fidelity = excited(0.0)
+    return {"stiffness": rungs[low] if low >= 0 else 0.0, "fidelity": fidelity}
 
 
 def control_payload(
     experiment: Experiment, scheme: Scheme, search: StiffnessSearch, band: tuple[float, float]
 ) -> Any:
-    """Return the argument of `control` (a check against theory) for one sampling scheme; `band` is in Hz."""
-    applied = scheme.applied(config.excited(experiment))
+    """Return the argument of `control`, which compares a sampling scheme with theory; `band` is in Hz."""
+    applied, (low_hz, high_hz) = scheme.applied(config.excited(experiment)), band
     return {
         "experiment": config.as_mapping(applied),
         "search": asdict(search),
-        "low_hz": band[0],
-        "high_hz": band[1],
+        "low_hz": low_hz,
+        "high_hz": high_hz,
     }
 
 
@@ -154,5 +160,6 @@ def fidelity_without_wall(mass: float, damping: float, band: tuple[float, float]
 
     The impedance is that of a mass m (kg) with viscous damping b (N·s/m): the result is √mean(b² + (2π·m·f)²).
     """
-    lines = np.arange(band[0], band[1] + 1.0)
+    low_hz, high_hz = band
+    lines = np.arange(low_hz, high_hz + 1.0)
     return float(np.sqrt(np.mean(damping**2 + (2.0 * np.pi * mass * lines) ** 2)))

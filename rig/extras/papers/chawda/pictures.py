@@ -1,4 +1,7 @@
-"""Draw the pictures of the reproduction of Chawda et al.; `PICTURES` has a drawing function for each picture's name."""
+"""Draw the pictures of the reproduction of Chawda et al.; `PICTURES` has a drawing function for each picture's name.
+
+`reproduction` calls them. They must not judge a claim.
+"""
 
 from __future__ import annotations
 
@@ -104,12 +107,11 @@ def _figure_5(chawda: Chawda, path: Path) -> None:
     figure, panels = _panels()
     for axes, name in zip(panels, rigs.SCHEMES, strict=True):
         passive = chawda.map.passive[0, rigs.MAIN, ORDER.index(name)]
-        k, b = _places(chawda)
+        stiffness_places, damping_places = _places(chawda)
         cells = np.where(passive, 1.0, np.nan).T
         axes.set_facecolor(NOT_PASSIVE)
-        axes.pcolormesh(
-            _edges(b), _edges(k), cells, cmap="Blues", vmin=0.0, vmax=2.5, edgecolor="white", linewidth=0.2
-        )
+        look = {"cmap": "Blues", "vmin": 0.0, "vmax": 2.5, "edgecolor": "white", "linewidth": 0.2}
+        axes.pcolormesh(_edges(damping_places), _edges(stiffness_places), cells, **look)
         search = chawda.search(name)
         path_b, path_k = zip(*search.path, strict=True)
         axes.plot(path_b, path_k, "-", color=style.BAD, linewidth=1.2, marker=".", markersize=3)
@@ -123,7 +125,7 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
     errors = chawda.map.fidelity[:, rigs.MAIN]
     seen = errors[np.isfinite(errors) & chawda.map.passive[:, rigs.MAIN]]
     norm = colors.LogNorm(float(seen.min()), float(seen.max())) if len(seen) else colors.LogNorm(1.0, 10.0)
-    k, b = _places(chawda)
+    stiffness_places, damping_places = _places(chawda)
     mesh = None
     for axes, name in zip(panels, rigs.SCHEMES, strict=True):
         number = ORDER.index(name)
@@ -131,11 +133,13 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
         held = connected(passive).mean(axis=0) > 0.5
         shown = np.where(held, _seen_mean(errors[:, number]), np.nan)
         axes.set_facecolor(NOT_PASSIVE)
-        mesh = axes.pcolormesh(_edges(b), _edges(k), shown.T, cmap="viridis", norm=norm)
+        mesh = axes.pcolormesh(
+            _edges(damping_places), _edges(stiffness_places), shown.T, cmap="viridis", norm=norm
+        )
         islands = passive[0] & ~connected(passive[0])
-        axes.contourf(
-            b, k, np.where(islands, 1.0, 0.0).T, levels=[0.5, 1.5], colors="none", hatches=["////"]
-        ) if islands.any() else None
+        if islands.any():
+            hatched = {"levels": [0.5, 1.5], "colors": "none", "hatches": ["////"]}
+            axes.contourf(damping_places, stiffness_places, np.where(islands, 1.0, 0.0).T, **hatched)
         if name in chawda.linear:
             _linear_lines(axes, chawda, name)
         axes.set_title(name, fontsize=10)
@@ -145,17 +149,17 @@ def _figure_7(chawda: Chawda, path: Path) -> None:
 
 
 def _linear_lines(axes: Any, chawda: Chawda, name: str) -> None:
-    """Draw the largest stable (dashed) and passive stiffness (dotted) by linear theory, in cells of the grid."""
-    grid, of = chawda.map.grid, chawda.linear[name]
-    x = np.interp(chawda.linear_dampings, grid.dampings, np.arange(len(grid.dampings)))
-    passive = of["passive"][rigs.HIGHEST_HZ.index(rigs.READINGS[rigs.MAIN].high_hz)]
-    for stiffness, look in ((of["stable"], "--"), (passive, ":")):
-        y = np.interp(np.log(stiffness), np.log(grid.stiffnesses), np.arange(len(grid.stiffnesses)))
-        axes.plot(x, y, look, color=style.BAD, linewidth=1.2)
+    grid, linear = chawda.map.grid, chawda.linear[name]
+    damping_places = np.interp(chawda.linear_dampings, grid.dampings, np.arange(len(grid.dampings)))
+    passive = linear["passive"][rigs.HIGHEST_HZ.index(rigs.READINGS[rigs.MAIN].high_hz)]
+    for stiffness, look in ((linear["stable"], "--"), (passive, ":")):
+        stiffness_places = np.interp(
+            np.log(stiffness), np.log(grid.stiffnesses), np.arange(len(grid.stiffnesses))
+        )
+        axes.plot(damping_places, stiffness_places, look, color=style.BAD, linewidth=1.2)
 
 
 def _seen_mean(values: Any) -> Any:
-    """Return the mean over the first axis (measurements), ignoring NaN; NaN where all measurements are NaN."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axis=0)
     return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)

@@ -52,7 +52,7 @@ class ExcitationGrid:
         return walls * self.experiment.excitation.realisations
 
     def part(self, weight: float = 1.0) -> Part:
-        """Return a sweep task for each sampling scheme and damping; `weight` is the relative cost of one excitation."""
+        """Return a task of the sweep for each sampling scheme and damping; `weight` is the cost of one excitation."""
         tasks = []
         for number, scheme in enumerate(self.schemes):
             applied = scheme.applied(config.excited(self.experiment))
@@ -74,9 +74,10 @@ class ExcitationGrid:
 def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
     """Excite all walls of one sampling scheme and damping; return for each stiffness a dict for each measurement.
 
-    ``passive`` is a string with the digit 1 (passive) or 0 for each passivity test; ``fidelity`` is a list with the rms
-    of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the
-    excited lines. A measurement that the safety guard ended is not passive, and its other values are None.
+    `payload` has the experiment, the stiffnesses and the passivity tests. In the result, ``passive`` is a string with
+    the digit 1 (passive) or 0 for each passivity test; ``fidelity`` is a list with the rms of |Z| − |K/(jω) + B|
+    (N·s/m) in each of `bands`; ``residual`` is the share of the velocity's power beside the excited lines. A
+    measurement that the safety guard ended is not passive, and its other values are None.
     """
     experiment = config.restore_experiment(payload["experiment"])
     readings = [
@@ -108,7 +109,6 @@ def column(payload: Mapping[str, Any]) -> list[list[dict[str, Any]]]:
 
 
 def _excite(bench: ExcitedRig, stiffness: float, damping: float, numbers: range) -> list[RealisationRun]:
-    """Excite one wall with the draws of the phases `numbers`, up to the first run that the safety guard ends."""
     runs: list[RealisationRun] = []
     for number in numbers:
         runs.append(bench.excite(stiffness, damping, number))
@@ -124,17 +124,19 @@ def read(
 
     The error is the rms of |Z| − |K/(jω) + B| (N·s/m) in each of `bands`.
     """
-    lines, z = impedance.lines_hz, impedance.z
+    lines, impedance_z = impedance.lines_hz, impedance.z
     error = impedance.magnitude - np.abs(ideal_wall(stiffness, damping, lines))
     # Lines with a low coherence are unknown: they do not count against a wall.
-    seen = ~(impedance.coherence_motion < COHERENCE)
-    quiet = not impedance.residual > RESIDUAL
+    coherent = ~(impedance.coherence_motion < COHERENCE)
+    is_clean = not impedance.residual > RESIDUAL
     fails = {
-        key: ~((z.real + _tolerance(impedance, *key) >= 0.0) & seen)
+        key: ~((impedance_z.real + _tolerance(impedance, *key) >= 0.0) & coherent)
         for key in {(reading.tolerance, reading.kind) for reading in readings}
     }
     lines_of = {band: _band(lines, *band) for band in bands(readings)}
-    passes = [quiet and not fails[r.tolerance, r.kind][lines_of[r.low_hz, r.high_hz]].any() for r in readings]
+    passes = [
+        is_clean and not fails[r.tolerance, r.kind][lines_of[r.low_hz, r.high_hz]].any() for r in readings
+    ]
     errors = [float(np.sqrt(np.mean(error[band] ** 2))) for band in lines_of.values()]
     return np.array(passes, np.bool_), np.array(errors)
 
@@ -145,10 +147,6 @@ def bands(readings: Sequence[Reading]) -> list[tuple[float, float]]:
 
 
 def _tolerance(impedance: Impedance, tolerance: float, kind: str) -> Floats:
-    """Return how far Re Z may be below zero (N·s/m) at each frequency of the impedance.
-
-    `kind` is the unit of `tolerance`: "deviations" (standard deviations of the measurement) or "degrees" of phase.
-    """
     if tolerance == 0.0:
         return np.zeros(len(impedance.z))
     if kind == "deviations":
@@ -177,7 +175,7 @@ class Readings:
 
     @classmethod
     def of(cls, grid: ExcitationGrid, columns: Sequence[list[list[dict[str, Any]]]]) -> Readings:
-        """Build the arrays from the results of the tasks of `ExcitationGrid.part`, in their order."""
+        """Build the arrays from the results of the tasks (one for each scheme and damping), in their order."""
         shape = (len(grid.schemes), len(grid.dampings), len(grid.stiffnesses), grid.measurements)
         cells = [cell for rows in columns for row in rows for cell in row]
         names = bands(grid.readings)
@@ -203,7 +201,7 @@ class Readings:
         )
 
     def widths(self, reading: int, scheme: int) -> list[FrequencyWidth]:
-        """Return largest passive stiffness and damping, and fidelity errors, of a scheme for each measurement.
+        """Return largest passive stiffness and damping, and fidelity errors, of a sampling scheme for each measurement.
 
         `reading` is the index of the passivity test, `scheme` that of the sampling scheme.
         """

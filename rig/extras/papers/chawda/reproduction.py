@@ -58,7 +58,7 @@ class ChawdaPlan:
         self._grids = self._all_grids()
 
     def parts(self) -> dict[str, Part]:
-        """Return all sweep tasks, grouped by the name of the result that they compute."""
+        """Return all tasks of the computation, grouped by the name of the result that they compute."""
         parts = {name: grid.part(self._weight(name)) for name, grid in self._grids.items()}
         parts["hits"] = koul_parts.map_part(self._hits)
         parts["slow-hits"] = koul_parts.map_part(self._slow_hits)
@@ -82,7 +82,7 @@ class ChawdaPlan:
         return parts
 
     def results(self, done: Parts) -> Chawda:
-        """Convert the results of all sweep tasks to one typed object."""
+        """Convert the results of all tasks of the computation to one typed object."""
         found = {name: Readings.of(grid, done.results[name]) for name, grid in self._grids.items()}
         hits = ZWidth.of(self._hits, done.results["hits"])
         return Chawda(
@@ -108,10 +108,7 @@ class ChawdaPlan:
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
-        """Return the sampling schemes of Fig. 3 by name: the filtered difference, then Levant's differentiator.
-
-        Levant's differentiator has the identified C, and each of the scale's other values of C with each pair of gains.
-        """
+        """Return the sampling schemes of Fig. 3 by name: the filtered difference, then Levant's with each C."""
         named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
         named |= {
             name: rigs.levant(rigs.FIGURE_3_RATE, self._nominal["lipschitz"], gains)
@@ -179,7 +176,6 @@ class ChawdaPlan:
         return grids
 
     def _weight(self, name: str) -> float:
-        """Return the cost of one excitation in the grid `name`, in hits of a 20 kHz rig."""
         return 2.0 if name.startswith("dual") else 2.2
 
     def _linear_dampings(self) -> list[float]:
@@ -187,13 +183,11 @@ class ChawdaPlan:
 
 
 def _choose_gains(hits: ZWidth, names: tuple[str, ...]) -> str:
-    """Return the name of the sampling scheme with Levant's gains whose stable area in the K–B plane is largest."""
     tried = [number for number, name in enumerate(names) if name != rigs.FILTERED]
     return names[max(tried, key=lambda number: hits.width(number, "felt").area)]
 
 
 def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
-    """Measure the impedance of the rig without a wall, and of one wall with each of the four estimators."""
     rig = rigs.excited_rig(replace(scale, measurements=1))
     (bare,) = measure_impedance(rig, walls=[(0.0, 0.0)], schemes=[rigs.SCHEMES[rigs.FDM]])
     return (bare, *measure_impedance(rig, walls=[SHOWN_WALL], schemes=tuple(rigs.SCHEMES.values())))

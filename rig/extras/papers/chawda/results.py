@@ -1,4 +1,7 @@
-"""Types of the results of the reproduction of Chawda et al., and their conversion to values for JSON."""
+"""Types of the results of the reproduction of Chawda et al., and their conversion to values for JSON.
+
+`claims`, `derived`, `pictures` and the templates of the report read them.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +26,8 @@ from rig.realtime.source_files import code_version
 class BoundarySearch:
     """The paper's search along the boundary of the passive region, applied to one map of one estimator.
 
-    Attributes
-    ----------
-    found, width
-        Stiffest wall that the search finds (N/m; None: no wall), and stiffest passive wall of the whole grid (N/m).
-    wrong
-        Number of dampings at which the search does not end at the edge of the passive region.
+    `found` is the stiffest wall that the search finds (N/m; None: no wall), `width` the stiffest passive wall of the
+    whole grid (N/m), `wrong` the number of dampings at which the search does not end at the edge of the passive region.
     """
 
     name: str
@@ -119,14 +118,14 @@ class Chawda:
         return [
             BoundarySearch(
                 name=name,
-                measurement=m + 1,
-                search=(search := self.search(name, m)),
+                measurement=measurement + 1,
+                search=(search := self.search(name, measurement)),
                 found=stiffnesses[search.highest] if search.highest >= 0 else None,
                 width=width.stiffness,
                 wrong=search.above + search.below + search.unseen,
             )
             for name in rigs.SCHEMES
-            for m, width in enumerate(self.widths(name))
+            for measurement, width in enumerate(self.widths(name))
         ]
 
     def islands(self, name: str) -> list[int]:
@@ -193,10 +192,6 @@ def numbers(chawda: Chawda) -> dict[str, Any]:
 
 
 def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
-    """Return axes, largest passive walls, passivity and mean fidelity errors of a grid by scheme, for JSON.
-
-    Passivity is a string of the digits 0 and 1 for each damping, with a digit for each stiffness.
-    """
     reading = _main(found)
     return {
         "stiffnesses": list(found.grid.stiffnesses),
@@ -220,7 +215,6 @@ def _grid(found: Readings, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _mean(values: Any) -> Any:
-    """Return the mean over the first axis (measurements); NaN where any measurement is NaN."""
     return np.mean(values, axis=0)
 
 
@@ -249,12 +243,12 @@ def _impedance(result: ImpedanceResult) -> dict[str, Any]:
 
 def provenance(chawda: Chawda) -> dict[str, Any]:
     """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
-    x = rigs.excited_rig(chawda.scale)
+    experiment = rigs.excited_rig(chawda.scale)
     return {
         "haptic-rig": code_version(), "scale": asdict(chawda.scale), "seed": rigs.SEED,
         "runs": chawda.runs, "hits": chawda.hits.hits + chawda.slow_hits.hits,
         "schemes": {name: scheme.text for name, scheme in rigs.SCHEMES.items()},
-        "readings": [reading.text for reading in rigs.READINGS], "excitation": asdict(x.excitation),
+        "readings": [reading.text for reading in rigs.READINGS], "excitation": asdict(experiment.excitation),
         "push": dict(rigs.PUSH),
         "presets": {name: config.as_mapping(presets.load(name)) for name in (rigs.RIG, *rigs.KOUL)},
     }  # fmt: skip

@@ -41,8 +41,8 @@ Kind = Literal["deviations", "degrees"]
 class Reading:
     """One passivity test: a frequency band, and a tolerance by which the phase of Z may exceed ±90°.
 
-    `tolerance` is in standard deviations of the measured line (see `rig.analysis.impedance._verdict`) or in degrees, by
-    `kind`; 0 allows no deviation.
+    `tolerance` is in standard deviations of Z at each measured frequency or in degrees, by `kind`; 0 allows no
+    deviation.
     """
 
     low_hz: float
@@ -52,7 +52,7 @@ class Reading:
 
     @property
     def allowed(self) -> str:
-        """Allowed phase as text, such as ``±90° and 3°``."""
+        """Allowed phase of the impedance as text, such as ``±90° and 3°``."""
         if not self.tolerance:
             return "strictly ±90°"
         unit = " standard deviations" if self.kind == "deviations" else "°"
@@ -60,7 +60,7 @@ class Reading:
 
     @property
     def text(self) -> str:
-        """Frequency band and allowed phase as text, such as ``1 to 250 Hz, ±90° and 3°``."""
+        """Frequency band and allowed phase of the impedance as text, such as ``1 to 250 Hz, ±90° and 3°``."""
         return f"{self.low_hz:g} to {self.high_hz:g} Hz, {self.allowed}"
 
 
@@ -189,7 +189,7 @@ class ChawdaScale:
 
     @property
     def rung(self) -> float:
-        """Ratio of two neighbouring stiffnesses of the maps."""
+        """Ratio of two neighbouring stiffnesses on the grids of walls."""
         return self.stiffnesses[1] / self.stiffnesses[0]
 
 

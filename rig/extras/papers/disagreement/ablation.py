@@ -4,7 +4,7 @@ The same wall is hit on the same rig without these non-linearities:
 
 * **friction**: no Coulomb friction on either side;
 * **quantum**: an encoder with `FINER` times as many counts;
-* **saturation**: effort limits of motor and guard as large as the protocol allows (32767 quanta), no slew limit;
+* **saturation**: effort limits of motor and safety guard as large as the protocol allows (32767 steps), no slew limit;
 * **contact**: a spring and damper that holds the handle from its first contact on, so that it cannot leave the wall.
 
 **The rule.** For every wall that differs, each of the four is removed alone; if theory and hits agree in no case, all
@@ -48,7 +48,7 @@ Holds = bool | None  # None: invalid hit
 def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
     """Return the smallest sets of non-linearities whose removal makes theory and hits agree; empty if no set does.
 
-    `agrees` must return True if they agree after the removal of a set.
+    `agrees` must return True if linear theory and the simulated hit agree without the non-linearities of a set.
     """
     for size in range(1, len(FOUR) + 1):
         # All sets of one first, then of two: a larger set that contains a cure cures, too, and would name too much.
@@ -59,9 +59,9 @@ def cures(agrees: Callable[[Cure], bool]) -> tuple[Cure, ...]:
 
 
 def cause_of(found: Sequence[Cure]) -> str:
-    """Return the cause (one of `CAUSES`) of a disagreement between theory and hits, from the cures of the wall.
+    """Return the cause (one of `CAUSES`) why linear theory and simulated hits disagree on a wall.
 
-    A cure is a set of non-linearities without which theory and hits agree.
+    `found` has the smallest sets of non-linearities without which they agree (cures).
     """
     if not found:
         return NONE
@@ -118,7 +118,7 @@ class _Column:
         return (hit.true if self._judged == "true" else hit.recorded).passes("any")
 
     def holds(self, stiffness: float, taken: Cure = ()) -> Holds:
-        """Return True if a wall is stable at all encoder offsets and repeats; None if hits are invalid."""
+        """Return True if a wall without the non-linearities `taken` is stable in all hits; None if one is invalid."""
         unknown = False
         for number in range(len(self._experiments)):
             passes = self.passes(stiffness, number, taken)
@@ -129,7 +129,10 @@ class _Column:
 
 
 def hit_column(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Hit all walls of one sampling scheme and damping, softest first; return a row of `ComparedWall.of` for each."""
+    """Hit all walls of one sampling scheme and damping, softest first; return for each what theory and hits call it.
+
+    `payload` has the experiments, the stiffness search and the criterion; `ComparedWall.of` reads the dicts.
+    """
     experiments = [config.restore_experiment(one) for one in payload["experiments"]]
     column, first = _Column(experiments, payload["judged"]), experiments[0]
     rungs = StiffnessSearch(**payload["search"]).rungs

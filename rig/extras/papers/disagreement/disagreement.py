@@ -40,7 +40,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)  # without slots: `tasks` is cached
 class DisagreementPlan:
-    """Plan of a sweep that hits all walls of a map, and again the walls that linear theory judges differently."""
+    """Plan of a computation that hits all walls of a map, and again the walls that linear theory judges differently."""
 
     map: MapPlan
 
@@ -68,7 +68,7 @@ class DisagreementPlan:
 
     @cached_property
     def tasks(self) -> list[sweep.Task]:
-        """A sweep task for each sampling scheme and damping of the map.
+        """Tasks of the computation, one for each sampling scheme and damping of the map.
 
         Raises `PlanError` for a wall that linear theory does not cover, `NotLinearError` for a non-linear scheme.
         """
@@ -98,7 +98,7 @@ class DisagreementPlan:
         return self.map.as_mapping()
 
     def found(self, results: Sequence[Any]) -> Disagreement:
-        """Compare theory and hits for all walls, from the results of all tasks in their order."""
+        """Compare linear theory and simulated hits for all walls, from the results of all tasks in their order."""
         plan = self.map
         columns = [(scheme, damping) for scheme in range(len(plan.schemes)) for damping in plan.dampings]
         across = dict(zip(plan.dampings, np.diff(edges_of(plan.dampings)).tolist(), strict=True))
@@ -183,21 +183,21 @@ class ComparedWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CauseShare:
-    """Share of an area (0 to 1) where theory and hits differ, and within it the share of each cause, largest first."""
+    """Share (0 to 1) of an area where theory and simulated hits differ, and that of each cause in it, largest first."""
 
     share: float
     causes: dict[str, float]
 
     @classmethod
     def of(cls, whole: Sequence[ComparedWall]) -> CauseShare:
-        """Compute, for walls `whole`, the share of their area where theory and hits differ, and the causes."""
+        """Compute, for the walls `whole`, the share of their area where theory and hits differ, and the causes."""
         differing = [wall for wall in whole if wall.cause]
         return cls(share=_share(differing, whole), causes=_shares_by(differing, lambda wall: wall.cause))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shares:
-    """Agreement of theory and hits for one scheme, as shares of areas of the K–B plane (0 to 1).
+    """Agreement of theory and simulated hits for one sampling scheme, as shares of areas of the K–B plane (0 to 1).
 
     Attributes
     ----------
@@ -228,16 +228,10 @@ class Shares:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Disagreement(Shown, Drawn):
-    """Comparison of theory and hits, wall by wall.
+    """Comparison of linear theory and simulated hits, wall by wall.
 
-    Attributes
-    ----------
-    plan
-        The map whose walls were hit.
-    walls
-        All walls, sorted by scheme, damping and stiffness.
-    hits
-        Number of hits, also those on rigs without some non-linearities.
+    `plan` is the map whose walls were hit, `walls` are sorted by scheme, damping and stiffness, `hits` is the number of
+    hits, also of those on rigs without some non-linearities.
     """
 
     table_name: ClassVar[str] = "walls.parquet"
@@ -251,31 +245,31 @@ class Disagreement(Shown, Drawn):
         return [wall for wall in self.walls if wall.scheme == number]
 
     def shares(self, number: int) -> Shares:
-        """Return the shares of the K–B plane where only theory or only hits call a wall stable, for one scheme."""
+        """Return, for one scheme, where only theory or only hits call a wall stable, as shares of the K–B plane."""
         scheme = self.plan.schemes[number]
         known = [wall for wall in self.of_scheme(number) if wall.holds is not None]
         differing = [wall for wall in known if wall.cause]
-        stable, holding = [w for w in known if w.linear], [w for w in known if w.holds]
+        stable, holding = [wall for wall in known if wall.linear], [wall for wall in known if wall.holds]
         return Shares(
             scheme=scheme.text,
             label=scheme.label(self.plan.experiment),
             differ=CauseShare.of(known),
             fails=CauseShare.of(stable),
             beyond=CauseShare.of(holding),
-            sets=_shares_by([w for w in differing if len(w.cures) > 1], _join_sets, of=differing),
-            differ_without=_share([w for w in known if w.holds_without is (not w.linear)], known),
+            sets=_shares_by([wall for wall in differing if len(wall.cures) > 1], _join_sets, of=differing),
+            differ_without=_share([wall for wall in known if wall.holds_without is (not wall.linear)], known),
             stable=_share(stable, known),
             holding=_share(holding, known),
         )
 
     @reported
     def schemes(self) -> tuple[Shares, ...]:
-        """Shares of the K–B plane where only theory or only hits call a wall stable, for each sampling scheme."""
+        """Where only theory or only hits call a wall stable, as shares of the K–B plane, for each sampling scheme."""
         return tuple(self.shares(number) for number in range(len(self.plan.schemes)))
 
     @reported
     def unknown(self) -> int:
-        """Number of walls that are left out because their hits are invalid."""
+        """Number of walls that are left out because a simulated hit on them is invalid."""
         return sum(wall.holds is None for wall in self.walls)
 
     def brief(self) -> list[Item]:
@@ -294,7 +288,7 @@ class Disagreement(Shown, Drawn):
         ]
 
     def detailed(self) -> list[Item]:
-        """Return a heading and a table: which shares of the plane, and of stable walls by theory or by hits, differ."""
+        """Return a heading and a table: where theory and simulated hits differ, as shares of the K–B plane."""
         head = ("scheme", "what differs", "share", *CAUSES)
         rows = [
             ["" if number else shares.label, what, _percent(part.share), *_cells(part)]
@@ -374,10 +368,11 @@ def compare_into(
     workers: int | None = None,
     watch: Callable[[sweep.Progress], None] | None = None,
 ) -> Disagreement:
-    """Compare theory and hits; write the table of walls and the summary into `directory`, and resume from its journal.
+    """Compare theory and hits; write the table of walls and the summary into `directory`.
 
-    Unlike `maps.map_into`, write no plan file, so that the directory is not taken for a map.
+    A stopped comparison resumes from the journal (finished results) in this directory.
     """
+    # Without a plan file, which `maps.map_into` would write, programs do not show the directory as a map.
     make_directory(directory)
     found = maps.zwidth(
         plan, journal=directory / maps.JOURNAL, scheduler=scheduler, workers=workers, watch=watch

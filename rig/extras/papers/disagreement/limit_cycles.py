@@ -95,7 +95,10 @@ class HeldWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """Errors of predicted limit cycles: number of walls, and (median, largest) |relative error| of their motion."""
+    """Errors of predicted limit cycles: median and largest |relative error| of amplitude and frequency.
+
+    `walls` is the number of walls with both a predicted and a simulated limit cycle.
+    """
 
     walls: int
     amplitude: tuple[float, float]
@@ -218,14 +221,9 @@ def limit_cycles(
 ) -> LimitCycles:
     """Predict and simulate the limit cycles of walls (K, B); None: fractions of K_max and B_max by linear theory.
 
-    Without `schemes`, the experiment's sampling scheme and the uniform schemes at its rates are used.
-
-    Raises
-    ------
-    ConfigError, NotLinearError
-        A scheme is not possible, or is not linear.
-    PlanError
-        A wall has no stiffness, so that the handle cannot rest in it.
+    Without `schemes`, the experiment's sampling scheme and the uniform schemes at its rates are used. Raise
+    `ConfigError` or `NotLinearError` if a scheme is not possible or not linear, `PlanError` for a wall without
+    stiffness, in which the handle cannot rest.
     """
     for stiffness, damping in walls or ():
         if not (stiffness > 0.0 and damping >= 0.0):
@@ -248,7 +246,6 @@ def limit_cycles(
 
 
 def _walls(loop: theory.LinearLoop) -> list[tuple[float, float]]:
-    """Return walls as (K, B) for a scheme: `STIFFNESSES` times K_max and `DAMPINGS` times B_max by linear theory."""
     lifted = theory.Lifted.of(loop)
     dampings = [share * theory.b_max(lifted).damping for share in DAMPINGS]
     limits = theory.k_max_curve(lifted, None, dampings)

@@ -61,29 +61,32 @@ def disagreement_figure(found: Disagreement) -> Any:
 
 def _draw_plane(axes: Any, found: Disagreement, number: int) -> None:
     plan = found.plan
-    b, k = edges_of(plan.dampings), edges_of(plan.search.rungs, by_ratio=True)
+    damping_edges, stiffness_edges = edges_of(plan.dampings), edges_of(plan.search.rungs, by_ratio=True)
     shape = (len(plan.dampings), len(plan.search.rungs))
     walls = found.of_scheme(number)
     colours = np.array([_rgba(wall.cause) for wall in walls]).reshape(*shape, 4)
     holds = np.array([bool(wall.holds) for wall in walls]).reshape(shape)
-    axes.pcolormesh(b, k, colours.transpose(1, 0, 2), linewidth=0.0, rasterized=True)
-    _draw_edge(axes, b, k, holds.T)
-    dampings, stiffnesses = np.linspace(b[0], b[-1], POINTS), np.linspace(k[0], k[-1], POINTS)
+    axes.pcolormesh(
+        damping_edges, stiffness_edges, colours.transpose(1, 0, 2), linewidth=0.0, rasterized=True
+    )
+    _draw_edge(axes, damping_edges, stiffness_edges, holds.T)
+    dampings, stiffnesses = (
+        np.linspace(damping_edges[0], damping_edges[-1], POINTS),
+        np.linspace(stiffness_edges[0], stiffness_edges[-1], POINTS),
+    )
     radius = stability_map(plan.experiment, plan.schemes[number], stiffnesses, dampings).radius
     look = {"colors": THEORY["color"], "linewidths": THEORY["linewidth"], "linestyles": THEORY["linestyle"]}
     axes.contour(dampings, stiffnesses, radius, levels=[1.0], **look)
 
 
 def _rgba(cause: str) -> list[float]:
-    """Return the colour of a cause as red, green, blue and opacity (0 to 1); transparent for no cause."""
     if not cause:
         return [0.0] * 4
     return [int(COLOURS[cause][place : place + 2], 16) / 255.0 for place in (1, 3, 5)] + [1.0]
 
 
-def _draw_edge(axes: Any, b: Any, k: Any, holds: Any) -> None:
-    """Draw the cell edges between walls that are stable by hits (`holds`, shape (K, B)) and walls that are not."""
+def _draw_edge(axes: Any, damping_edges: Any, stiffness_edges: Any, holds: Any) -> None:
     for row, column in zip(*np.nonzero(holds[1:] != holds[:-1]), strict=True):
-        axes.plot(b[column : column + 2], [k[row + 1]] * 2, **HITS)
+        axes.plot(damping_edges[column : column + 2], [stiffness_edges[row + 1]] * 2, **HITS)
     for row, column in zip(*np.nonzero(holds[:, 1:] != holds[:, :-1]), strict=True):
-        axes.plot([b[column + 1]] * 2, k[row : row + 2], **HITS)
+        axes.plot([damping_edges[column + 1]] * 2, stiffness_edges[row : row + 2], **HITS)

@@ -12,7 +12,7 @@ from rig.views.report import fill_text
 
 
 def paragraph(found: Disagreement) -> str:
-    """Return one line of text: which walls were compared, on what share theory and hits differ, and why."""
+    """Return one line of text: which walls were compared, on what share theory and simulated hits differ, and why."""
     plan = found.plan
     text = fill_text(
         "extras/papers/disagreement/disagreement.j2",

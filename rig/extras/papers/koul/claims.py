@@ -1,4 +1,7 @@
-"""Judge the claims of Koul et al.: pass the computed numbers to the rule of each claim (`rules` in this folder)."""
+"""Judge the claims of Koul et al.: pass the computed numbers to the rule of each claim (`rules` in this folder).
+
+`reproduction` uses it. Thresholds are in `rules`, sentences in ``claims.j2``.
+"""
 
 from __future__ import annotations
 
@@ -20,31 +23,41 @@ NUMBERS = {key: number for number, key in enumerate(rigs.SCHEMES)}
 def rulings(koul: Koul) -> dict[str, Ruling]:
     """Judge every claim of the paper; return the ruling (verdict and its numbers) by the claim's key."""
     k_max = {
-        rigs.NAMES[p]: [b.stiffness for b in koul.kmax[p, rigs.WITH_LAG].curve("any")] for p in rigs.PRESETS
+        rigs.NAMES[panel]: [b.stiffness for b in koul.kmax[panel, rigs.WITH_LAG].curve("any")]
+        for panel in rigs.PRESETS
     }
     at_fast = koul.scale.rates.index(rules.FAST_HZ)
-    panels = {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.peaks for p in koul.figure_7}
+    panels = {
+        f"{panel.position_rate / 1e3:g} kHz, {panel.arithmetic}": panel.peaks for panel in koul.figure_7
+    }
     return {
         "rises": rules.rises(k_max, koul.scale.rates, koul.scale.kmax_ratio),
         "levels-off": rules.levels_off(
-            _saturation(koul, rigs.WITH_LAG), _saturation(koul, rigs.WITHOUT_LAG), koul.scale.kmax_ratio
+            _saturation_by_rig(koul, rigs.WITH_LAG),
+            _saturation_by_rig(koul, rigs.WITHOUT_LAG),
+            koul.scale.kmax_ratio,
         ),
         "level": rules.level(
             {name: curve[at_fast] for name, curve in k_max.items()}, rules.LEVEL, koul.scale.kmax_ratio
         ),
         "same-range": _same_range(koul),
-        "same-range-plants": rules.same_of_plants(_of_plants(koul, rigs.DUAL, rigs.SLOW)),
-        "range": rules.near(_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER * koul.scale.range_ratio),
-        "half": rules.half(_halves(koul), koul.scale.range_ratio),
-        "half-plants": rules.half_of_plants(_of_plants(koul, rigs.FAST, rigs.DUAL)),
+        "same-range-plants": rules.same_of_plants(_dampings_of_plants(koul, rigs.DUAL, rigs.SLOW)),
+        "range": rules.near(
+            _damping_ranges(koul), rules.DAMPING_RANGE, rules.NUMBER * koul.scale.range_ratio
+        ),
+        "half": rules.half(_fast_damping_ratios(koul), koul.scale.range_ratio),
+        "half-plants": rules.half_of_plants(_dampings_of_plants(koul, rigs.FAST, rigs.DUAL)),
         "fast-loses": rules.loses(_curves_of_fast(koul), koul.scale.ratio),
         "slow-first-rises": rules.first_rises(_curves_of_slow(koul), koul.scale.ratio),
         "higher-peak": rules.higher_peak(_peak_ratios(koul), koul.scale.ratio),
         "peaks": _peaks(koul),
-        "left-at-range": _left_at_range(koul),
+        "left-at-range": _stiffness_at_range(koul),
         "penetration": rules.lower_penetration(panels),
         "oscillation": rules.lower_penetration(
-            {f"{p.position_rate / 1e3:g} kHz, {p.arithmetic}": p.decays for p in koul.figure_7}
+            {
+                f"{panel.position_rate / 1e3:g} kHz, {panel.arithmetic}": panel.decays
+                for panel in koul.figure_7
+            }
         ),
         "between": rules.between({name: of for name, of in panels.items() if name.startswith("10 kHz")}),
         "like-none": rules.like_none({FLOAT: panels[f"20 kHz, {FLOAT}"], **_peaks_by_word(koul)}),
@@ -69,11 +82,11 @@ def by_cutoff(names: Sequence[str]) -> list[tuple[str, list[str]]]:
     return list(cutoffs.items())
 
 
-def _saturation(koul: Koul, lag: str) -> dict[str, float | None]:
+def _saturation_by_rig(koul: Koul, lag: str) -> dict[str, float | None]:
     return {rigs.NAMES[preset]: koul.kmax[preset, lag].saturation("any") for preset in rigs.PRESETS}
 
 
-def _of_plants(koul: Koul, *keys: str) -> list[tuple[float, float]]:
+def _dampings_of_plants(koul: Koul, *keys: str) -> list[tuple[float, float]]:
     first, second = (NUMBERS[key] for key in keys)
     return [(plant["ranges"][first], plant["ranges"][second]) for plant in koul.plants]
 
@@ -88,8 +101,7 @@ def _same_range(koul: Koul) -> Ruling:
     return rules.same(simulated, linear, koul.scale.range_ratio)
 
 
-def _ranges(koul: Koul) -> dict[str, float]:
-    """Return the largest stable damping (N·m·s/rad), by rig and stability criterion, and by linear theory."""
+def _damping_ranges(koul: Koul) -> dict[str, float]:
     values: dict[str, float] = {}
     for held in rigs.MAIN:
         rig, found = RIGS[held.preset], koul.maps[held.name]
@@ -103,7 +115,7 @@ def _ranges(koul: Koul) -> dict[str, float]:
     return values
 
 
-def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
+def _fast_damping_ratios(koul: Koul) -> dict[tuple[str, str, str], float]:
     ratios = {}
     for held in rigs.MAIN:
         simulated, linear = koul.ranges[held.name], koul.linear[held.name]
@@ -117,7 +129,6 @@ def _halves(koul: Koul) -> dict[tuple[str, str, str], float]:
 
 
 def _curves(koul: Koul, held: rigs.HeldRig, key: str) -> dict[str, rules.Curve]:
-    """Return (damping, largest stable stiffness) pairs, by stability criterion (simulated) and by linear theory."""
     found = koul.maps[held.name]
     simulated = {
         criterion: [(limit.damping, limit.stiffness) for limit in found.curve(NUMBERS[key], criterion)]
@@ -165,7 +176,7 @@ def _peaks(koul: Koul) -> Ruling:
     return rules.peaks(found, (rules.PEAK_DUAL, rules.LEVEL, rules.PEAK_SLOW), koul.scale.ratio)
 
 
-def _left_at_range(koul: Koul) -> Ruling:
+def _stiffness_at_range(koul: Koul) -> Ruling:
     values = {}
     for held in rigs.MAIN:
         curve = koul.maps[held.name].curve(NUMBERS[rigs.DUAL], "any")

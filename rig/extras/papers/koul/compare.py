@@ -2,19 +2,16 @@
 
 This project chose the conditions that the paper does not give: koul-rigid without a hand, 70 g at its end; K = 40
 N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and outside the wall; start 2 mrad before the wall at 1.5 rad/s;
-×4 decoding.
+×4 decoding. The reproduction of Koul et al. and `rig reproduce koul --impacts` use it.
 
-In floating point a uniform wall is damped as well as a dual-rate one. Figure 7 needs a filter whose state has few
-fractional bits and is truncated towards zero: at a high velocity rate the estimate of a slow handle is then zero, and
-the damping is lost. Between these extremes the result depends on the position of the counts: with 4 bits at 10 kHz the
-peak of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
+In floating point a uniform wall is damped as well as a dual-rate one; figure 7 needs a filter with few fractional bits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,11 +33,37 @@ CUTOFF_HZ = 200.0  # of the dual-rate scheme
 UNIFORM_SHARE = 1 / 20  # cut-off of the uniform scheme over its rate: "10 % Nyquist"
 FLOAT, FIXED = "floating point", "fixed point"
 ESTIMATORS = {FLOAT: "fdm-butterworth", FIXED: "fdm-butterworth-fixed"}
+# With few fractional bits, truncated towards zero, the estimate of a slow handle at a high velocity rate is zero, and
+# the damping is lost. Between the extremes the result depends on the position of the counts: with 4 bits at 10 kHz the
+# peak of the uniform wall is 35 to 46 counts, depending on the encoder's offset.
 COEFFICIENT_BITS, STATE_BITS, ROUNDING = 14, 4, "zero"
 FIRST_IMPACT_S = 0.05
 LIKE_NONE, BETWEEN, MUCH_LESS = 0.95, 0.1, 0.6  # peaks over those of another wall: what the paper shows
 
 EARLY, LATE = (1.0, 0.25), (0.25, 0.02)  # parts of the impact, by speed over that of the first contact
+
+
+class PerDamping(NamedTuple):
+    """A value without damping, with uniform and with dual-rate damping."""
+
+    none: float
+    uniform: float
+    dual: float
+
+
+class Entries(NamedTuple):
+    """Sampling schemes to compare: without damping, uniform and dual-rate."""
+
+    none: Entry
+    uniform: Entry
+    dual: Entry
+
+
+class Span(NamedTuple):
+    """Begin and end of a part of an impact (s since the first contact)."""
+
+    begin_s: float
+    end_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,16 +75,14 @@ class Panel:
     comparison: SchemeComparison
 
     @property
-    def peaks(self) -> tuple[float, float, float]:
+    def peaks(self) -> PerDamping:
         """Return the mean peak penetrations (counts) with no, uniform and dual-rate damping."""
-        none, uniform, dual = (self.comparison[name].numbers.peak for name in ("none", "uniform", "dual"))
-        return none, uniform, dual
+        return PerDamping(*(self.comparison[name].numbers.peak for name in PerDamping._fields))
 
     @property
-    def decays(self) -> tuple[float, float, float]:
-        """Return the mean decay of the oscillation with no, uniform and dual-rate damping (0: none, 1: undamped)."""
-        none, uniform, dual = (self.comparison[name].numbers.decay for name in ("none", "uniform", "dual"))
-        return none, uniform, dual
+    def decays(self) -> PerDamping:
+        """Mean decay of the oscillation with no, uniform and dual-rate damping (1: it does not decay)."""
+        return PerDamping(*(self.comparison[name].numbers.decay for name in PerDamping._fields))
 
     def as_mapping(self) -> dict[str, Any]:
         """Return rates, arithmetic and the simulated impacts for JSON."""
@@ -109,7 +130,7 @@ def koul_experiment(arithmetic: str = FLOAT, state_bits: int = STATE_BITS) -> Ex
     return config.override(presets.load("koul-rigid"), changes, "figure 7")
 
 
-def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tuple[Entry, Entry, Entry]:
+def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> Entries:
     """Return three sampling schemes to compare at a position rate (Hz): without damping, uniform and dual-rate.
 
     `uniform_share` is the cut-off of the uniform scheme divided by its velocity rate.
@@ -122,10 +143,10 @@ def koul_entries(position_rate: int, uniform_share: float = UNIFORM_SHARE) -> tu
     dual = Scheme(
         position_rate=position_rate, velocity_rate=VELOCITY_RATE, parameters={"cutoff_hz": CUTOFF_HZ}
     )
-    return (
-        Entry(name="none", scheme=uniform, damping=0.0),
-        Entry(name="uniform", scheme=uniform),
-        Entry(name="dual", scheme=dual),
+    return Entries(
+        none=Entry(name="none", scheme=uniform, damping=0.0),
+        uniform=Entry(name="uniform", scheme=uniform),
+        dual=Entry(name="dual", scheme=dual),
     )
 
 
@@ -175,14 +196,14 @@ def word_lengths(
 
     A share is the cut-off divided by the velocity rate; the paper's "10 % Nyquist" can mean either default.
     """
-    none = {rate: _peak(koul_experiment(), koul_entries(rate)[0], offsets) for rate in POSITION_RATES}
+    none = {rate: _peak(koul_experiment(), koul_entries(rate).none, offsets) for rate in POSITION_RATES}
     table: list[WordLength] = []
     for bits in state_bits:
         experiment = koul_experiment(FIXED, bits)
-        dual = {rate: _peak(experiment, koul_entries(rate)[2], offsets) for rate in POSITION_RATES}
+        dual = {rate: _peak(experiment, koul_entries(rate).dual, offsets) for rate in POSITION_RATES}
         for share in uniform_shares:
             uniform = {
-                rate: _peak(experiment, koul_entries(rate, share)[1], offsets) for rate in POSITION_RATES
+                rate: _peak(experiment, koul_entries(rate, share).uniform, offsets) for rate in POSITION_RATES
             }
             table.append(
                 WordLength(state_bits=bits, uniform_share=share, none=none, uniform=uniform, dual=dual)
@@ -191,10 +212,10 @@ def word_lengths(
 
 
 def _peak(experiment: Experiment, entry: Entry, offsets: Sequence[float]) -> float:
-    """Return the deepest penetration of the first impact (counts), as a mean over the encoder offsets."""
     short = config.override(experiment, {"trial.duration_s": FIRST_IMPACT_S, "verdict.tail_s": 0.02})
     applied = entry.applied(short)
-    return float(np.mean([simulate(applied, START, offset)[2].counts.max() for offset in offsets]))
+    traces = (trace for _, _, trace in (simulate(applied, START, offset) for offset in offsets))
+    return float(np.mean([trace.counts.max() for trace in traces]))
 
 
 # --- figure 8 ---------------------------------------------------------------------------------------------
@@ -269,19 +290,12 @@ def koul_figure_8(
 ) -> Profiles:
     """Compute the velocity after the impact as estimated at 2 and 20 kHz in both arithmetics, and the true velocity.
 
-    All estimators use the same motion, of the wall without damping at 20 kHz, so that no estimate affects the motion.
-
-    Parameters
-    ----------
-    offset
-        Position of zero in its encoder cell (counts, 0 to 1).
-    state_bits
-        Fractional bits of the fixed-point filter's input and output.
-    uniform_share
-        Cut-off of the estimator at 20 kHz divided by its rate.
+    `offset` is the position of zero in its encoder cell (counts, 0 to 1), `state_bits` are the fractional bits of the
+    fixed-point filter, `uniform_share` is the cut-off of the estimator at 20 kHz divided by its rate.
     """
     rate = POSITION_RATES[0]
-    experiment = koul_entries(rate)[0].applied(koul_experiment())
+    # One motion for all estimators, of the wall without damping, so that no estimate affects the motion.
+    experiment = koul_entries(rate).none.applied(koul_experiment())
     _, plant, trace = simulate(experiment, START, offset)
     counts, true = trace.counts, trace.states[:, plant.sensed_position + 1]
     edge_age = trace.states[:, plant.edge_age]
@@ -306,8 +320,8 @@ def koul_figure_8(
                 counts=counts[every],
                 edge_time=time_s[every] - time_s[0] - edge_age[every],
                 elapsed=np.ones(len(counts[every]), np.int64),
-                judged=(time_s[every] >= early[0]) & (time_s[every] < late[1]),
-                truth=lambda t: np.interp(t, time_s, true),
+                judged=_within(time_s[every], Span(early.begin_s, late.end_s)),
+                truth=lambda at_s: np.interp(at_s, time_s, true),
                 reference="the simulation's truth",
             )
             profiles.append(_profile(case, arithmetic, settings, early, late))
@@ -324,36 +338,35 @@ def koul_figure_8(
     )
 
 
-def _split_impact(time_s: Floats, velocity: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return begin and end (s) of the fast and of the slow part of an impact, separated by speed."""
+def _split_impact(time_s: Floats, velocity: Floats) -> tuple[Span, Span]:
 
     def last(share: float) -> float:
         above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))
         return float(time_s[above[-1]])
 
-    if last(LATE[1]) <= last(LATE[0]):
+    _, early_end = EARLY
+    late_begin, late_end = LATE
+    if last(late_end) <= last(late_begin):
         raise ConfigError(
             "the simulated impact ends while the handle is still fast, so its slow part cannot be evaluated",
             remedy="increase trial.duration_s",
         )
-    return (0.0, last(EARLY[1])), (last(LATE[0]), last(LATE[1]))
+    return Span(0.0, last(early_end)), Span(last(late_begin), last(late_end))
 
 
 def _profile(
     case: Case,
     arithmetic: str,
     settings: dict[str, float | str],
-    early: tuple[float, float],
-    late: tuple[float, float],
+    early: Span,
+    late: Span,
 ) -> EstimatorProfile:
     velocity = estimates(case, Variant(ESTIMATORS[arithmetic], settings))
     found = delay(case, velocity)
     delay_s = None if np.isnan(found) else found
     truth = case.truth(case.time_s - (delay_s or 0.0))
     error = velocity - truth
-    parts = [_within(case.time_s, part) for part in (early, late)]
-    noise = [_rms(error[part]) for part in parts]
-    reading = [_rms(velocity[part]) / _rms(truth[part]) for part in parts]
+    fast, slow = _within(case.time_s, early), _within(case.time_s, late)
     seen = case.time_s >= 0.0
     return EstimatorProfile(
         velocity_rate=round(case.rate_hz),
@@ -362,15 +375,15 @@ def _profile(
         time_s=case.time_s[seen],
         velocity=velocity[seen],
         delay_s=delay_s,
-        noise_early=noise[0],
-        noise_late=noise[1],
-        reading_early=reading[0],
-        reading_late=reading[1],
+        noise_early=_rms(error[fast]),
+        noise_late=_rms(error[slow]),
+        reading_early=_rms(velocity[fast]) / _rms(truth[fast]),
+        reading_late=_rms(velocity[slow]) / _rms(truth[slow]),
     )
 
 
-def _within(time_s: Floats, part: tuple[float, float]) -> Any:
-    return (time_s >= part[0]) & (time_s < part[1])
+def _within(time_s: Floats, span: Span) -> Any:
+    return (time_s >= span.begin_s) & (time_s < span.end_s)
 
 
 def _rms(values: Floats) -> float:

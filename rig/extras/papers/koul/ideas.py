@@ -35,10 +35,7 @@ REFERENCE = "reference"
 class Idea:
     """One idea for a larger Z-width: a sampling scheme on a rig with some changed settings.
 
-    Attributes
-    ----------
-    key, group, label
-        The idea's name in files, its kind, and its label in tables.
+    `key` is the idea's name in files, `group` its kind, `label` its text in tables.
     """
 
     key: str
@@ -55,14 +52,10 @@ class Idea:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """Results of one idea.
+    """Results of one idea for a larger Z-width.
 
-    Attributes
-    ----------
-    ranges
-        Largest damping of the softest wall, by ripple criterion (felt, heard, any).
-    linear
-        Peak stiffness and largest damping by linear theory; None if the sampling scheme is not linear.
+    `ranges` is the largest damping of the softest wall, by ripple criterion (felt, heard, any). `linear` has peak
+    stiffness and largest damping by linear theory; None if the sampling scheme is not linear.
     """
 
     idea: Idea
@@ -75,7 +68,7 @@ class Tried:
         return self.map.width(0, criterion)
 
     def area(self, criterion: str) -> float:
-        """Return the area (N·m/rad × N·m·s/rad) below the stiffness limits of the map over damping."""
+        """Return the area (N·m/rad × N·m·s/rad) of the stable walls in the K–B plane, by one ripple criterion."""
         holds = list(takewhile(lambda b: b.stiffness > 0.0, self.map.curve(0, criterion)))
         corners = [(b.damping, b.stiffness) for b in holds]
         end = self.ranges[criterion].damping
@@ -212,7 +205,6 @@ def _velocity_rates() -> list[Idea]:
 
 
 def _hertz(rate: str) -> str:
-    """Convert a rate in a sampling scheme's notation, such as 5k, to text, such as ``5 kHz``."""
     return f"{rate.removesuffix('k')} {'k' if rate.endswith('k') else ''}Hz"
 
 
@@ -243,6 +235,6 @@ def _estimators() -> list[Idea]:
 
 
 def rank_ideas(tried: Mapping[str, Tried], criterion: str = "any") -> list[Tried]:
-    """Return the ideas on the reference's rig, largest area of stable walls (judged by `criterion`) first."""
+    """Return the ideas on the paper's rig, largest area of stable walls (judged by `criterion`) first."""
     on_rig = [one for one in tried.values() if one.idea.preset == tried[REFERENCE].idea.preset]
     return sorted(on_rig, key=lambda one: (-one.area(criterion), one.idea.key))

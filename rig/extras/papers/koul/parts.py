@@ -50,12 +50,15 @@ _KEPT = ("stiffness", f"kind{TRUE}", *(f"passes_{criterion}{TRUE}" for criterion
 
 
 def series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Run the hits of one series of a map (one scheme, damping, encoder offset); return the columns `_KEPT`."""
+    """Run the hits of one stiffness search (one scheme, damping and encoder offset) that `payload` describes.
+
+    Return a dict for each hit: stiffness and results.
+    """
     return [{name: row[name] for name in _KEPT} for row in run_series(payload)]
 
 
 def map_part(plan: MapPlan) -> Part:
-    """Return the sweep tasks of a map; the weight of a task is its cost in hits of a 20 kHz rig."""
+    """Return the tasks that measure a map of stable walls; the weight of a task is its cost in hits of a 20 kHz rig."""
     rungs = len(plan.search.rungs)
     hits = {"grid": rungs, "ladder": 0.6 * rungs, "bisection": 4.0 + 2.0 * np.log2(rungs)}[plan.search.way]
     return [replace(task, work=series, weight=float(hits) * task.weight / 20_000) for task in plan.tasks]
@@ -96,8 +99,8 @@ def range_tasks(
 def damping_range(payload: Mapping[str, Any]) -> dict[str, Any]:
     """Search the largest damping (N·m·s/rad) with which a wall of one stiffness is stable.
 
-    The result has ``damping`` and ``capped`` (True: the search ended before a wall failed) for each stability
-    criterion, and ``hits``, their number. The search is the one that maps use for the stiffness.
+    `payload` has the experiment, the stiffness and the search. The result has ``damping`` and ``capped`` (True: the
+    search ended before a wall failed) for each stability criterion, and the number of ``hits``.
     """
     simulator = HitSimulator(config.restore_experiment(payload["experiment"]))
     tried: dict[str, dict[float, bool | None]] = {criterion: {} for criterion in CRITERIA}
@@ -158,16 +161,16 @@ def linear_range(lifted: theory.Lifted) -> float:
     loop = lifted.loop
     lowest = float(stiffnesses(lifted, 0.0)[0])
     top = 8.0 * loop.subject.inertia / loop.period_s + loop.subject.damping
-    b = np.geomspace(1e-5 * top, top, _GRID)
+    dampings = np.geomspace(1e-5 * top, top, _GRID)
     for _ in range(_REFINEMENTS):
-        unstable = np.flatnonzero(~lifted.stable(lowest, b))
+        unstable = np.flatnonzero(~lifted.stable(lowest, dampings))
         if len(unstable) == 0:
-            return float(b[-1])
+            return float(dampings[-1])
         first = int(unstable[0])
         if first == 0:
             return 0.0
-        b = np.linspace(b[first - 1], b[first], _GRID)
-    return float(b[0])
+        dampings = np.linspace(dampings[first - 1], dampings[first], _GRID)
+    return float(dampings[0])
 
 
 def range_with_islands(lifted: theory.Lifted, connected: float) -> float:
@@ -210,7 +213,6 @@ def linear_limits(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
-    """Return the limits of passive walls by linear theory, which do not depend on the hand."""
     passive = theory.passivity_bound(lifted)
     dampings = np.linspace(0.0, passive.largest_damping, PASSIVE_POINTS).tolist()
     return {
@@ -318,7 +320,7 @@ class _Motion:
 
 def _early_motion(offset: float) -> _Motion:
     rate = compare_koul.POSITION_RATES[0]
-    experiment = compare_koul.koul_entries(rate)[0].applied(compare_koul.koul_experiment())
+    experiment = compare_koul.koul_entries(rate).none.applied(compare_koul.koul_experiment())
     _, plant, trace = simulate(experiment, compare_koul.START, offset)
     resolution = experiment.rig.encoder.resolution
     position, velocity = (trace.states[:, plant.sensed_position + i] for i in (0, 1))

@@ -1,4 +1,7 @@
-"""Draw the pictures of the reproduction of Koul et al.; `PICTURES` has a drawing function for each picture's name."""
+"""Draw the pictures of the reproduction of Koul et al.; `PICTURES` has a drawing function for each picture's name.
+
+`reproduction` calls them. They must not judge a claim.
+"""
 
 from __future__ import annotations
 
@@ -85,12 +88,18 @@ def _ways(koul: Koul, path: Path) -> None:
     for axes, key in zip(panels, keys, strict=True):
         columns = koul_ways.columns(koul.maps[rigs.MAIN[0].name], ORDER.index(key), "any")
         for passes, colour, label in ((True, "#b7dbc6", "holds"), (False, "#eec6c6", "fails")):
-            points = [(c.damping, k) for c in columns for k, p in c.tried.items() if p is passes]
+            points = [
+                (column.damping, stiffness)
+                for column in columns
+                for stiffness, passed in column.tried.items()
+                if passed is passes
+            ]
             if points:
                 axes.plot(*zip(*points, strict=True), "s", color=colour, markersize=5, label=label)
-        b = [c.damping for c in columns]
-        axes.plot(b, [c.ladder for c in columns], color=style.MEASURED, linewidth=1.6, label="ladder")
-        axes.plot(b, [c.bisection for c in columns], "--", color=style.SENT, linewidth=1.4, label="bisection")
+        dampings = [column.damping for column in columns]
+        ladder, bisection = [column.ladder for column in columns], [column.bisection for column in columns]
+        axes.plot(dampings, ladder, color=style.MEASURED, linewidth=1.6, label="ladder")
+        axes.plot(dampings, bisection, "--", color=style.SENT, linewidth=1.4, label="bisection")
         axes.set_yscale("log")
         _label(axes, rigs.LABELS[key])
         axes.set_ylim(auto=True)
@@ -215,14 +224,16 @@ def _idea_curve(axes: Any, tried: Tried, colour: str, width: float) -> None:
 
 @style.own_style()
 def _ranking(koul: Koul, path: Path) -> None:
-    tried = rank_ideas(koul.ideas)
-    figure = style.new_figure(10.0, 0.6 + 0.24 * len(tried))
+    ranked = rank_ideas(koul.ideas)
+    figure = style.new_figure(10.0, 0.6 + 0.24 * len(ranked))
     axes = figure.subplots()
-    areas = [t.area("any") for t in tried]
-    colours = ["k" if t.idea.key == REFERENCE else style.SERIES[GROUPS.index(t.idea.group)] for t in tried]
-    place = np.arange(len(tried))[::-1]
+    areas = [one.area("any") for one in ranked]
+    colours = [
+        "k" if one.idea.key == REFERENCE else style.SERIES[GROUPS.index(one.idea.group)] for one in ranked
+    ]
+    place = np.arange(len(ranked))[::-1]
     axes.barh(place, areas, color=colours, height=0.7)
-    axes.set_yticks(place, [f"{t.idea.group}: {t.idea.label}" for t in tried], fontsize=7.5)
+    axes.set_yticks(place, [f"{one.idea.group}: {one.idea.label}" for one in ranked], fontsize=7.5)
     axes.set_xlabel("area of the Z-width (N·m/rad × N·m·s/rad), neither felt nor heard nor moved")
     style.lighten(axes)
     style.save(figure, path)

@@ -59,7 +59,7 @@ class KoulPlan:
         self._effect_maps = {name: self._effect_plan(x) for name, x in self._effects.items()}
 
     def parts(self) -> dict[str, Part]:
-        """Return all sweep tasks, grouped by the name of the result that they compute."""
+        """Return all tasks of the computation, grouped by the name of the result that they compute."""
         scale, parts = self._scale, {}
         for (preset, lag), plan in self._kmax.items():
             parts[f"kmax/{preset}/{lag}"] = koul_parts.map_part(plan)
@@ -109,12 +109,12 @@ class KoulPlan:
         return parts
 
     def results(self, done: Parts) -> Koul:
-        """Convert the results of all sweep tasks to one typed object."""
+        """Convert the results of all tasks of the computation to one typed object."""
         scale = self._scale
         maps = {name: ZWidth.of(plan, done.results[f"map/{name}"]) for name, plan in self._maps.items()}
         kmax = {
-            (p, lag): KMax.of(ZWidth.of(plan, done.results[f"kmax/{p}/{lag}"]))
-            for (p, lag), plan in self._kmax.items()
+            (preset, lag): KMax.of(ZWidth.of(plan, done.results[f"kmax/{preset}/{lag}"]))
+            for (preset, lag), plan in self._kmax.items()
         }
         ideas = {}
         for idea in self._ideas:
@@ -137,7 +137,10 @@ class KoulPlan:
         return Koul(
             scale=scale,
             kmax=kmax,
-            kmax_theory={(p, lag): done.one(f"kmax-theory/{p}/{lag}")["stiffness"] for p, lag in self._kmax},
+            kmax_theory={
+                (preset, lag): done.one(f"kmax-theory/{preset}/{lag}")["stiffness"]
+                for preset, lag in self._kmax
+            },
             maps=maps,
             ranges=ranges,
             linear={
@@ -159,7 +162,7 @@ class KoulPlan:
                 for row in rows
             ),
             ideas=ideas,
-            hits=sum(found.hits for found in (*maps.values(), *(t.map for t in ideas.values())))
+            hits=sum(found.hits for found in (*maps.values(), *(tried.map for tried in ideas.values())))
             + sum(found.map.hits for found in kmax.values()),
         )
 
@@ -238,9 +241,10 @@ def _search(experiment: Experiment, way: Way, ratio: float) -> StiffnessSearch:
 
 
 def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
-    """Return a map's dampings (N·m·s/rad): steps to 15 % beyond each sampling scheme's linear range, and the paper's.
+    """Return the wall dampings to test (N·m·s/rad): steps to 15 % beyond each linear range, and those of the paper.
 
-    Ranges that differ by less than 20 % count once.
+    A linear range ends at the largest stable damping of a sampling scheme; ranges that differ by less than 20 % count
+    once.
     """
     widest: list[float] = []
     for scheme in rigs.SCHEMES.values():

@@ -1,4 +1,7 @@
-"""Types of the results of the reproduction of Koul et al., and numbers that the report derives from them."""
+"""Types of the results of the reproduction of Koul et al., and numbers that the report derives from them.
+
+`claims`, `pictures` and the templates of the report read them.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ class OverLinear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Best:
-    """The idea of a group with the largest Z-width, compared with the paper's dual-rate wall (the reference)."""
+    """Idea (changed sampling or rig) of a group with the largest Z-width, compared with the paper's dual-rate wall."""
 
     tried: int  # without the reference
     wider: int  # number that widen the Z-width by more than `SAME`
@@ -77,7 +80,7 @@ class Koul:
     effects
         Limits with each of `EFFECTS` by name, on the fitted preset in the normal hand.
     figure_7, words, figure_8
-        Impacts, their peaks by word length (bits) of the filter, and estimated velocities; see `koul.compare`.
+        Impacts, their peak penetrations by word length (bits) of the filter, and estimated velocities.
     noise
         Velocity noise of the encoder's quantisation (rad/s rms), by velocity rate and cut-off.
     plants
@@ -130,7 +133,7 @@ class Koul:
         return [(preset, min(of), max(of)) for preset, of in peaks.items()]
 
     def ways(self) -> list[Way]:
-        """Compare the limits that three searches (ladder, bisection, grid) would find on one map."""
+        """Compare the limits that three searches (ladder, bisection, grid) would find in the same grid of walls."""
         found = self.maps[rigs.MAIN[0].name]
         return [
             ways_of(found, key, number, criterion)
@@ -159,10 +162,10 @@ class Koul:
         ]
 
     def plant_shares(self) -> dict[str, Any]:
-        """Return statistics of the largest damping on random plants.
+        """Return statistics of the largest stable damping on random plants, for three kinds of sampling.
 
-        ``quartiles`` of fast uniform over dual-rate; ``larger``: share of plants where this ratio exceeds 1; ``same``
-        and ``same_with_islands``: share of plants where dual-rate and slow uniform are equal.
+        ``quartiles`` of the ratio fast uniform / dual-rate; ``larger``: share of plants where this ratio exceeds 1;
+        ``same`` and ``same_with_islands``: share of plants where dual-rate and slow uniform are equal.
         """
         ranges = np.array([plant["ranges"] for plant in self.plants])
         dual, fast, slow = (ranges[:, NUMBERS[key]] for key in (rigs.DUAL, rigs.FAST, rigs.SLOW))
@@ -179,20 +182,23 @@ class Koul:
         return Change.of(self.ideas[key], self.ideas[REFERENCE])
 
     def linear_change(self, key: str) -> dict[str, float]:
-        """Divide an idea's ``peak`` and ``range`` by the paper's wall's (linear theory); empty if not linear."""
+        """Divide an idea's ``peak`` stiffness and damping ``range`` by those of the paper's dual-rate wall (theory).
+
+        The result is empty if a wall is not linear.
+        """
         new, old = self.ideas[key].linear, self.ideas[REFERENCE].linear
         return {name: over(new[name], old[name]) for name in ("peak", "range")} if new and old else {}
 
     def group(self, group: str) -> list[Tried]:
-        """Return the results of one group of ideas for a larger Z-width."""
+        """Return the results of one group of ideas (changed samplings or rigs) for a larger Z-width."""
         return [one for one in self.ideas.values() if one.idea.group == group]
 
     def changes(self, group: str) -> dict[str, Change]:
-        """Return limits and area of each idea of a group over the paper's dual-rate wall's, by the idea's label."""
+        """Return, by label, limits and area of each idea of a group, divided by those of the paper's dual-rate wall."""
         return {one.idea.label: self.against(one.idea.key) for one in self.group(group)}
 
     def best(self, group: str) -> Best:
-        """Return the idea of one group, or the paper's dual-rate wall, with the largest area of its Z-width."""
+        """Return the idea of a group with the largest area of stable walls, or the paper's dual-rate wall if larger."""
         tried, reference = self.group(group), self.ideas[REFERENCE]
         best = max([*tried, reference], key=lambda one: one.area("any"))
         return Best(
@@ -242,7 +248,6 @@ def word_name(word: Mapping[str, Any]) -> str:
 
 
 def _share_of_ones(ratios: Sequence[float]) -> float:
-    """Return the share of ratios that equal 1 within a factor of `rules.SAME_LINEAR`."""
     return float(np.mean([within(ratio, 1.0, rules.SAME_LINEAR) for ratio in ratios]))
 
 

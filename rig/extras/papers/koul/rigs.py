@@ -1,4 +1,7 @@
-"""Settings of the reproduction of Koul et al.: rigs, hands and pushes, sampling schemes, sizes of the grids."""
+"""Settings of the reproduction of Koul et al.: rigs, hands and pushes, sampling schemes, sizes of the grids.
+
+All other files of this folder use them; choices of this project have a comment with the reason.
+"""
 
 from __future__ import annotations
 

@@ -78,7 +78,6 @@ def rises(curves: Mapping[str, Sequence[float]], rates: Sequence[int], step: flo
 
 
 def _rising(stiffnesses: Sequence[float], step: float) -> bool:
-    """Return True if each stiffness is at least `DROP` times the one before, up to the resolution of the search."""
     return all(high >= DROP / step * low for low, high in pairwise(stiffnesses))
 
 
@@ -91,11 +90,11 @@ def levels_off(
     rises without lag, the claim is reproduced only with lag.
     """
     found = judge(
-        {name: r is not None and r <= LEVEL_OFF * step for name, r in with_lag.items()},
+        {name: ratio is not None and ratio <= LEVEL_OFF * step for name, ratio in with_lag.items()},
         ratios=[(name, ratio, without_lag[name]) for name, ratio in with_lag.items()],
         lag=False,  # True if K levels off only with the lag
     )
-    free = any(r is None or r >= STILL_RISING for r in without_lag.values())
+    free = any(ratio is None or ratio >= STILL_RISING for ratio in without_lag.values())
     return found.only(lag=True) if found.status is ClaimStatus.REPRODUCED and free else found
 
 
@@ -136,7 +135,7 @@ def peaks(
 
 
 def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float = 1.0) -> Ruling:
-    """Judge the claim that dual-rate and slow uniform walls have the same range of damping.
+    """Judge the claim that walls have the same range of damping with dual-rate and with slow uniform sampling.
 
     `ratios` are dual-rate over slow uniform ranges, simulated by case; `linear` are those of linear theory by case.
     """
@@ -146,7 +145,7 @@ def same(ratios: Mapping[str, float], linear: Mapping[str, float], step: float =
 
 
 def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Judge on random plants the claim that dual-rate and slow uniform walls have the same range of damping.
+    """Judge on random plants the claim that dual-rate and slow uniform sampling allow the same range of damping.
 
     `ranges` are the largest dampings (dual-rate, slow uniform) of each plant (N·m·s/rad).
     """
@@ -156,7 +155,7 @@ def same_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
 
 
 def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Ruling:
-    """Judge the claim that the fast uniform wall has half the range of damping of the dual-rate wall.
+    """Judge the claim that fast uniform sampling allows half the range of damping of dual-rate sampling.
 
     `ratios` are fast over dual-rate, by (rig, cut-off, criterion or theory).
     """
@@ -165,7 +164,7 @@ def half(ratios: Mapping[tuple[str, str, str], float], step: float = 1.0) -> Rul
 
 
 def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
-    """Judge on random plants the claim that the fast uniform wall has at most half the dual-rate wall's damping range.
+    """Judge on random plants the claim that fast uniform sampling allows at most half the damping of dual-rate.
 
     `ranges` are the largest dampings (fast uniform, dual-rate) of each plant (N·m·s/rad).
     """
@@ -175,9 +174,9 @@ def half_of_plants(ranges: Sequence[tuple[float, float]]) -> Ruling:
 
 
 def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float = 1.0) -> Ruling:
-    """Judge the claim that the dual-rate wall has a higher peak stiffness than the fast uniform wall.
+    """Judge the claim that dual-rate sampling allows a higher peak stiffness than fast uniform sampling.
 
-    A value of `ratios` is the peak of the dual-rate wall over that of the fast uniform wall; the key is (rig, hand,
+    A value of `ratios` is the peak with dual-rate sampling over that with fast uniform sampling; the key is (rig, hand,
     cut-off, stability criterion).
     """
     cases = {case: ratio >= HIGHER * step**0.5 for case, ratio in ratios.items()}
@@ -189,23 +188,23 @@ def higher_peak(ratios: Mapping[tuple[str, str, str, str], float], step: float =
 
 
 def loses(curves: Mapping[tuple[str, str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge the claim that the stiffness limit of the fast uniform wall falls as soon as damping is added.
+    """Judge the claim that the stiffness limit with fast uniform sampling falls as soon as damping is added.
 
     The keys of `curves` are (rig, cut-off, stability criterion or theory).
     """
     cases: dict[tuple[str, str, str], bool] = {}
     most: dict[tuple[str, str, str], float] = {}
     for case, curve in curves.items():
-        undamped, *damped = curve
-        last = max((b for b, stiffness in curve if stiffness > 0.0), default=0.0)
-        added = [over(stiffness, undamped[1]) for b, stiffness in damped if b >= ONCE_ADDED * last]
+        (_, undamped), *damped = curve
+        last = max((damping for damping, stiffness in curve if stiffness > 0.0), default=0.0)
+        added = [over(stiffness, undamped) for damping, stiffness in damped if damping >= ONCE_ADDED * last]
         most[case] = max(added, default=0.0)
-        cases[case] = undamped[1] > 0.0 and bool(added) and most[case] <= DROP * step**0.5
+        cases[case] = undamped > 0.0 and bool(added) and most[case] <= DROP * step**0.5
     return judge_settable(cases, [1], most=[(", ".join(case), ratio) for case, ratio in most.items()])
 
 
 def first_rises(curves: Mapping[tuple[str, str], Curve], step: float = 1.0) -> Ruling:
-    """Judge the claim that the stiffness limit of the slow uniform wall first rises with damping to a peak.
+    """Judge the claim that the stiffness limit with slow uniform sampling first rises with damping to a peak.
 
     The keys of `curves` are (rig, stability criterion or theory).
     """
@@ -248,7 +247,7 @@ def between(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
 
 
 def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
-    """Judge the claim that the uniform wall is penetrated as deep as the undamped wall.
+    """Judge the claim that a damped wall with uniform sampling is penetrated as deep as the undamped wall.
 
     A value of `peaks` has the penetrations (counts) with no, uniform and dual-rate damping.
     """
@@ -260,8 +259,8 @@ def like_none(peaks: Mapping[str, tuple[float, float, float]]) -> Ruling:
 def filter_delay(paper: Mapping[float, float]) -> Ruling:
     """Judge the claim that the velocity filter at 2 kHz has the paper's delay (s) for each cut-off (Hz).
 
-    The delay is that of a digital second-order Butterworth filter at low frequency; the difference adds half a period.
-    In part if the delay agrees at some of the cut-offs.
+    The delay is that of a digital second-order Butterworth filter at low frequency, without the half period of the
+    difference quotient. In part if the delay agrees at some of the cut-offs.
     """
     period_s, cases, found = 1.0 / SLOW_HZ, {}, []
     for cutoff_hz, delay_s in paper.items():

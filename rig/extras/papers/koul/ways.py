@@ -59,7 +59,7 @@ class Way:
 
 
 def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
-    """Compare three searches (ladder, bisection, grid) for the sampling scheme number `scheme`, over all offsets."""
+    """Compare three searches (ladder, bisection, grid) for the sampling scheme with the index `scheme`."""
     every = [
         column for offset in found.plan.offsets for column in columns(found, scheme, criterion, offset=offset)
     ]
@@ -75,9 +75,9 @@ def ways_of(found: ZWidth, key: str, scheme: int, criterion: str) -> Way:
 
 
 def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None = None) -> list[GridColumn]:
-    """Return, for each damping, the results of all walls of a sampling scheme by one ripple (felt, heard, any).
+    """Return, for each damping, which walls are stable by one ripple (felt, heard, any), and what searches would find.
 
-    Without `offset`, the first encoder offset of the map is used.
+    `scheme` is the index of the sampling scheme. Without `offset`, the first encoder offset of the map is used.
     """
     plan = found.plan
     wanted = plan.offsets[0] if offset is None else offset
@@ -103,7 +103,6 @@ def columns(found: ZWidth, scheme: int, criterion: str, *, offset: float | None 
 
 
 def _bisect(found: ZWidth, tried: Mapping[float, Passes], criterion: str) -> dict[float, Passes]:
-    """Return the stiffnesses that a bisection would have tried, with their results on the grid."""
     walk = replace(found.plan.search, way="bisection").walk([criterion])
     visited: dict[float, Passes] = {}
     try:

@@ -1,1 +1,1 @@
-"""Rank pairs of estimator and law on every preset, by the rule of ``rig/decisions/0019``."""
+"""Rank velocity estimators and control laws on every preset, by the areas of stable, correctly rendered walls."""

@@ -1,4 +1,7 @@
-"""Compare pairs (estimator, sampling, law) by their areas: who wins, which is best, and how stable the ranking is."""
+"""Compare estimator–law pairs by the areas (K–B plane) of the walls that they render: which wins, and how stably.
+
+The page of the ranking uses it. It must not run a hit: `measure` computes the areas that are compared here.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ Outcome = Literal["wins", "ties", "loses"]
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """Geometric mean of the ratio of two pairs' areas over a rig's variations, with its bootstrap interval."""
+    """Area of one estimator–law pair divided by that of another: geometric mean over a rig's variations, with interval.
+
+    The area is that of the rendered walls in the K–B plane, the interval a 95 % bootstrap interval.
+    """
 
     mean: float
     low: float
@@ -30,28 +36,31 @@ class Ratio:
 
     @property
     def outcome(self) -> Outcome:
-        """Result of the first pair against the second: "wins", "ties" or "loses"."""
+        """Result of the first of two estimator–law pairs against the second: "wins", "ties" or "loses"."""
         if self.mean > rule.WIN and self.low > 1.0:
             return "wins"
         return "loses" if self.mean < 1.0 / rule.WIN and self.high < 1.0 else "ties"
 
 
 def compare_areas(first: ArrayLike, second: ArrayLike) -> Ratio:
-    """Return the ratio of two pairs' areas, which were measured on the same variations in the same order."""
-    logs = np.log(first) - np.log(second)
-    means = logs[_draws(len(logs))].mean(axis=1)
+    """Return the ratio of two areas of rendered walls: its geometric mean and interval over the variations of a rig.
+
+    Both have a value for each variation, in the same order.
+    """
+    log_ratios = np.log(first) - np.log(second)
+    means = log_ratios[_resamples(len(log_ratios))].mean(axis=1)
     edge = 50.0 * (1.0 - rule.CONFIDENCE)
     low, high = np.percentile(means, [edge, 100.0 - edge])
-    return Ratio(math.exp(logs.mean()), math.exp(low), math.exp(high))
+    return Ratio(math.exp(log_ratios.mean()), math.exp(low), math.exp(high))
 
 
 @cache
-def _draws(rigs: int) -> NDArray[np.int64]:
-    return np.random.default_rng(rule.SEED).integers(0, rigs, (rule.RESAMPLED, rigs))
+def _resamples(variations: int) -> NDArray[np.int64]:
+    return np.random.default_rng(rule.SEED).integers(0, variations, (rule.RESAMPLED, variations))
 
 
 class Cell(NamedTuple):
-    """Results of a pair (estimator, sampling, law) on a rig under one condition (grip and delay)."""
+    """Results of a pair (estimator, sampling, law) on a rig under one condition (grip of the hand and delay)."""
 
     areas: list[float]  # on the rig and its variations
     undamped: float  # N·m/rad or N/m
@@ -61,12 +70,12 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RigResults:
-    """Compact results of one rig, as `rig.extras.papers.ranking.measure.measure_rig` returns them.
+    """Compact results of one rig in the ranking of estimator–law pairs.
 
     Attributes
     ----------
     rig
-        Name in `rule.RIGS`.
+        Name of the rig.
     tuned
         Settings of each estimator.
     ends
@@ -74,7 +83,7 @@ class RigResults:
     noise
         Velocity of a toggling count at rest by estimator, rms (rad/s or m/s).
     conditions
-        Values of a `Cell` by pair and by condition (grip/delay).
+        By pair and by condition (grip/delay): areas, undamped stiffness, velocity error, capped dampings (see `Cell`).
     """
 
     rig: str
@@ -85,88 +94,97 @@ class RigResults:
 
     @property
     def pairs(self) -> list[str]:
-        """Names of the measured pairs."""
+        """Names of the measured estimator–law pairs."""
         return list(self.conditions)
 
-    def axis(self, place: int) -> list[str]:
-        """Return the names of the measured grips (`place` 0) or delays (1)."""
+    @property
+    def grips(self) -> list[str]:
+        """Names of the measured grips of the hand; "none" is no hand."""
+        return self._condition_parts(0)
+
+    @property
+    def delays(self) -> list[str]:
+        """Measured delays (ticks), as text."""
+        return self._condition_parts(1)
+
+    def _condition_parts(self, place: int) -> list[str]:
         return list(dict.fromkeys(key.split("/")[place] for key in next(iter(self.conditions.values()))))
 
     def cell(self, pair: str, grip: str, delay: str) -> Cell:
-        """Return the results of a pair under a condition."""
+        """Return the results of an estimator–law pair under a grip of the hand and a delay (ticks)."""
         return Cell(*self.conditions[pair][f"{grip}/{delay}"])
 
     def areas(self, pair: str, grip: str, delay: str) -> list[float]:
-        """Return the areas of a pair on the rig and its variations."""
+        """Return the areas (K–B plane) of walls that an estimator–law pair renders, on the rig and its variations."""
         return self.cell(pair, grip, delay).areas
 
     def best(self, grip: str, delay: str, among: Iterable[str] | None = None) -> str:
-        """Return the pair with the largest geometric mean of its areas under a condition."""
+        """Return the estimator–law pair with the largest area of rendered walls, at a grip and a delay (ticks)."""
         return max(
             among or self.pairs, key=lambda pair: float(np.mean(np.log(self.areas(pair, grip, delay))))
         )
 
     def ratio(self, pair: str, other: str, grip: str, delay: str) -> Ratio:
-        """Return the ratio of a pair's areas to another's."""
+        """Return the area of walls that one estimator–law pair renders, divided by that of the pair `other`."""
         return compare_areas(self.areas(pair, grip, delay), self.areas(other, grip, delay))
 
     def never_lose(self, delay: str) -> list[str]:
-        """Return the pairs that win or tie against the best other pair in each grip and without a hand."""
+        """Return the estimator–law pairs that win or tie against the best other pair at each grip, and without hand."""
         return [pair for pair in self.pairs if "loses" not in self._outcomes(pair, delay)]
 
     def recommended(self, delay: str, *, own_laws: bool = True) -> list[str]:
-        """Return the pairs that never lose and win at least once; none if a condition of the hand is not measured.
+        """Return the estimator–law pairs that never lose and win at least once; empty if a grip was not measured.
 
         Other pairs of the same estimator are rivals too, unless `own_laws` is False.
         """
-        complete = self.axis(0) == list(rule.CONDITIONS)
+        complete = self.grips == list(rule.CONDITIONS)
         outcomes = {pair: self._outcomes(pair, delay, own_laws=own_laws) for pair in self.pairs if complete}
         return [pair for pair, found in outcomes.items() if "loses" not in found and "wins" in found]
 
     def _outcomes(self, pair: str, delay: str, *, own_laws: bool = True) -> list[Outcome]:
         own = pair.partition(", ")[0]
-        others = [one for one in self.pairs if one != pair and (own_laws or one.partition(", ")[0] != own)]
-        return [
-            self.ratio(pair, self.best(grip, delay, others), grip, delay).outcome for grip in self.axis(0)
+        rivals = [
+            rival for rival in self.pairs if rival != pair and (own_laws or rival.partition(", ")[0] != own)
         ]
+        return [self.ratio(pair, self.best(grip, delay, rivals), grip, delay).outcome for grip in self.grips]
 
 
-def scores(found: Sequence[RigResults], delay: str) -> dict[str, float]:
-    """Return the mean logarithm of each pair's area over that of the best, over rigs and grips.
+def scores(rigs: Sequence[RigResults], delay: str) -> dict[str, float]:
+    """Return for each estimator–law pair ln(its area of rendered walls / the best pair's), mean over rigs and grips.
 
     Only pairs that every rig can run are ranked.
     """
-    common = [pair for pair in found[0].pairs if all(pair in one.pairs for one in found)]
+    common = [pair for pair in rigs[0].pairs if all(pair in one.pairs for one in rigs)]
     totals = dict.fromkeys(common, 0.0)
-    number = sum(len(one.axis(0)) for one in found)
-    for one in found:
-        for grip in one.axis(0):
-            logs = {pair: float(np.mean(np.log(one.areas(pair, grip, delay)))) for pair in common}
-            top = max(logs.values())
+    conditions = sum(len(one.grips) for one in rigs)
+    for one in rigs:
+        for grip in one.grips:
+            log_areas = {pair: float(np.mean(np.log(one.areas(pair, grip, delay)))) for pair in common}
+            largest = max(log_areas.values())
             for pair in common:
-                totals[pair] += (logs[pair] - top) / number
+                totals[pair] += (log_areas[pair] - largest) / conditions
     return totals
 
 
-def stability(found: Sequence[RigResults], delay: str) -> dict[str, float]:
-    """Return Kendall's τ between the ranking by all rigs and the one without a rig, by that rig's name."""
-    if len(found) < 2:
+def stability(rigs: Sequence[RigResults], delay: str) -> dict[str, float]:
+    """Return, by rig, Kendall's τ between the ranking of estimator–law pairs on all rigs and that without this rig."""
+    if len(rigs) < 2:
         return {}
-    whole = scores(found, delay)
+    all_rigs = scores(rigs, delay)
     taus = {}
-    for number, left_out in enumerate(found):
-        part = scores([*found[:number], *found[number + 1 :]], delay)
-        values = [[ranking[pair] for pair in whole] for ranking in (whole, part)]
+    for number, left_out in enumerate(rigs):
+        other_rigs = scores([*rigs[:number], *rigs[number + 1 :]], delay)
+        values = [[ranking[pair] for pair in all_rigs] for ranking in (all_rigs, other_rigs)]
         taus[left_out.rig] = float(stats.kendalltau(*values).statistic)
     return taus
 
 
-def write_results(found: Sequence[Mapping[str, Any]], path: Path = RESULTS) -> None:
-    """Write results as JSON with one condition on each line, so that the diff of a change is short."""
-    text = json.dumps(found, ensure_ascii=False, separators=(",", ":"))
+def write_results(rigs: Sequence[Mapping[str, Any]], path: Path = RESULTS) -> None:
+    """Write the ranking's results as JSON with one condition (grip, delay) on each line, so that diffs are short."""
+    text = json.dumps(rigs, ensure_ascii=False, separators=(",", ":"))
     path.write_text(text.replace('],"', '],\n"') + "\n", encoding="utf-8")
 
 
 def read_results(path: Path = RESULTS) -> list[RigResults]:
-    """Return the committed results, in the order of `rule.RIGS`."""
+    """Return the ranking's results from a file; by default those in this package."""
     return [RigResults(**one) for one in json.loads(path.read_text(encoding="utf-8"))]

@@ -1,4 +1,7 @@
-"""Measure the areas of a ranking as tasks of a sweep: tune each estimator, then judge every pair on every rig."""
+"""Measure the areas of rendered walls for a ranking: tune each estimator, then judge each estimator–law pair.
+
+The command `rig estimators rank` uses it. Which walls count is decided in `rule`, which pair wins in `compare`.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,7 @@ def find_edge(passes: Callable[[int], bool], start: int, length: int) -> int:
 def trace_limits(
     passes: Callable[[float, float], bool], dampings: Sequence[float], rungs: Sequence[float]
 ) -> list[float]:
-    """Return the greatest stiffness of `rungs` that passes at each damping, 0 if none passes.
+    """Return at each damping the greatest of the stiffnesses `rungs` that passes, 0 if none passes.
 
     The search stops after `rule.EMPTY_COLUMNS` dampings in a row with 0, so the list can be shorter than `dampings`.
     """
@@ -72,7 +75,10 @@ def trace_limits(
 
 
 def area_under(limits: Sequence[float], dampings: Sequence[float], lowest: float) -> float:
-    """Return the area below the limits; at least half the first damping above 0, times the stiffness `lowest`."""
+    """Return the area below stiffness `limits` over `dampings` in the K–B plane (product of their units).
+
+    The area is at least half the first damping above 0, times the stiffness `lowest`.
+    """
     inside = [*limits, *[0.0] * (len(dampings) - len(limits))]
     return max(float(integrate.trapezoid(inside, dampings)), 0.5 * lowest * dampings[1])
 
@@ -83,7 +89,10 @@ def _search(rig: str, grip: str) -> StiffnessSearch:
 
 
 def series(experiment: Experiment, number: int, offset: float, rig: str, grip: str) -> dict[str, Any]:
-    """Return limits at rising dampings, number of hits and velocity error, on variation `number` of a rig."""
+    """Return the stiffness limit at each damping, the number of hits, and the velocity error, for one rig and grip.
+
+    `number` is the variation of the rig (0: unchanged), `offset` the encoder's position between two counts (0 to 1).
+    """
     model = config.rig_model(experiment)
     model = rule.vary(replace(model, encoder=replace(model.encoder, offset=offset)), number)
     simulator = HitSimulator(experiment, rig=model)
@@ -106,53 +115,61 @@ def series(experiment: Experiment, number: int, offset: float, rig: str, grip: s
 
 
 def tune(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the index of the best settings of a grid, and the logarithm of the product of areas for each one tried.
+    """Find the best settings of an estimator: those with the largest areas of rendered walls.
 
-    The grid is searched at every `rule.COARSE`-th value, then at the neighbours of the best.
+    Return ``best``, the index of the settings in the grid of `payload`, and ``tried``: (index, ln of the product of
+    areas). The grid is searched at every `rule.COARSE`-th value, then at the neighbours of the best.
     """
     rig, grid = payload["rig"], payload["grid"]
     ground, pair = Ground.of(rig), Pair(payload["estimator"], payload["dual"])
     if len(grid) == 1:
         return {"best": 0, "tried": []}
-    products: dict[int, float] = {}
+    log_products: dict[int, float] = {}
 
-    def product(index: int) -> float:
-        if index not in products:
-            products[index] = 0.0
+    def log_product(index: int) -> float:
+        if index not in log_products:
+            log_products[index] = 0.0
             for grip in rule.TUNING_CONDITIONS:
                 try:
-                    x = ground.experiment(pair, grid[index], grip, 0)
+                    experiment = ground.experiment(pair, grid[index], grip, 0)
                 except ConfigError:  # the filter cannot be realised at this rate
-                    products[index] = -math.inf
+                    log_products[index] = -math.inf
                     break
-                limits = series(x, 0, rule.TUNING_OFFSET, rig, grip)["limits"]
+                limits = series(experiment, 0, rule.TUNING_OFFSET, rig, grip)["limits"]
                 area = area_under(limits, ground.dampings(), _search(rig, grip).lowest)
-                products[index] += math.log(area)
-        return products[index]
+                log_products[index] += math.log(area)
+        return log_products[index]
 
-    best = max([*range(0, len(grid), rule.COARSE), len(grid) - 1], key=product)
+    best = max([*range(0, len(grid), rule.COARSE), len(grid) - 1], key=log_product)
     step = rule.COARSE // 2
     while step:
-        best = max((n for n in (best, best - step, best + step) if 0 <= n < len(grid)), key=product)
+        best = max(
+            (index for index in (best, best - step, best + step) if 0 <= index < len(grid)), key=log_product
+        )
         step //= 2
-    tried = [[index, products[index]] for index in sorted(products) if math.isfinite(products[index])]
+    tried = [
+        [index, log_products[index]] for index in sorted(log_products) if math.isfinite(log_products[index])
+    ]
     return {"best": best, "tried": tried}
 
 
 def judge(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Return areas, undamped limits and velocity errors of one pair on one rig, at each encoder offset."""
+    """Return the areas of rendered walls, undamped stiffness limits and velocity errors of one estimator–law pair.
+
+    `payload` names pair, settings, rig, grip and delay; each list has a value for each encoder offset.
+    """
     rig, grip, number = payload["rig"], payload["grip"], payload["number"]
     ground, pair = Ground.of(rig), Pair(*payload["pair"])
-    x = ground.experiment(pair, payload["settings"], grip, payload["delay"])
-    x = config.override(x, {"trial.seed": rule.JUDGED_SEED + number}, "the ranking")
+    experiment = ground.experiment(pair, payload["settings"], grip, payload["delay"])
+    experiment = config.override(experiment, {"trial.seed": rule.JUDGED_SEED + number}, "the ranking")
     rungs, dampings = _search(rig, grip).rungs, ground.dampings()
-    found = [series(x, number, offset, rig, grip) for offset in rule.OFFSETS]
+    results = [series(experiment, number, offset, rig, grip) for offset in rule.OFFSETS]
     return {
-        "areas": [area_under(one["limits"], dampings, rungs[0]) for one in found],
-        "undamped": [one["limits"][0] for one in found],
-        "errors": [one["error"] for one in found],
-        "capped": sum(limit == rungs[-1] for one in found for limit in one["limits"]),
-        "hits": sum(one["hits"] for one in found),
+        "areas": [area_under(result["limits"], dampings, rungs[0]) for result in results],
+        "undamped": [result["limits"][0] for result in results],
+        "errors": [result["error"] for result in results],
+        "capped": sum(limit == rungs[-1] for result in results for limit in result["limits"]),
+        "hits": sum(result["hits"] for result in results),
     }
 
 
@@ -165,7 +182,10 @@ def judging_tasks(
     delays: Sequence[int] = rule.DELAYS,
     variations: int = rule.VARIATIONS,
 ) -> list[sweep.Task]:
-    """Return the tasks of a rig, sorted by condition; `tuned` has settings by the name of `Pair.plain`."""
+    """Return the tasks that judge estimator–law pairs on a rig, sorted by delay and grip.
+
+    `tuned` has the estimator's settings by the name of the pair without a special law.
+    """
     return [
         sweep.Task(
             f"{pair.name}/{grip}/{delay}/{number}",
@@ -196,16 +216,16 @@ def measure_rig(
     watch: Callable[[sweep.Progress], None] | None = None,
     **matrix: Any,
 ) -> dict[str, Any]:
-    """Measure pairs (None: all that the rig can run) and the user's entries on one rig; return values for JSON.
+    """Measure estimator–law pairs (None: all that the rig can run) on one rig; return values for JSON.
 
-    An interrupted measurement resumes from the two journals in `directory`. `workers`, `watch` and errors are as in
-    `rig.experiments.sweep.run`; `matrix` has `grips`, `delays` and `variations` for `judging_tasks`. Raise
-    `ConfigError` for an unknown rig or estimator.
+    `entries` are the user's own estimators, each with the range of its tuned parameter. An interrupted measurement
+    resumes from the two journals in `directory`. `workers` is the number of processes, `watch` receives the progress,
+    `matrix` limits `grips`, `delays` and `variations`. Raise `ConfigError` for an unknown rig or estimator.
     """
     ground = Ground.of(rig)
-    known = {**ESTIMATORS, **{one.estimator: one for one in entries}}
-    chosen = [*(ground.pairs if pairs is None else pairs), *(Pair(one.estimator) for one in entries)]
-    grids = {one.plain: known[one.estimator].grid(ground.velocity_rate(one)) for one in chosen}
+    known = {**ESTIMATORS, **{entry.estimator: entry for entry in entries}}
+    chosen = [*(ground.pairs if pairs is None else pairs), *(Pair(entry.estimator) for entry in entries)]
+    grids = {pair.plain: known[pair.estimator].grid(ground.velocity_rate(pair)) for pair in chosen}
 
     def run(stage: str, tasks: Sequence[sweep.Task]) -> dict[str, Any]:
         journal = None if directory is None else directory / f"{rig}-{stage}.journal"
@@ -213,14 +233,18 @@ def measure_rig(
         return dict(zip([task.key for task in tasks], found, strict=True))
 
     tuning_tasks = [
-        sweep.Task(one.name, tune, {"rig": rig, "estimator": one.estimator, "dual": one.dual, "grid": grid})
-        for one, grid in grids.items()
+        sweep.Task(
+            pair.name, tune, {"rig": rig, "estimator": pair.estimator, "dual": pair.dual, "grid": grid}
+        )
+        for pair, grid in grids.items()
     ]
     best = {name: found["best"] for name, found in run("tuning", tuning_tasks).items()}
-    tuned = {one.name: grid[best[one.name]] for one, grid in grids.items()}
-    ends = [one.name for one, grid in grids.items() if len(grid) > 1 and best[one.name] in (0, len(grid) - 1)]
+    tuned = {pair.name: grid[best[pair.name]] for pair, grid in grids.items()}
+    ends = [
+        pair.name for pair, grid in grids.items() if len(grid) > 1 and best[pair.name] in (0, len(grid) - 1)
+    ]
     judged = run("judging", judging_tasks(ground, chosen, tuned, **matrix))
-    noise = {one.name: rest_velocity(ground, one, tuned[one.name]) for one in grids}
+    noise = {pair.name: rest_velocity(ground, pair, tuned[pair.name]) for pair in grids}
     return {"rig": rig, "tuned": tuned, "ends": ends, "noise": noise, "conditions": compact(judged)}
 
 
@@ -229,11 +253,11 @@ def rest_velocity(ground: Ground, pair: Pair, settings: Settings) -> float:
     own = estimators.get(pair.estimator).settings_of(config.settings_of_rig(ground.preset))
     variant = Variant(pair.estimator, {**own, **settings})
     period_s = 1.0 / ground.velocity_rate(pair)
-    return _digits(rest_noise(variant, period_s, ground.preset.rig.encoder.resolution)[1])
+    return _three_digits(rest_noise(variant, period_s, ground.preset.rig.encoder.resolution)[1])
 
 
 def estimate_s(rig: str) -> float:
-    """Return the estimated time of `measure_rig` on one core (s), from hits of fdm-butterworth after compilation."""
+    """Return the estimated time of ranking on one rig (s, one core), from some hits with a filtered difference."""
     ground = Ground.of(rig)
     pair = Pair("fdm-butterworth")
     settings: Settings = {"cutoff_hz": 0.05 * ground.velocity_rate(pair)}
@@ -249,29 +273,29 @@ def estimate_s(rig: str) -> float:
 
 
 def compact(judged: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the results by pair, then by condition (grip/delay): a list of `Cell`'s values.
+    """Return areas, undamped stiffness limit, velocity error and capped dampings, by pair and condition (grip/delay).
 
     The area of each variation is the geometric mean over the encoder offsets. The undamped limit is a mean, the
     velocity error a median, over variations and offsets.
     """
     gathered: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
-    for key, found in judged.items():
+    for key, result in judged.items():
         pair, grip, delay, _ = key.split("/")
-        gathered.setdefault(pair, {}).setdefault(f"{grip}/{delay}", []).append(found)
+        gathered.setdefault(pair, {}).setdefault(f"{grip}/{delay}", []).append(result)
     return {
-        pair: {name: _cell(rigs) for name, rigs in conditions.items()}
+        pair: {name: _condition_results(variations) for name, variations in conditions.items()}
         for pair, conditions in gathered.items()
     }
 
 
-def _cell(rigs: Sequence[Mapping[str, Any]]) -> list[Any]:
+def _condition_results(variations: Sequence[Mapping[str, Any]]) -> list[Any]:
     return [
-        [_digits(math.exp(np.mean(np.log(one["areas"])))) for one in rigs],
-        _digits(float(np.mean([one["undamped"] for one in rigs]))),
-        _digits(float(np.median([one["errors"] for one in rigs]))),
-        sum(one["capped"] for one in rigs),
+        [_three_digits(math.exp(np.mean(np.log(result["areas"])))) for result in variations],
+        _three_digits(float(np.mean([result["undamped"] for result in variations]))),
+        _three_digits(float(np.median([result["errors"] for result in variations]))),
+        sum(result["capped"] for result in variations),
     ]
 
 
-def _digits(value: float) -> float:
+def _three_digits(value: float) -> float:
     return float(f"{value:.3g}")

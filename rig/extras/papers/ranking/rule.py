@@ -1,6 +1,6 @@
-"""What the ranking compares, by ``rig/decisions/0019``: rigs, variations, conditions, pairs, and which walls count.
+"""What the ranking of estimators and laws compares: rigs and their variations, hands, delays, and which walls count.
 
-All numbers of the rule are in this file. It must not run a hit.
+All numbers of the rule, which ``rig/decisions/0019`` explains, are in this file. It must not run a hit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rig.core.model import RigModel
 from rig.devices.simulated import SimulatedHit
 from rig.experiments.mapping.interface import StiffnessSearch, search_for
 
-SEED, SPREAD, VARIATIONS = 19, 0.2, 8
+SEED, SPREAD, VARIATIONS = 19, 0.2, 8  # of random rigs: parameters within ±20 %
 CONDITIONS = ("none", "relaxed", "normal", "firm")  # no hand, and the three grips
 GRIPS = CONDITIONS[1:]
 DELAYS = (0, 1, 2)  # ticks
@@ -30,11 +30,20 @@ JUDGED_SEED = 1000  # added to the number of the variation; tuning uses the pres
 TUNING_CONDITIONS = ("none", "normal")
 PER_DECADE, COARSE = 12, 4  # values of a tuning grid; every fourth of them first
 STIFFNESS_WITHIN, DAMPING_WITHIN = (0.7, 1.4), (0.5, 2.0)  # rendered over commanded
-WIN, CONFIDENCE, RESAMPLED = 1.25, 0.95, 10_000
+WIN, CONFIDENCE, RESAMPLED = (
+    1.25,
+    0.95,
+    10_000,
+)  # ratio of areas; level and resamples of its bootstrap interval
 RATIO = 1.15  # of neighbouring stiffnesses
-DAMPING_RATIO, FIRST_DAMPING = math.sqrt(2.0), 1.0 / 32.0  # rungs; the first over the largest linear damping
-MOST_COLUMNS, FEWEST_COLUMNS, EMPTY_COLUMNS = 24, 8, 2
-DUAL_HZ = 2000
+DAMPING_RATIO = math.sqrt(2.0)  # of neighbouring dampings
+FIRST_DAMPING = 1.0 / 32.0  # smallest damping above 0, over the largest stable damping of linear theory
+MOST_COLUMNS, FEWEST_COLUMNS = (
+    24,
+    8,
+)  # dampings; at least 8 are tried while no wall has counted
+EMPTY_COLUMNS = 2  # dampings without a wall that counts, after which the search ends
+DUAL_HZ = 2000  # velocity rate of dual-rate pairs
 
 # The five that differ most first. Not smartknob: its motor cannot hold the press of a relaxed and of a firm grip.
 RIGS: dict[str, tuple[str, int | None]] = {
@@ -95,7 +104,7 @@ PLAIN, PASSIVE, ESTIMATED = "plain", "passive", "estimated position"
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Estimator, sampling (single- or dual-rate) and law of the wall, which are ranked together."""
+    """Estimator, sampling (single- or dual-rate) and control law of the wall, which are ranked together."""
 
     estimator: str
     dual: bool = False
@@ -103,12 +112,12 @@ class Pair:
 
     @property
     def name(self) -> str:
-        """Name of the pair in tables and as a key."""
+        """Name of the estimator–law pair in tables and as a key."""
         return ", ".join([self.estimator, *["dual-rate"] * self.dual, *[self.law] * (self.law != PLAIN)])
 
     @property
     def plain(self) -> Pair:
-        """Pair with the same estimator and sampling and the plain wall, for which the estimator is tuned."""
+        """The pair with the same estimator and sampling and the plain wall, on which the estimator is tuned."""
         return replace(self, law=PLAIN)
 
 
@@ -125,7 +134,7 @@ PAIRS = (
 
 @dataclass(frozen=True)
 class Ground:
-    """A rig of the ranking, with what is the same for all pairs: preset and range of dampings."""
+    """A rig of the ranking, with what is the same for all estimator–law pairs: preset and range of dampings."""
 
     name: str
     preset: Experiment
@@ -134,45 +143,47 @@ class Ground:
     @classmethod
     @cache
     def of(cls, name: str) -> Ground:
-        """Return the rig of a name in `RIGS`; raise `ConfigError` for another name."""
+        """Return the rig with this name in the ranking; raise `ConfigError` for another name."""
         if name not in RIGS:
-            raise ConfigError(f"rig {name} is not ranked", remedy=f"choose one of {', '.join(RIGS)}")
+            raise ConfigError(f"rig {name} is not in the ranking", remedy=f"choose one of {', '.join(RIGS)}")
         preset, rate = RIGS[name]
         changes: dict[str, Any] = dict(_KOUL_PUSH) if preset.startswith("koul") else {}
-        x = config.override(presets.load(preset), changes, "the ranking")
-        rate = rate or x.controller.position_rate
-        uniform = Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm-butterworth").applied(x)
+        experiment = config.override(presets.load(preset), changes, "the ranking")
+        rate = rate or experiment.controller.position_rate
+        uniform = Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm-butterworth").applied(
+            experiment
+        )
         widest = theory.b_max(theory.with_linear_wall(uniform), Scheme.of(uniform)).damping
         return cls(name, uniform, widest)
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """Pairs that this rig can run: dual-rate only where 2 kHz divides a higher position rate."""
+        """Estimator–law pairs that this rig can run: dual-rate only where 2 kHz divides a higher position rate."""
         rate = self.preset.controller.position_rate
         return tuple(one for one in PAIRS if not one.dual or (rate > DUAL_HZ and rate % DUAL_HZ == 0))
 
     def velocity_rate(self, pair: Pair) -> int:
-        """Return the velocity rate of a pair (Hz)."""
+        """Return the velocity rate of an estimator–law pair (Hz), the position rate unless the pair is dual-rate."""
         return DUAL_HZ if pair.dual else self.preset.controller.position_rate
 
     def dampings(self) -> list[float]:
-        """Return the dampings of a series, ascending (N·m·s/rad or N·s/m)."""
+        """Return the wall dampings to measure, ascending (N·m·s/rad or N·s/m)."""
         first = FIRST_DAMPING * self.largest_damping
         return [0.0, *(first * DAMPING_RATIO**step for step in range(MOST_COLUMNS - 1))]
 
     def condition(self, grip: str, delay: int) -> Experiment:
-        """Return the preset with a grip ("none": no hand) and a computation delay (ticks)."""
+        """Return the rig's preset with a grip ("none": no hand) and a computation delay (ticks)."""
         changes: dict[str, Any] = {"rig.simulation.computation_delay_ticks": delay}
         if grip != "none":
             changes |= {"trial.kind": "human", "operator.grip": grip, "rig.limits.human": False}
         return config.override(self.preset, changes, "the ranking")
 
     def search(self, grip: str) -> StiffnessSearch:
-        """Return the stiffness search for a grip; it is the same for all pairs, delays and variations."""
+        """Return the stiffness search for a grip; it is the same for all estimator–law pairs, delays and variations."""
         return search_for(self.condition(grip, 0), "bisection", ratio=RATIO)
 
     def experiment(self, pair: Pair, settings: Settings, grip: str, delay: int) -> Experiment:
-        """Return the experiment for a pair with settings of its estimator, a grip and a delay (ticks)."""
+        """Return the experiment for an estimator–law pair with settings of its estimator, a grip, a delay (ticks)."""
         scheme = Scheme(
             position_rate=self.preset.controller.position_rate,
             velocity_rate=self.velocity_rate(pair),
@@ -214,7 +225,7 @@ def vary(model: RigModel, number: int) -> RigModel:
 
 
 def counts(hit: SimulatedHit, stiffness: float, damping: float) -> bool:
-    """Return True if a wall counts: its hit passes *heard*, and it renders about this stiffness and damping."""
+    """Return True if a wall counts: its hit has no effort ripple, and it renders about this stiffness and damping."""
     if hit.recorded.passes("heard") is not True:
         return False
     low, high = STIFFNESS_WITHIN
