@@ -42,23 +42,11 @@ class Site:
 
 
 def build_site(output: Path, *, strict: bool = False) -> Site:
-    """Build the site of documents into a directory.
+    """Build the site of documents into the subdirectory ``html`` of `output`; existing pages are replaced.
 
-    Parameters
-    ----------
-    output
-        Directory of the site. The pages are written to its subdirectory ``html`` and replace existing pages.
-    strict
-        True to treat warnings and broken links as errors.
-
-    Raises
-    ------
-    ConfigError
-        The extra ``docs`` is not installed.
-    RecordingError
-        The directory cannot be written.
-    RigError
-        Sphinx or a script of the gallery failed; the message has the end of its output.
+    With `strict`, warnings and broken links are errors. Raise `ConfigError` if the extra ``docs`` is not installed,
+    `RecordingError` if the directory cannot be written, `RigError` with the end of the output if Sphinx or a script of
+    the gallery fails.
     """
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:

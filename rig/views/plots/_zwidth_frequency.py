@@ -40,22 +40,11 @@ def draw_frequency_map(
     search: bool = True,
     realisation: int = -1,
 ) -> Path:
-    """Draw a map of passive walls into a file and return the file's path.
+    """Draw a map of passive walls into a file and return its path; the ending of `picture` selects the format.
 
-    Parameters
-    ----------
-    found
-        Map to draw.
-    picture
-        File to write; its ending selects the format (`rig.views.plots.style.save`).
-    theory
-        Limits by theory by index of a sampling scheme, from `rig.experiments.mapping._ranges.linear_curves`.
-    search
-        True to draw the path of the boundary search.
-    realisation
-        Index of the realisation to show; −1 for the result of all realisations together.
-
-    Raise `rig.core.errors.RecordingError` if the file cannot be written.
+    `theory` has the largest stable and passive stiffness over damping by scheme index, `search` draws the path of the
+    boundary search, `realisation` is the index of a measurement with its own random phases (−1: all together). Raise
+    `RecordingError` if the file cannot be written.
     """
     figure = frequency_figure(found, theory=theory, search=search, realisation=realisation)
     return style.save(figure, Path(picture))
@@ -69,7 +58,11 @@ def frequency_figure(
     search: bool = True,
     realisation: int = -1,
 ) -> Any:
-    """Return the matplotlib figure of a map of passive walls, from the arguments of `draw_frequency_map`."""
+    """Return the matplotlib figure of a map of passive walls.
+
+    `theory` has stiffness limits over damping by scheme index, `search` draws the boundary search, `realisation` is the
+    index of a measurement (−1: all together).
+    """
     plan = found.plan
     count = len(plan.schemes)
     columns = min(count, COLUMNS if count <= COLUMNS**2 else COLUMNS + 1)
@@ -100,9 +93,9 @@ def frequency_figure(
     if mesh is not None:
         bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
         bar.set_label(f"fidelity: rms of |Z| − |K/(jω) + B| ({unit_of('damping', motion)})")
-    band, excitation = plan.band_hz, plan.experiment.excitation
+    (low_hz, high_hz), excitation = plan.band_hz, plan.experiment.excitation
     figure.suptitle(
-        f"{plan.experiment.rig.name}: passive from {band[0]:g} to {band[1]:g} Hz, "
+        f"{plan.experiment.rig.name}: passive from {low_hz:g} to {high_hz:g} Hz, "
         f"{excitation.realisations} × {excitation.periods} periods of {excitation.period_s:g} s",
         fontsize=11,
     )
@@ -118,19 +111,19 @@ def _draw_cells(
     low: float,
     high: float,
 ) -> Any:
-    edges = _edges(dampings), _edges(stiffnesses)
+    edges = damping_edges, stiffness_edges = _edges(dampings), _edges(stiffnesses)
     axes.set_facecolor(ACTIVE)
     ended = np.where(np.isnan(fidelity), 0.0, math.nan)
     axes.pcolormesh(*edges, ended.T, cmap=colors.ListedColormap([ENDED]), linewidth=0, rasterized=True)
     shown = np.where(passive, fidelity, math.nan)
     mesh = axes.pcolormesh(*edges, shown.T, cmap=COLOURS, vmin=low, vmax=high, linewidth=0, rasterized=True)
     for island in FrequencyWidth.of(passive, fidelity, stiffnesses, dampings).islands:
-        b = dampings.index(island.damping)
+        column = dampings.index(island.damping)
         first, last = stiffnesses.index(island.lowest), stiffnesses.index(island.highest)
         axes.fill_between(
-            edges[0][[b, b + 1]],
-            edges[1][first],
-            edges[1][last + 1],
+            damping_edges[[column, column + 1]],
+            stiffness_edges[first],
+            stiffness_edges[last + 1],
             facecolor="none",
             hatch="////",
             edgecolor="white",
@@ -150,10 +143,9 @@ def _draw_theory(axes: Any, curves: Curves | None) -> None:
 
 def _draw_search(axes: Any, dampings: Sequence[float], stiffnesses: Sequence[float], passive: Any) -> None:
     found = trace_grid(passive)
-    path = found.path
-    b, k = np.array([dampings[cell[0]] for cell in path]), np.array([stiffnesses[cell[1]] for cell in path])
-    axes.plot(b, k, color=SEARCH, linewidth=1.0, alpha=0.9)
-    ends = [(dampings[d], stiffnesses[s]) for d, s in found.edge if s >= 0]
+    path = [(dampings[column], stiffnesses[row]) for column, row in found.path]
+    axes.plot(*np.array(path).reshape(-1, 2).T, color=SEARCH, linewidth=1.0, alpha=0.9)
+    ends = [(dampings[column], stiffnesses[row]) for column, row in found.edge if row >= 0]
     if ends:
         axes.plot(*zip(*ends, strict=True), "o", color=SEARCH, markersize=3.0)
     axes.text(
@@ -178,7 +170,6 @@ def _scale(values: Floats) -> tuple[float, float]:
 
 
 def _edges(values: Sequence[float]) -> Floats:
-    """Return the borders between cells, half-way between neighbours of `values`, which ascend; one more than values."""
     centres = np.asarray(values, dtype=np.float64)
     if len(centres) == 1:
         half = 0.5 * max(abs(float(centres[0])), 1e-9)

@@ -26,7 +26,7 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
 
     `offset` is the index of the encoder offset (start position between two counts) that is drawn.
     """
-    x, motion = comparison.experiment, comparison.experiment.rig.motion
+    experiment, motion = comparison.experiment, comparison.experiment.rig.motion
     until_s = _shown_s(comparison.outcomes)
     figure = style.new_figure(width=9.0, height=3.5 + 1.8 * len(comparison.outcomes))
     heights = (2.5, *(1.0 for _ in comparison.outcomes))
@@ -34,10 +34,10 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
     draw_penetration(top, comparison.outcomes, offset)
     top.legend(loc="lower right", framealpha=0.85, edgecolor="none", fontsize=8)
     largest = max(float(np.abs(o.impacts[offset].velocity_true).max()) for o in comparison.outcomes)
-    for i, (axes, outcome) in enumerate(zip(below, comparison.outcomes, strict=True)):
+    for number, (axes, outcome) in enumerate(zip(below, comparison.outcomes, strict=True)):
         impact = outcome.impacts[offset]
         axes.plot(impact.time_s, impact.velocity_true, color=style.WALL, linewidth=2.5, label="true")
-        colour = COLOURS[i % len(COLOURS)]
+        colour = COLOURS[number % len(COLOURS)]
         axes.plot(impact.time_s, impact.velocity, color=colour, linewidth=0.9, label="as the law saw it")
         axes.set_ylim(-STRONGEST * largest, STRONGEST * largest)
         axes.set_title(outcome.label, fontsize=9, loc="left")
@@ -45,13 +45,18 @@ def scheme_figure(comparison: SchemeComparison, *, offset: int = 0) -> Any:
     below[0].legend(loc="upper right", framealpha=0.85, edgecolor="none", fontsize=8, ncols=2)
     below[-1].set_xlabel("time from first contact (s)")
     below[-1].set_xlim(0.0, until_s)
-    stiffness, damping = (f"{getattr(x.wall, q):g} {unit_of(q, motion)}" for q in ("stiffness", "damping"))
-    figure.suptitle(f"{x.rig.name}: the same hit, K = {stiffness}, B = {damping}", fontsize=11)
+    stiffness, damping = (
+        f"{getattr(experiment.wall, q):g} {unit_of(q, motion)}" for q in ("stiffness", "damping")
+    )
+    figure.suptitle(f"{experiment.rig.name}: the same hit, K = {stiffness}, B = {damping}", fontsize=11)
     return figure
 
 
 def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) -> None:
-    """Draw the penetration (counts) over time for each scheme, for the encoder offset with the index `offset`."""
+    """Draw the penetration (counts) over time for each sampling scheme.
+
+    `offset` is the index of the encoder offset (start position between two counts) that is drawn.
+    """
     for i, outcome in enumerate(outcomes):
         impact, wide = outcome.impacts[offset], 3.0 - 2.0 * min(1.0, i / max(1, len(outcomes) - 1))
         # Equal curves remain visible under each other: widths differ.
@@ -62,7 +67,6 @@ def draw_penetration(axes: Any, outcomes: Sequence[SchemeImpacts], offset: int) 
 
 
 def _shown_s(outcomes: Sequence[SchemeImpacts]) -> float:
-    """Return the length of the time axis (s): the settling time of the slowest sampling scheme plus a margin."""
     settling = [impact.numbers.settling_s for outcome in outcomes for impact in outcome.impacts]
     slowest = max((LONGEST_S if s is None else s for s in settling), default=LONGEST_S)
     longest = max(float(impact.time_s[-1]) for outcome in outcomes for impact in outcome.impacts)

@@ -1,4 +1,4 @@
-"""Draw a design: trade-off between sampling schemes, and limits of the recommended and the experiment's own scheme."""
+"""Draw what `rig design` found: trade-off between sampling schemes, limits of the recommended and the own scheme."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _SMALLEST, _LARGEST = 20.0, 180.0  # area of a marker (point²)
 
 @style.own_style()
 def design_figure(found: Design) -> Any:
-    """Return the matplotlib figure of a design.
+    """Return the matplotlib figure of a search for a controller (`rig design`).
 
-    Left: largest stiffness K and range of damping B of each sampling scheme in the second round. A larger marker means
-    more noise at rest; filled markers are schemes of the Pareto front. Right: largest stable K over B in the last
-    round, with a band between the lowest and highest limit over all encoder offsets.
+    Left: largest stiffness K and range of damping B of each sampling scheme that was simulated. A larger marker means
+    more noise at rest; filled markers are schemes of the Pareto front. Right: largest stable K over B, simulated with
+    the finest stiffness steps, with a band between the lowest and highest limit over all encoder offsets.
     """
     motion = found.experiment.rig.motion
     stiffness, damping = unit_of("stiffness", motion), unit_of("damping", motion)

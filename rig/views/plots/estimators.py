@@ -1,4 +1,7 @@
-"""Draw a comparison of velocity estimators: errors over the rate, or with a single rate, estimates over time."""
+"""Draw a comparison of velocity estimators: errors over the rate, or with a single rate, estimates over time.
+
+``rig/views/table.json`` registers it. It must not compute an error or a delay.
+"""
 
 from __future__ import annotations
 
@@ -49,18 +52,18 @@ def estimators_figure(comparison: EstimatorComparison) -> Any:
 def _against_rate(axes: Any, cases: list[Case], comparison: EstimatorComparison) -> None:
     left, right = axes
     shown = {(case.name, case.rate_hz, abs(case.resolution)) for case in cases}
-    for i, variant in enumerate(comparison.variants):
+    for number, variant in enumerate(comparison.variants):
         scores = sorted(
             (
-                s
-                for s in comparison.scores
-                if _belongs(s, variant) and (s.case, s.rate_hz, s.resolution) in shown
+                score
+                for score in comparison.scores
+                if _belongs(score, variant) and (score.case, score.rate_hz, score.resolution) in shown
             ),
-            key=lambda s: s.rate_hz,
+            key=lambda score: score.rate_hz,
         )
-        rate = [s.rate_hz for s in scores]
-        left.loglog(rate, [s.rms_without_delay for s in scores], label=variant.label, **_look(i))
-        right.semilogx(rate, [1e3 * s.delay_s for s in scores], **_look(i))
+        rate = [score.rate_hz for score in scores]
+        left.loglog(rate, [score.rms_without_delay for score in scores], label=variant.label, **_look(number))
+        right.semilogx(rate, [1e3 * score.delay_s for score in scores], **_look(number))
     style.tidy(left, f"rms error without delay ({unit_of('velocity', cases[0].motion)})")
     style.tidy(right, "delay (ms)")
     for each in axes:
@@ -72,14 +75,14 @@ def _over_time(axes: Any, case: Case, variants: tuple[Variant, ...]) -> None:
     left, right = axes
     unit = unit_of("velocity", case.motion)
     left.plot(case.judged_time_s, case.true_velocity, color=style.WALL, linewidth=3.0, label=case.reference)
-    for i, variant in enumerate(variants):
+    for number, variant in enumerate(variants):
         try:
             velocity = estimates(case, variant)[case.judged]
         except ConfigError:
             continue  # not realisable at this rate: the scores say why
         noise = float(np.std(velocity - case.true_velocity))
         look = {
-            **_look(i),
+            **_look(number),
             "marker": "",
             "linewidth": 0.8,
             "zorder": 3.0 + 1.0 / (1.0 + noise / case.speed_rms),
@@ -103,11 +106,11 @@ def _title(case: Case) -> str:
     return f"{case.name}, {abs(case.resolution):.4g} {unit_of('position', case.motion)} a count"
 
 
-def _look(i: int) -> dict[str, Any]:
-    round_ = i // len(COLOURS)
+def _look(number: int) -> dict[str, Any]:
+    round_ = number // len(COLOURS)
     return {
-        "color": COLOURS[i % len(COLOURS)],
-        "marker": MARKS[i % len(MARKS)],
+        "color": COLOURS[number % len(COLOURS)],
+        "marker": MARKS[number % len(MARKS)],
         "linestyle": ("-", "--", ":")[round_ % 3],
         "linewidth": 1.1,
         "markersize": 4,

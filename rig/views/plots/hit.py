@@ -1,4 +1,4 @@
-"""Draw a hit: position and wall, velocity, and effort, on one time axis that starts at the first contact.
+"""Draw a wall hit: position and wall, velocity, and effort, on one time axis that starts at the first contact.
 
 ``rig/views/table.json``, `rig recording show`, the console and the drawing process of `rig hit` call it. It must not
 write to a recording.
@@ -31,19 +31,9 @@ SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
 
 
 def draw_hit(path: str | Path, picture: str | Path | None = None) -> Path:
-    """Draw the recording of a hit into a file.
+    """Draw the recording of a wall hit into a file, and return the picture's path.
 
-    Parameters
-    ----------
-    path
-        Path of the recording.
-    picture
-        File to write; its ending selects the format. Default: a file beside the recording.
-
-    Returns
-    -------
-    Path
-        Path of the picture.
+    The ending of `picture` selects the format; by default it is a file beside the recording `path`.
     """
     recording = open_recording(path, DRAWN)
     target = Path(picture) if picture else Path(path).with_suffix(".png")
@@ -63,7 +53,7 @@ def main() -> None:
 
 @style.own_style()
 def hit_figure(recording: Recording) -> Any:
-    """Return the matplotlib figure of a hit: impact on the left, whole push on the right.
+    """Return the matplotlib figure of a wall hit: impact on the left, whole push on the right.
 
     For a recording of imported counts, which has no wall, the figure shows the position over time.
     """
@@ -154,7 +144,6 @@ def _impact_end(recording: Recording, time_s: NDArray[np.float64]) -> float:
 def _draw_column(
     panels: Any, recording: Recording, rows: NDArray[np.void], time_s: NDArray[np.float64], scale: float
 ) -> None:
-    """Draw position, velocity and effort over time in three panels; `scale` multiplies the position."""
     top, middle, bottom = panels
     wall, limit = recording.experiment["wall"], recording.experiment["rig"]["limits"]["effort"]
 

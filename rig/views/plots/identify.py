@@ -1,4 +1,7 @@
-"""Draw an identification: pushes, friction over velocity, response of the excited rig, each with its fit."""
+"""Draw the identification of a rig's parameters: pushes, friction over velocity, response to excitation, with fits.
+
+``rig/views/table.json`` registers it. It must not fit anything.
+"""
 
 from __future__ import annotations
 
@@ -15,34 +18,34 @@ from rig.views.plots import style
 
 @style.own_style()
 def identification_figure(found: Identification) -> Any:
-    """Return the matplotlib figure with the data, fits and residuals of an identification."""
-    mapped = found.cogging is not None
-    figure = style.new_figure(12.0, 11.5 if mapped else 8.5)
-    rows = figure.subplots(3 + mapped, 2, height_ratios=(3, 3, 2, 3)[: 3 + mapped])
-    (pushes, response), (sliding, phase), (left, residual) = rows[:3]
+    """Return the matplotlib figure with the data, fits and residuals from the identification of a rig's parameters."""
+    has_cogging = found.cogging is not None
+    figure = style.new_figure(12.0, 11.5 if has_cogging else 8.5)
+    rows = figure.subplots(3 + has_cogging, 2, height_ratios=(3, 3, 2, 3)[: 3 + has_cogging])
+    (pushes, response), (sliding, phase), (sliding_residual, response_residual) = rows[:3]
     if found.cogging is not None:
         _draw_cogging(rows[3], found.cogging, found.experiment.rig.motion)
     _draw_pushes(pushes, found)
-    _draw_sliding(sliding, left, found)
-    _draw_response(response, phase, residual, found)
-    x = found.experiment
-    figure.suptitle(f"{x.rig.name}: identification, lines are fits", fontsize=12)
+    _draw_sliding(sliding, sliding_residual, found)
+    _draw_response(response, phase, response_residual, found)
+    experiment = found.experiment
+    figure.suptitle(f"{experiment.rig.name}: identification, lines are fits", fontsize=12)
     return figure
 
 
 def _draw_pushes(axes: Any, found: Identification) -> None:
-    x = found.experiment
+    experiment = found.experiment
     recording = open_recording(found.recordings["signs"][0])
     rows = trial_rows(recording)
     rate = recording.experiment["controller"]["position_rate"]
     time_s = np.arange(len(rows)) / rate
-    busy = np.flatnonzero(rows["effort_sent"])
-    end = min(len(rows), int(busy[-1]) + rate // 5) if len(busy) else len(rows)
+    pushed = np.flatnonzero(rows["effort_sent"])
+    end = min(len(rows), int(pushed[-1]) + rate // 5) if len(pushed) else len(rows)
     axes.plot(time_s[:end], rows["position"][:end], color=style.MEASURED, linewidth=1.0)
-    style.tidy(axes, f"position ({unit_of('position', x.rig.motion)})")
+    style.tidy(axes, f"position ({unit_of('position', experiment.rig.motion)})")
     effort = axes.twinx()
     effort.plot(time_s[:end], rows["effort_sent"][:end], color=style.SENT, linewidth=0.8)
-    effort.set_ylabel(f"effort ({unit_of('effort', x.rig.motion)})", color=style.SENT)
+    effort.set_ylabel(f"effort ({unit_of('effort', experiment.rig.motion)})", color=style.SENT)
     effort.spines["top"].set_visible(False)
     axes.set_xlabel("time (s)")
     axes.set_title("pushes", fontsize=11)
@@ -64,18 +67,18 @@ def _draw_cogging(both: Any, fit: CoggingMap, motion: Motion) -> None:
 
 
 def _draw_sliding(axes: Any, left: Any, found: Identification) -> None:
-    x, fit = found.experiment, found.sliding
+    experiment, fit = found.experiment, found.sliding
     speed = np.geomspace(1e-3, 1.05, 60) * float(np.abs(fit.velocity).max())
     for velocity in (speed, -speed):
         axes.plot(velocity, fit.at(velocity), color=style.SENT, linewidth=1.2)
     axes.plot(fit.velocity, fit.effort, "o", color=style.MEASURED, markersize=4)
-    style.tidy(axes, f"effort ({unit_of('effort', x.rig.motion)})")
+    style.tidy(axes, f"effort ({unit_of('effort', experiment.rig.motion)})")
     axes.set_title("friction while sliding", fontsize=11)
     left.plot(fit.velocity, fit.effort - fit.at(fit.velocity), "o", color=style.MEASURED, markersize=4)
     # The fit itself: residuals are the distances from it.
     left.axhline(0.0, color=style.SENT, linewidth=1.0)
-    style.tidy(left, f"residual ({unit_of('effort', x.rig.motion)})")
-    left.set_xlabel(f"velocity ({unit_of('velocity', x.rig.motion)})")
+    style.tidy(left, f"residual ({unit_of('effort', experiment.rig.motion)})")
+    left.set_xlabel(f"velocity ({unit_of('velocity', experiment.rig.motion)})")
 
 
 def _draw_response(response: Any, phase: Any, residual: Any, found: Identification) -> None:

@@ -40,7 +40,7 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
     shown = [result for result in results if result.impedance is not None]
     if not shown:
         raise RecordingError(
-            "no impedance to draw: the guard ended every run",
+            "no impedance to draw: the safety guard ended every run",
             remedy="choose a softer wall or a smaller excitation",
         )
     refuse_other_excitation([result.experiment for result in shown])
@@ -79,24 +79,23 @@ def impedance_figure(results: Sequence[ImpedanceResult]) -> Any:
 def _draw(
     size: Any, phase: Any, real: Any, result: ImpedanceResult, measured: Impedance, colour: str
 ) -> None:
-    f, spread = measured.lines_hz, np.nan_to_num(measured.spread(Z_SCORE))
+    lines_hz, spread = measured.lines_hz, np.nan_to_num(measured.spread(Z_SCORE))
     magnitude, angle = measured.magnitude, measured.phase_deg
-    turn = np.degrees(np.arcsin(np.clip(spread / np.maximum(magnitude, 1e-300), 0.0, 1.0)))
+    phase_spread = np.degrees(np.arcsin(np.clip(spread / np.maximum(magnitude, 1e-300), 0.0, 1.0)))
     for axes, value, band in (
         (size, magnitude, spread),
-        (phase, angle, turn),
+        (phase, angle, phase_spread),
         (real, measured.z.real, spread),
     ):
         low = np.maximum(value - band, 0.1 * value) if axes is size else value - band
-        axes.fill_between(f, low, value + band, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(f, value, color=colour, linewidth=1.2, label=result.label if axes is size else None)
-    closed = result.expected(f)
+        axes.fill_between(lines_hz, low, value + band, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(lines_hz, value, color=colour, linewidth=1.2, label=result.label if axes is size else None)
+    closed = result.expected(lines_hz)
     if closed is not None:
-        _draw_line(size, phase, real, f, closed, color="#222222", linewidth=0.6)
+        _draw_line(size, phase, real, lines_hz, closed, color="#222222", linewidth=0.6)
     if not result.bare:
-        _draw_line(
-            size, phase, real, f, ideal_wall(*result.wall, f), color=colour, linewidth=1.0, linestyle="--"
-        )
+        ideal = ideal_wall(*result.wall, lines_hz)
+        _draw_line(size, phase, real, lines_hz, ideal, color=colour, linewidth=1.0, linestyle="--")
 
 
 def _draw_line(size: Any, phase: Any, real: Any, f: Any, z: Any, **look: Any) -> None:

@@ -24,7 +24,7 @@ from rig.views.plots.zwidth import kmax_figure, zwidth_figure
 
 
 def hit_result_figure(result: HitResult) -> Any:
-    """Return the matplotlib figure of a hit, drawn from its recording."""
+    """Return the matplotlib figure of a wall hit, drawn from its recording."""
     return hit_figure(result.recording)
 
 

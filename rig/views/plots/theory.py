@@ -1,4 +1,7 @@
-"""Draw the stability limit by theory: largest stable stiffness over damping for each scheme, with passivity limits."""
+"""Draw the stability limit by theory: largest stable stiffness over damping for each scheme, with passivity limits.
+
+``rig/views/table.json`` registers it. It must not compute a limit.
+"""
 
 from __future__ import annotations
 
@@ -51,24 +54,27 @@ def theory_figure(theory: Theory) -> Any:
 
 
 def _draw_edge(axes: Any, scheme: SchemeTheory, colour: str) -> None:
-    b = np.array([limit.damping for limit in scheme.curve])
-    edge = np.array([limit.stiffness for limit in scheme.curve])
+    dampings = np.array([limit.damping for limit in scheme.curve])
+    limits = np.array([limit.stiffness for limit in scheme.curve])
     capped = np.array([limit.capped for limit in scheme.curve])
-    shown = np.flatnonzero(edge > 0.0)
-    end = min(int(shown[-1]) + 2, len(b)) if len(shown) else 0  # down to the axis, and no farther
-    axes.plot(b[:end], edge[:end], color=colour, linewidth=1.6, label=scheme.label)
-    axes.plot(b[capped], edge[capped], "^", color=colour, markersize=5)  # the scan ended before the wall did
+    shown = np.flatnonzero(limits > 0.0)
+    end = min(int(shown[-1]) + 2, len(dampings)) if len(shown) else 0  # down to the axis, and no farther
+    axes.plot(dampings[:end], limits[:end], color=colour, linewidth=1.6, label=scheme.label)
+    # The scan ended before a wall failed.
+    axes.plot(dampings[capped], limits[capped], "^", color=colour, markersize=5)
 
 
 def _draw_islands(axes: Any, scheme: SchemeTheory, colour: str) -> None:
-    b = np.array([limit.damping for limit in scheme.curve])
+    dampings = np.array([limit.damping for limit in scheme.curve])
     most = max((len(limit.islands) for limit in scheme.curve), default=0)
-    for n in range(most):
-        there = np.array([len(limit.islands) > n for limit in scheme.curve])
-        low = [limit.islands[n].low if len(limit.islands) > n else 0.0 for limit in scheme.curve]
-        high = [limit.islands[n].high if len(limit.islands) > n else 0.0 for limit in scheme.curve]
-        label = f"island of the {scheme.label.split(',')[0]} wall" if n == 0 else None
-        axes.fill_between(b, low, high, where=there, color=colour, alpha=0.25, linewidth=0, label=label)
+    for number in range(most):
+        has_island = np.array([len(limit.islands) > number for limit in scheme.curve])
+        low = [limit.islands[number].low if len(limit.islands) > number else 0.0 for limit in scheme.curve]
+        high = [limit.islands[number].high if len(limit.islands) > number else 0.0 for limit in scheme.curve]
+        label = f"island of the {scheme.label.split(',')[0]} wall" if number == 0 else None
+        axes.fill_between(
+            dampings, low, high, where=has_island, color=colour, alpha=0.25, linewidth=0, label=label
+        )
 
 
 def _draw_passivity(axes: Any, scheme: SchemeTheory, colour: str) -> None:

@@ -1,4 +1,8 @@
-"""Draw the duration of each stage of a tick: distribution, worst ticks, and course over the run."""
+"""Draw the duration of each stage of a tick: distribution, worst ticks, and course over the run.
+
+``rig/views/table.json`` registers it. It must not change a duration; long curves show the largest value of each
+stretch.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +48,6 @@ def timing_figure(timing: Timing) -> Any:
 
 
 def _draw_survival(axes: Any, ledger: Ledger) -> None:
-    """Draw for each stage the share of ticks in which it took longer than a time (µs), on logarithmic axes."""
     drawn = False
     for name, colour in COLOURS.items():
         values, known = ledger.stage(name)
@@ -73,7 +76,6 @@ def _draw_survival(axes: Any, ledger: Ledger) -> None:
 
 
 def _draw_worst(axes: Any, summary: TimingSummary) -> None:
-    """Draw a bar for each of the worst ticks, from its sample to the effort; each stage has its colour."""
     for place, bad in enumerate(summary.worst):
         begin = 0.0
         for name in IN_A_ROW:
@@ -95,7 +97,6 @@ def _draw_worst(axes: Any, summary: TimingSummary) -> None:
 
 
 def _draw_run(axes: Any, ledger: Ledger, summary: TimingSummary) -> None:
-    """Draw over the run the longest time (µs) from sample to command, or if it is unknown, the largest lateness."""
     values, known = ledger.stage("answered")
     name = "answered"
     if not known.any():

@@ -60,7 +60,7 @@ def zwidth_figure(
     """
     experiment, dampings = found.plan.experiment, found.plan.dampings
     alone = len(dampings) == 1
-    highest = max(b.highest for b in found.boundaries)
+    highest = max(boundary.highest for boundary in found.boundaries)
     unit = unit_of("damping", experiment.rig.motion)
     figure = style.new_figure(4.6 * len(criteria) + 0.6, 4.6)
     panels = figure.subplots(1, len(criteria), sharey=True, squeeze=False)[0]
@@ -68,7 +68,7 @@ def zwidth_figure(
         for number, scheme in enumerate(found.plan.schemes):
             colour = style.SERIES[number % len(style.SERIES)]
             curve = found.curve(number, criterion)
-            along = [float(number)] if alone else [b.damping for b in curve]
+            along = [float(number)] if alone else [boundary.damping for boundary in curve]
             draw_boundaries(axes, along, curve, colour, scheme.label(experiment))
             if theory and number in theory:
                 at, limits = theory[number]
@@ -86,7 +86,7 @@ def zwidth_figure(
     panels[0].set_ylabel(f"stiffness K ({unit_of('stiffness', experiment.rig.motion)})")
     if theory:
         panels[0].plot([], [], color="#333333", **_THEORY, label="linear theory, no friction")
-    explain(panels[0], [b for b in found.boundaries if b.criterion in criteria])
+    explain(panels[0], [boundary for boundary in found.boundaries if boundary.criterion in criteria])
     style.key_below(figure, panels[0])
     title = f"Largest stable K of {experiment.rig.name}" if alone else f"Z-width of {experiment.rig.name}"
     figure.suptitle(f"{title}, {_describe_hits(found)}", fontsize=11)
@@ -131,26 +131,34 @@ def draw_boundaries(
     *,
     width: float = 1.6,
 ) -> None:
-    """Draw a curve of stability limits at the positions `along`: mean, band between extremes, islands, marks."""
+    """Draw stability limits at the positions `along`: mean, band between extremes, and symbols of special cases.
+
+    These are a limit that the search did not reach, no stable wall, a wall whose damping is not rendered, and islands.
+    """
     size = 2.0 + 1.2 * width
-    limits = [b.stiffness if b.stiffness > 0.0 else math.nan for b in curve]  # no line leads through a hole
+    # A damping without a stable wall breaks the line.
+    limits = [boundary.stiffness if boundary.stiffness > 0.0 else math.nan for boundary in curve]
     axes.plot(along, limits, "o-", color=colour, linewidth=width, markersize=size, label=label)
-    lowest, highest = [b.lowest for b in curve], [b.highest for b in curve]
+    lowest, highest = [boundary.lowest for boundary in curve], [boundary.highest for boundary in curve]
     axes.fill_between(along, lowest, highest, color=colour, **_BAND)
     if len(curve) == 1:  # a band has no width there
         axes.vlines(along, lowest, highest, color=colour, linewidth=width)
-    capped = [(x, b.stiffness) for x, b in zip(along, curve, strict=True) if b.capped]
+    capped = [
+        (position, boundary.stiffness)
+        for position, boundary in zip(along, curve, strict=True)
+        if boundary.capped
+    ]
     if capped:
         axes.plot(*zip(*capped, strict=True), color=colour, **_CAP)
-    failed = [x for x, b in zip(along, curve, strict=True) if b.stiffness <= 0.0]
+    failed = [position for position, boundary in zip(along, curve, strict=True) if boundary.stiffness <= 0.0]
     if failed:
         axes.plot(failed, [0.0] * len(failed), color=colour, **_HOLE)
-    for x, boundary in zip(along, curve, strict=True):
+    for position, boundary in zip(along, curve, strict=True):
         if boundary.rendered < RENDERED:
-            axes.plot([x], [boundary.stiffness], color=colour, **_NOT_RENDERED)
+            axes.plot([position], [boundary.stiffness], color=colour, **_NOT_RENDERED)
         for limit in boundary.limits:
             for low, high in limit.islands:
-                axes.plot([x, x], [low, high], color=colour, **_ISLAND)
+                axes.plot([position, position], [low, high], color=colour, **_ISLAND)
 
 
 def _from_zero(axes: Any, found: ZWidth, highest: float) -> None:
@@ -160,18 +168,18 @@ def _from_zero(axes: Any, found: ZWidth, highest: float) -> None:
 
 
 def explain(axes: Any, boundaries: Sequence[Boundary]) -> None:
-    """Add legend entries for the marks that occur in the boundaries: band, missing upper limit, islands and others."""
-    if any(b.lowest < b.highest for b in boundaries):
+    """Add legend entries for the symbols that occur in `boundaries`: band, missing upper limit, islands and others."""
+    if any(boundary.lowest < boundary.highest for boundary in boundaries):
         axes.fill_between([], [], [], color="#333333", **_BAND, label="from the lowest limit to the highest")
-    if any(b.capped for b in boundaries):
+    if any(boundary.capped for boundary in boundaries):
         axes.plot([], [], color="#333333", **_CAP, label="no wall failed: the limit lies above")
-    if any(b.stiffness <= 0.0 for b in boundaries):
+    if any(boundary.stiffness <= 0.0 for boundary in boundaries):
         axes.plot([], [], color="#333333", **_HOLE, label="no wall passed, from the softest one on")
-    if any(b.rendered < RENDERED for b in boundaries):
+    if any(boundary.rendered < RENDERED for boundary in boundaries):
         axes.plot(
             [], [], color="#333333", **_NOT_RENDERED, label="damping not rendered: counts towards no width"
         )
-    if any(limit.islands for b in boundaries for limit in b.limits):
+    if any(limit.islands for boundary in boundaries for limit in boundary.limits):
         axes.plot([], [], color="#333333", **_ISLAND, label="island: stable walls beyond the limit")
 
 

@@ -21,15 +21,10 @@ STYLE_SHEET = "page.css"
 
 
 def fill(template: str, **values: Any) -> str:
-    """Return a template filled with values as an HTML page; texts in the values are escaped.
+    """Return a template filled with `values` and the style sheet as an HTML page; texts in the values are escaped.
 
-    Parameters
-    ----------
-    template
-        Name of a file in this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``). It may extend other
-        templates and import their macros.
-    values
-        Values that the template uses; this function adds `css`.
+    `template` is the name of a file in this folder, or a path below `rig` (``extras/papers/koul/page.html.j2``). It may
+    extend other templates and import their macros.
     """
     page: str = _environment(html=True).get_template(template).render(**values)
     return page
@@ -58,7 +53,6 @@ def _environment(*, html: bool) -> Any:
 
 
 def _in_a_line(value: Any) -> Any:
-    """Return a text with line ends replaced by spaces, because they would break the lines of a plain-text template."""
     return value.replace("\n", " ") if isinstance(value, str) else value
 
 

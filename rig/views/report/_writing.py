@@ -1,4 +1,7 @@
-"""Filters for all templates of reports, which format numbers, counts and lists as text."""
+"""Filters for all templates of reports, which format numbers, counts and lists as text.
+
+A template uses them by their names, such as ``{{ ratio | times }}``.
+"""
 
 from __future__ import annotations
 
