@@ -223,7 +223,7 @@ class MoteusFacts:
         )
 
 
-class Required(NamedTuple):
+class RequiredSetting(NamedTuple):
     """A value that a setting must have: nan or 0, as text for the drive, and what happens otherwise."""
 
     value: str
@@ -236,15 +236,19 @@ class Required(NamedTuple):
 
 # Settings that would add a torque of their own, or take some away, and the values that do not.
 REQUIRED = {
-    "servo.timeout_mode": Required(
+    "servo.timeout_mode": RequiredSetting(
         "0",
         "after a timeout of this computer's commands the drive would brake or hold instead of giving zero torque",
     ),
-    "servo.voltage_mode_control": Required("0", "the drive would not apply the commanded torque"),
-    "servo.fixed_voltage_mode": Required("0", "the drive would not apply the commanded torque"),
-    "servo.inertia_feedforward": Required("0", "the drive would add torque to the commanded one"),
-    "servo.fault_position_error": Required("nan", "the drive would stop with a fault when the handle moves"),
-    "servo.fault_velocity_error": Required("nan", "the drive would stop with a fault when the handle moves"),
+    "servo.voltage_mode_control": RequiredSetting("0", "the drive would not apply the commanded torque"),
+    "servo.fixed_voltage_mode": RequiredSetting("0", "the drive would not apply the commanded torque"),
+    "servo.inertia_feedforward": RequiredSetting("0", "the drive would add torque to the commanded one"),
+    "servo.fault_position_error": RequiredSetting(
+        "nan", "the drive would stop with a fault when the handle moves"
+    ),
+    "servo.fault_velocity_error": RequiredSetting(
+        "nan", "the drive would stop with a fault when the handle moves"
+    ),
 }
 
 

@@ -84,7 +84,7 @@ READ = (
 )  # fmt: skip
 
 
-class Required(NamedTuple):
+class RequiredParameter(NamedTuple):
     """A parameter, a test of all parameters that it must pass, the value to set, and what happens otherwise."""
 
     path: str
@@ -95,44 +95,44 @@ class Required(NamedTuple):
 
 # Settings that would leave a torque, or change one, or report too little, and what they should be.
 REQUIRED = (
-    Required(
+    RequiredParameter(
         WATCHDOG,
         lambda values: values[WATCHDOG] == 1,
         "True",
         "the last torque would persist when this computer stops sending",
     ),
-    Required(
+    RequiredParameter(
         WATCHDOG_S,
         lambda values: 0.0 < values[WATCHDOG_S] <= LONGEST_WATCHDOG_S * (1.0 + FLOAT),
         "0.005",
         "the last torque would persist for this time when this computer stops sending; "
         f"allowed: above 0, at most {LONGEST_WATCHDOG_S:g} s",
     ),
-    Required(
+    RequiredParameter(
         VELOCITY_LIMITED,
         lambda values: values[VELOCITY_LIMITED] == 0,
         "False",
         "it would reduce the commanded torque",
     ),
-    Required(
+    RequiredParameter(
         ENCODER_MS,
         lambda values: 1 <= values[ENCODER_MS] <= LONGEST_CYCLE_MS,
         "1",
         f"the drive sends its position too rarely or not at all; allowed: 1 to {LONGEST_CYCLE_MS} ms",
     ),
-    Required(
+    RequiredParameter(
         TORQUES_MS,
         lambda values: values[TORQUES_MS] == values[ENCODER_MS],
         f"odrv0.{ENCODER_MS}",
         f"it must equal {ENCODER_MS}, since each position needs a measured torque",
     ),
-    Required(
+    RequiredParameter(
         HEARTBEAT_MS,
         lambda values: 1 <= values[HEARTBEAT_MS] <= max(LONGEST_BEAT_MS, values[ENCODER_MS]),
         f"{LONGEST_BEAT_MS}",
         f"heartbeats show that the drive has stopped; allowed: 1 to {LONGEST_BEAT_MS} ms, or to {ENCODER_MS} if longer",
     ),
-    Required(
+    RequiredParameter(
         ENCODER,
         lambda values: values[ENCODER] in (ONBOARD, INCREMENTAL),
         f"{ONBOARD}",

@@ -166,7 +166,7 @@ def sidecar(
     }
 
 
-class Span(NamedTuple):
+class EventSpan(NamedTuple):
     """Kind, onset and duration (s; onset since the first row) of an event of a recording."""
 
     kind: str
@@ -174,10 +174,10 @@ class Span(NamedTuple):
     duration_s: float
 
 
-def spans(recording: Recording) -> list[Span]:
+def spans(recording: Recording) -> list[EventSpan]:
     """Return each phase, contact and sync edge of a recording as a span, sorted by onset."""
     time, phases = recording.time_s, recording.column("phase")
-    found: list[Span] = []
+    found: list[EventSpan] = []
     if not len(time):
         return found
     period = 1.0 / float(recording.experiment["controller"]["position_rate"])
@@ -188,21 +188,21 @@ def spans(recording: Recording) -> list[Span]:
         if name is None:
             continue
         at, length = float(time[first]), float(time[end - 1] - time[first]) + period
-        found.append(Span(name, at, length))
+        found.append(EventSpan(name, at, length))
     inside = (phases == Phase.TRIAL) & ((recording.column("flags") & int(RowFlag.INSIDE)) != 0)
     if inside.any():
         first = int(np.argmax(inside))
         outside = np.flatnonzero(~inside[first:])
         end = first + int(outside[0]) if len(outside) else len(inside)
-        found.append(Span("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
+        found.append(EventSpan("contact", float(time[first]), float(time[end - 1] - time[first]) + period))
     return sorted([*found, *_find_pin_edges(recording)], key=lambda span: span.onset_s)
 
 
-def _find_pin_edges(recording: Recording) -> list[Span]:
+def _find_pin_edges(recording: Recording) -> list[EventSpan]:
     """Return a span of duration 0 for each edge at the device's sync pins."""
     origin = int(recording.rows["device_time"][0])
     return [
-        Span(mark.name, (mark.device_time - origin) * 1e-9, 0.0)
+        EventSpan(mark.name, (mark.device_time - origin) * 1e-9, 0.0)
         for mark in marks(recording)
         if mark.name in _PINS and mark.device_time >= origin
     ]

@@ -59,7 +59,7 @@ class Entries(NamedTuple):
     dual: Entry
 
 
-class Span(NamedTuple):
+class ImpactSpan(NamedTuple):
     """Begin and end of a part of an impact (s since the first contact)."""
 
     begin_s: float
@@ -320,7 +320,7 @@ def koul_figure_8(
                 counts=counts[every],
                 edge_time=time_s[every] - time_s[0] - edge_age[every],
                 elapsed=np.ones(len(counts[every]), np.int64),
-                judged=_within(time_s[every], Span(early.begin_s, late.end_s)),
+                judged=_within(time_s[every], ImpactSpan(early.begin_s, late.end_s)),
                 truth=lambda at_s: np.interp(at_s, time_s, true),
                 reference="the simulation's truth",
             )
@@ -338,7 +338,7 @@ def koul_figure_8(
     )
 
 
-def _split_impact(time_s: Floats, velocity: Floats) -> tuple[Span, Span]:
+def _split_impact(time_s: Floats, velocity: Floats) -> tuple[ImpactSpan, ImpactSpan]:
 
     def last(share: float) -> float:
         above = np.flatnonzero(np.abs(velocity) >= share * abs(velocity[0]))
@@ -351,15 +351,15 @@ def _split_impact(time_s: Floats, velocity: Floats) -> tuple[Span, Span]:
             "the simulated impact ends while the handle is still fast, so its slow part cannot be evaluated",
             remedy="increase trial.duration_s",
         )
-    return Span(0.0, last(early_end)), Span(last(late_begin), last(late_end))
+    return ImpactSpan(0.0, last(early_end)), ImpactSpan(last(late_begin), last(late_end))
 
 
 def _profile(
     case: Case,
     arithmetic: str,
     settings: dict[str, float | str],
-    early: Span,
-    late: Span,
+    early: ImpactSpan,
+    late: ImpactSpan,
 ) -> EstimatorProfile:
     velocity = estimates(case, Variant(ESTIMATORS[arithmetic], settings))
     found = delay(case, velocity)
@@ -382,7 +382,7 @@ def _profile(
     )
 
 
-def _within(time_s: Floats, span: Span) -> Any:
+def _within(time_s: Floats, span: ImpactSpan) -> Any:
     return (time_s >= span.begin_s) & (time_s < span.end_s)
 
 
