@@ -140,8 +140,9 @@ class ClockFit:
         try:
             kinds = {"int": int, "float": float}
             found = cls(**{f.name: kinds[str(f.type)](mapping[f.name]) for f in fields(cls)})
-            if not all(abs(getattr(found, f.name)) < 1 << 62 for f in fields(cls)):  # sums of two fit 64 bits
-                raise ValueError("a number is not between -2^62 and 2^62")
+            for f in fields(cls):
+                if not abs(getattr(found, f.name)) < 1 << 62:  # sums of two fit 64 bits
+                    raise ValueError(f"{f.name} is not between -2^62 and 2^62")
             return found
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise RecordingError(

@@ -132,7 +132,7 @@ def _read(folder: str) -> ExtraTable:
 
 def _parse_rows(kind: str, rows: Mapping[str, Any], owner: str) -> dict[str, ExtraRow]:
     if kind not in KINDS:
-        raise ValueError(f"{kind!r} is not a kind of part of an extra; choose one of {', '.join(KINDS)}")
+        raise ValueError(f"an extra cannot add parts of the kind {kind!r}; choose one of {', '.join(KINDS)}")
     found = {}
     for name, row in rows.items():
         more = dict(row)

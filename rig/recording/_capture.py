@@ -110,7 +110,7 @@ def write_capture(file: BinaryIO, recording: Recording, *, block_rows: int = BLO
     """Write a recording as a ``.rigcap`` file; raise `RecordingError` if it was read from a damaged file."""
     if recording.lost:
         raise RecordingError(
-            "a recording with lost parts (damaged or missing rows) cannot be written as a capture",
+            "a recording with lost parts (damaged or missing rows) cannot be written as a .rigcap file",
             remedy="keep the original file",
         )
     file.write(pack_header(recording.header))

@@ -157,7 +157,7 @@ class DeviceRunner:
             return ()
         device = self._device(walls[0].experiment, walls[0].changes)
         assert device is not None  # a real one
-        under: dict[tuple[str, float], list[Experiment]] = {}
+        by_search: dict[tuple[str, float], list[Experiment]] = {}
         for wall in walls:
             request = HitRequest(
                 experiment=wall.experiment,
@@ -167,8 +167,8 @@ class DeviceRunner:
                 reference_count=self._zero,
             )
             effective = vetted(request, device, in_effect(wall.experiment, device, wall.changes)).experiment
-            under.setdefault((wall.condition, effective.wall.damping), []).append(effective)
-        self._refused = refusals(device, under)
+            by_search.setdefault((wall.condition, effective.wall.damping), []).append(effective)
+        self._refused = refusals(device, by_search)
         return self._refused
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
@@ -241,7 +241,7 @@ class DeviceRunner:
         watch
             Function that receives the experiment in effect, and returns a function to call during the hit.
         heat
-            Heat of the winding before the hit, as a fraction of its budget.
+            Heat of the winding before the hit; 1 is the heat after hours at the nominal effort.
         blinded
             True if the person must not know the wall: programs that display the running loop must hide it.
 
