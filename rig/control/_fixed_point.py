@@ -9,17 +9,6 @@ the sign's among them, and f behind it, in a word of w = m + f bits, two's compl
 * Rounding is ``floor`` (arithmetic shift, like ``>>``), ``zero`` (towards zero, like ``/`` in C) or ``nearest`` (half a
   unit is added before the shift: halves are rounded towards +∞, also in `rig.control._guard`).
 
-Effects of rounding on a low pass, in units of the last bit of its output (LSB), with S = 1 + a1 + a2. A steady output
-solves S·y = Σb·x + ε. The rounding error ε is within ±½ for nearest, −1 to 0 for floor, up to 1 towards zero for zero:
-
-* *Dead zone.* The output for a steady input is wrong by up to e/S LSB; for a smaller input the output stays at zero
-  from rest. e is ½ for nearest, 1 for floor and zero. S falls with the square of cut-off over rate: a filter without a
-  dead zone of a count at 2 kHz may have one at 20 kHz.
-* *Bias.* With floor the output after a motion in either direction stays below zero, by up to 1/S LSB (a low pass
-  overshoots). With nearest it stays up to ½/S LSB above or below zero; with zero it returns to zero.
-* *Gain at rest.* Σb/S of the rounded coefficients; at a low cut-off it can be any value, including zero.
-* *Limit cycles.* Errors of changing sign can add up to e·Σ|g| LSB at most, g the impulse response of 1/A(z).
-
 Source: Koul et al., section III, whose FPGA filtered in fixed point of a word length that the paper does not give.
 """
 
@@ -99,6 +88,16 @@ class Format:
         return integer
 
 
+# Effects of rounding on a low pass, in units of the last bit of its output (LSB), with S = 1 + a1 + a2. A steady output
+# solves S·y = Σb·x + ε. The rounding error ε is within ±½ for nearest, −1 to 0 for floor, up to 1 towards zero for
+# zero:
+# Dead zone: the output for a steady input is wrong by up to e/S LSB; for a smaller input the output stays at zero from
+# rest. e is ½ for nearest, 1 for floor and zero. S falls with the square of cut-off over rate: a filter without a dead
+# zone of a count at 2 kHz may have one at 20 kHz.
+# Bias: with floor the output after a motion in either direction stays below zero, by up to 1/S LSB (a low pass
+# overshoots). With nearest it stays up to ½/S LSB above or below zero; with zero it returns to zero.
+# Gain at rest: Σb/S of the rounded coefficients; at a low cut-off it can be any value, including zero.
+# Limit cycles: errors of changing sign can add up to e·Σ|g| LSB at most, g the impulse response of 1/A(z).
 @dataclass(frozen=True, slots=True)
 class Biquad:
     """A second-order low pass in fixed point, with its gain at rest and dead zone after rounding.
@@ -107,7 +106,7 @@ class Biquad:
 
         y = saturate(shift_right(b0·x + b1·x1 + b2·x2 − a1·y1 − a2·y2, coefficient_bits, rounding), state.word_bits),
 
-    with x and y in the format `state`. `dead_zone` is in LSB of `state` (explained in the module docstring).
+    with x and y in the format `state`. `dead_zone` is in LSB of `state`: the largest error of the output for a steady input.
     """
 
     b0: int

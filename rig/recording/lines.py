@@ -2,9 +2,6 @@
 
     line = CRC-32 of the JSON (8 hex digits, as in zlib)  blank  JSON object in ASCII  newline
 
-Bytes after the last newline are ignored: the process died while it wrote them. The file is locked while it is open,
-because only one process may write at a time.
-
 Logs of sessions and of maps of stable walls are such files. A written line must not be changed.
 """
 
@@ -44,6 +41,7 @@ class LineFile:
         with plain_errors("open", path):
             # Not buffered: a line that was written survives the death of this process.
             self._file = FileIO(path, "a+")
+        # Only one process may write at a time: lines of two writers would be mixed.
         try:
             self._lock(remedy)
         except BaseException:
@@ -55,6 +53,7 @@ class LineFile:
         with plain_errors("read", self.path), open_regular(self.path) as file:
             place = 0
             for line in file:
+                # The process died while it wrote a line without a newline at its end.
                 if not line.endswith(b"\n"):
                     return
                 yield place, line

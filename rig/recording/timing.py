@@ -14,13 +14,6 @@ applied   the COMMAND was active, at the earliest: device time of sample k − a
           later
 ========  =====================================================================================================
 
-The times sampled and applied carry the errors of the clock fit, with opposite signs in the transport of the sample and
-of the command. The latency from sampled to applied is free of the fit's offset.
-
-If the control law ran on the device (`Ledger.loop`), no COMMAND answers a sample: the device applied its effort in the
-tick of the sample itself, and `execution_ns` bounds the delay. Only the times sampled and received are known then, and
-no tick is late, because nothing waited for a sample.
-
 Storing a recording as Parquet, its events, timing summaries and the LSL clock (lab streaming layer) use this module. It
 must not judge a run or read files.
 """
@@ -150,6 +143,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     or "device".
     """
     received = _column(rows, "received_at")
+    # A law on the device answers no sample by a COMMAND: the device applied its effort in the tick of the sample
+    # itself, and `execution_ns` bounds the delay. No tick is late then, because nothing waited for a sample.
     on_device = loop == "device"
     no_commands = np.full(len(rows), -1, np.int64), 0, 0
     shown_at, never, unanswered = no_commands if on_device else _active(rows)
@@ -158,6 +153,8 @@ def ledger(rows: NDArray[np.void], fit: ClockFit | None, period_ns: float, loop:
     clock_sd, within_tick = None, 0
     if fit is not None and len(rows):
         device = device_times(rows["device_time"], fit, int(received[0]))
+        # Both times carry the errors of the fit, with opposite signs in the transport of the sample and of the command;
+        # the latency from sampled to applied is free of the fit's offset.
         sampled = fit.host_of(device)
         clock_sd = float(fit.sd_of(device[[0, -1]]).max())
         known = shown_at >= 0
