@@ -106,7 +106,7 @@ class Biquad:
 
         y = saturate(shift_right(b0·x + b1·x1 + b2·x2 − a1·y1 − a2·y2, coefficient_bits, rounding), state.word_bits),
 
-    with x and y in the format `state`. `dead_zone` is in LSB of `state`: the largest error of the output for a steady input.
+    with x and y in the format `state`. `dead_zone` (LSB of `state`) is the largest error for a steady input.
     """
 
     b0: int
