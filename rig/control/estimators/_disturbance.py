@@ -8,7 +8,8 @@ the wall's static stiffness falls to K/(1 + 2·ζ·B/(ω0·J)).
 
 The poles are those of a third-order Butterworth filter at ω0, mapped by z = exp(s·T); the steady Kalman filter of a
 triple integrator has the same poles for small ω0·T. J is the inertia of the device without the hand. A hand that holds
-it firmly adds inertia, which makes the observer slower but not biased.
+it firmly adds inertia, which makes the observer slower but not biased. Experiments name it ``disturbance``. Its update
+must not allocate.
 
 Source: the observer is that of Ohishi et al. (1987) in the form with an augmented state; poles by Ackermann's formula.
 """

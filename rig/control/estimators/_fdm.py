@@ -2,6 +2,8 @@
 
 v = Δ·(c_k − c_{k−1}) / T. On a moving handle the rounding of counts alone causes noise of Δ/(√6·T) rms, too much
 to render damping at a high rate. Source: Chawda et al., equation (1).
+
+Experiments name it ``fdm``. Its update must not allocate.
 """
 
 from __future__ import annotations

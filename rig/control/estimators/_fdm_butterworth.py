@@ -5,6 +5,8 @@ direct form II. Its delay at zero frequency is √2·T/(2·tan(π·f_c·T)): 1.0
 200 Hz at 2 kHz, to which the difference adds T/2 and the hold between velocity samples another T/2. For order n, √2
 becomes 1/sin(π/2n): 1 for order 1, 2 for order 3, 2.61 for order 4. Source: Koul et al., section III (f_c = 200 Hz at
 T2 = 2 kHz); Chawda et al., section II.A.
+
+Experiments name it ``fdm-butterworth``. Its update must not allocate.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@ It is the filter of `rig.control.estimators._fdm_butterworth` with order 2, on i
 velocity period (time between two velocity samples) in the format Q(w−f).f, with w = `word_bits` and f = `state_bits`;
 coefficients have `coefficient_bits` fractional bits; products are summed exactly in 64 bits and rounded once per
 period. `rig.control._fixed_point` explains the rounding and its effects on a low pass. Velocities beyond ±2^(w−1−f)
-counts a period saturate: 32768 with the defaults.
+counts a period saturate: 32768 with the defaults. Experiments name it ``fdm-butterworth-fixed``. Its update must not
+allocate.
 
 Source: Koul et al., section III ("second-order fixed-point Butterworth"); its word length and rounding are not given.
 """

@@ -8,7 +8,8 @@ which samples lie within the band; `anchor` selects it:
 - `last`: the line passes through the newest sample, as in some public implementations; use d ≥ 1.5;
 - `literal`: a_n of equation (6) as printed in the paper, with 3 to 25 times the noise on a steady ramp.
 
-`rig.control.estimators._foaw` explains band, window and stop rule.
+`rig.control.estimators._foaw` explains band, window and stop rule. Experiments name it ``foaw-best``. Its update must
+not allocate.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 Sample i lies within the band of a line through the newest sample if and only if the slope of the line is in the cone
 [(rise_i − d)/span_i, (rise_i + d)/span_i]. So a chord is accepted if its slope lies in the cones of all samples in
-between. `rig.control.estimators._foaw` explains band, window and stop rule.
+between. `rig.control.estimators._foaw` explains band, window and stop rule. Experiments name it ``foaw-end``. Its
+update must not allocate.
 """
 
 from __future__ import annotations

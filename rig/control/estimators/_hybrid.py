@@ -1,4 +1,4 @@
-"""Weighted mean of FOAW, for straight motion, and Levant's differentiator; FOAW's window decides the weights.
+"""Weighted mean of adaptive windowing (FOAW), for straight motion, and Levant's differentiator, for other motion.
 
 Chawda et al. (section V) suggest to combine FOAW and Levant without a definition; this definition is the project's.
 FOAW's chord over n periods has noise of Δ/(n·T), which is large if the motion bends and the window is short. Levant's
@@ -8,6 +8,8 @@ error is of the order of 2·√(C·Δ), which is too large for straight motion. 
 
     straight   0 up to `fast_window`, 1 from `slow_window`, linear in between;
     precise    (2·√(C·Δ))² / ((2·√(C·Δ))² + (Δ/(n·T))²): weight by the inverse squares of both errors.
+
+Experiments name it ``foaw-levant``. Its update must not allocate.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ contains only 0, 1 and ½, r is 1/12, and q becomes the dimensionless intensity 
 In the steady state the filter is a differentiator with a low pass at ω0 ≈ (q/(r·T))^(1/6), or ^(1/4) for `double`. The
 low pass of `double` is a second-order Butterworth filter with a lag of √2/ω0; `triple` follows a constant acceleration
 without lag, but has a peak near ω0. Set `bandwidth_hz` first; use q to copy the value of a paper, in position² per s⁵
-(s³ for `double`).
+(s³ for `double`). Experiments name it ``kalman``. Its update must not allocate.
 
 Source: Chawda et al., section II.B, equations (2) to (4) and Q after them; Bélanger et al. 1998; Xia et al. 1994 for
 fading. Neither of the last two was available: the recursion is the standard form of the literature.

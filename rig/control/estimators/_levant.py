@@ -7,7 +7,8 @@ A copy x of the position follows the measurement f with the velocity u; u is the
 If C is too small, the estimate does not follow a hard impact; if C is too large, it passes the encoder's noise: the
 error grows with √(C·Δ). `rig.experiments.estimation.lipschitz` measures C from a recorded hit.
 
-The code computes in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below.
+The code computes in counts and periods: α becomes α·T²/Δ, λ becomes λ·T/√Δ, and T = 1 below. Experiments name it
+``levant``. Its update must not allocate.
 
 Source: Levant 1998; Chawda et al., equations (9) to (14); the implicit form is the I-STD of the differentiator
 toolbox of Mojallizadeh et al.

@@ -8,7 +8,8 @@ noise; the noise of the three samples can add up to 2·N:
     N̂ = max over 0 < j < l ≤ n of ½·(|f_{k−j} − f_k + (f_k − f_{k−l})·j/l| − C·T²·j·(l − j)/2), and 0 at least.
 
 Like Levant's differentiator it needs only C. It has no memory beyond its window, so that it neither overshoots after an
-impact nor chatters at rest. n is the length of the chord for half a count of noise.
+impact nor chatters at rest. n is the length of the chord for half a count of noise. Experiments name it ``optimal``.
+Its update must not allocate.
 
 Source: Seeber and Haimovich, "Optimal robust exact differentiation via linear adaptive techniques", Automatica 148
 (2023); the error bound for uniform samples is 2·√(2·N·C) + C·T/2 (Aldana-López et al., arXiv 2404.05863). Only

@@ -10,7 +10,7 @@ newest two points,
 the mean velocity from edge to edge, with a rounding noise of |δv|/v ≤ 64 ns/(E − E') only. With less than one edge
 a period this is period counting; with more, it is the M/T method over one period. To average uneven encoder lines over
 more than one period, use `rig.control.estimators._period_frequency`. Without edge times it is the finite difference,
-held between counts.
+held between counts. Experiments name it ``period``. Its update must not allocate.
 
 Source: Ohmae et al. 1982, for the M/T method; the use of edges at both ends, reversal and decay are derived
 from the geometry above.

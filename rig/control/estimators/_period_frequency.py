@@ -6,7 +6,8 @@ p counts) cause an error of at most 2p·Δ/window_s. At low speed edges are furt
 is period counting.
 
 The delay is half the window. A reversal, or an edge whose boundary is unknown, starts a new window. Between edges the
-estimate is held, but limited to (1 + unevenness)·Δ/a, with a the age of the last edge.
+estimate is held, but limited to (1 + unevenness)·Δ/a, with a the age of the last edge. Experiments name it
+``period-frequency``. Its update must not allocate.
 
 Source: Ohmae et al. 1982 (a gate time plus the time until the next edge; here both ends are edges).
 """

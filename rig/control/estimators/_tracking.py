@@ -4,7 +4,8 @@ Two integrators follow the counts: x̂ ← x̂ + v̂·T + l1·e, v̂ ← v̂ + l
 prediction. Constant velocity is followed without lag, an acceleration a with the velocity error 2·ζ·a/ω0. The
 continuous loop s² + 2·ζ·ω0·s + ω0² is mapped by its poles, z = exp(s·T). With l2 = 2·(2 − l1) − 4·√(1 − l1) it is the
 steady Kalman filter of a double integrator (Kalata 1984, "The tracking index"): ζ → 1/√2 as ω0·T → 0, and for any gains
-of `kalman` with ``model = "double"`` there are ω0 and ζ that give the same gains.
+of `kalman` with ``model = "double"`` there are ω0 and ζ that give the same gains. Experiments name it ``tracking``. Its
+update must not allocate.
 
 Source: phase-locked loop of a drive, as in Ellis, *Control System Design Guide*, chapter on observers.
 """
