@@ -91,7 +91,7 @@ def _whole(trial: RecordedTrial, motion: Motion) -> str:
     parts = [
         ", ".join([f"trial {trial.trial}", *kind, trial.condition, wall, *attempt]),
         ": ".join(["automatic verdict " + trial.automatic, *filter(None, ["; ".join(trial.reasons)])]),
-        *([] if trial.invalid else _describe_kept(trial.outside, blind=False)),
+        *([] if trial.invalid else _describe_missed_ranges(trial.outside, blind=False)),
         *([f"ended early: {ended.replace('_', ' ')}"] if ended else []),
     ]
     return "; ".join(parts)
@@ -112,7 +112,7 @@ def outcome(trial: RecordedTrial, *, blind: bool) -> str:
             f"trial {trial.trial}: done",
             *_describe_too_fast(trial),
             *aborted,
-            *_describe_kept(trial.outside, blind=blind),
+            *_describe_missed_ranges(trial.outside, blind=blind),
         ]
     )
 
@@ -127,11 +127,9 @@ def _describe_too_fast(trial: RecordedTrial) -> list[str]:
     ]
 
 
-def _describe_kept(outside: Sequence[str], *, blind: bool) -> list[str]:
-    """Return a list with a phrase if a trial counts although it missed a required range (impact speed, press); else [].
-
-    Do not show this phrase before the verdict: a measured press reveals that the wall was not unstable.
-    """
+def _describe_missed_ranges(outside: Sequence[str], *, blind: bool) -> list[str]:
+    # A trial that missed a required range (impact speed, press) may count. Not shown before the verdict: a measured
+    # press reveals that the wall was not unstable.
     return [f"counts, but {summarise_reasons(outside, blind=blind)}"] if outside else []
 
 
