@@ -137,7 +137,7 @@ def excitation_s(experiment: Experiment) -> tuple[float, float]:
 
 
 def excited(experiment: Experiment) -> Experiment:
-    """Return a copy of the experiment with a trial that excites the handle at the wall instead of pushing it."""
+    """Return a copy of the experiment whose trial excites the handle at the wall by a multisine instead of a push."""
     trial = replace(
         experiment.trial,
         kind="excitation",

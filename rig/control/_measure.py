@@ -376,7 +376,7 @@ def _inner_velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) 
 
 @kernel(types.float64(_SIGNAL, _SIGNAL, types.float64, types.int64), inline=True, no_refcount=True)
 def _velocity(position: Floats, velocity: Floats, rate_hz: float, k: int) -> float:
-    """Return the velocity at tick `k`, mirrored beyond both ends; the central difference if `velocity` is empty."""
+    """Return the velocity (rad/s or m/s) at tick `k`, mirrored beyond both ends; if not given, from `position`."""
     last = position.shape[0] - 1
     mirrored = abs(k) if k <= last else 2 * last - k
     return _inner_velocity(position, velocity, rate_hz, mirrored)

@@ -82,7 +82,7 @@ def estimate(
     effort: ArrayLike | None = None,
     **parameters: float | str,
 ) -> Floats:
-    """Return the velocity at each sample by the named estimator; the loop would compute the same numbers.
+    """Return the velocity (rad/s or m/s) at each sample by the named estimator, bit for bit as a running loop does.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def own_inputs(
     elapsed: ArrayLike | None = None,
     width: Any = None,
 ) -> tuple[Ints, Floats, Ints]:
-    """Check a user's arrays; return unwrapped counts, age of the last encoder edge (s), elapsed periods, for each one.
+    """Check a user's arrays; return unwrapped counts, age of the last edge (s) and elapsed periods at each sample.
 
     The arguments are explained by `estimate`.
     """

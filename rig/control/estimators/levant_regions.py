@@ -25,13 +25,13 @@ _QUADRATURE = 4001  # directions; more change the contraction by less than 1e-6
 
 
 def hba_mu1(mu2: float) -> float:
-    """Return the least μ1 = α/C in the homogeneity-based proof for Levant's differentiator; infinite for μ2 ≤ 2."""
+    """Return the least μ1 = α/C for which a homogeneity-based proof shows convergence at μ2; infinite for μ2 ≤ 2."""
     square = mu2 * mu2
     return (square + 4.0) / (square - 4.0) if mu2 > 2.0 else math.inf
 
 
 def lfba_mu1(mu2: float) -> float:
-    """Return the bound that μ1 = α/C must exceed in the Lyapunov-based proof for Levant's differentiator."""
+    """Return the bound that μ1 = α/C must exceed so that a Lyapunov-based proof shows convergence at μ2."""
     return 3.0 + 2.0 / (mu2 * mu2) if mu2 > 0.0 else math.inf
 
 

@@ -84,12 +84,12 @@ class Expected:
 
     @property
     def free(self) -> float | None:
-        """Largest stable stiffness by linear theory without a hand on the handle; None without theory."""
+        """Largest stable stiffness (N·m/rad or N/m) by linear theory without a hand; None without theory."""
         return self.by_hand.get(NO_OPERATOR)
 
     @property
     def in_hand(self) -> tuple[float, float] | None:
-        """Smallest and largest stable stiffness by linear theory over the grips of a hand; None without theory."""
+        """Smallest and largest stable stiffness (N·m/rad or N/m) by theory over all grips of a hand, or None."""
         held = [value for hand, value in self.by_hand.items() if hand != NO_OPERATOR]
         return (min(held), max(held)) if held else None
 

@@ -15,7 +15,7 @@ FLOATING = 1e-9
 
 
 def step_at(levels: Sequence[float], value: float) -> float:
-    """Return the distance between the two levels around `value`, or of the nearest two if `value` is beyond all."""
+    """Return the distance of the two levels (tested stiffnesses) around `value`, or of the nearest two beyond them."""
     place = min(max(bisect_right(levels, value), 1), len(levels) - 1)
     return levels[place] - levels[place - 1]
 
