@@ -37,7 +37,7 @@ OVERSAMPLING = 16  # points for each period of the highest line, where a peak is
 
 @dataclass(frozen=True, slots=True)
 class Peak:
-    """Largest expected value of a quantity under an excitation, in SI units, and its limit (None without a limit)."""
+    """Largest expected effort, position or velocity under an excitation, and its limit (or None), in SI units."""
 
     name: str
     quantity: Literal["effort", "position", "velocity"]

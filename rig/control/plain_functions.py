@@ -100,7 +100,7 @@ class Form:
 
 @dataclass(frozen=True, slots=True)
 class Compiled:
-    """A user's law or estimator after compilation: the kernel that calls it, its parameters and memory names."""
+    """A user's law or estimator after compilation: the kernel that calls it, its parameters, names of its memory."""
 
     name: str
     summary: str

@@ -163,9 +163,8 @@ class Objection(IntFlag):
     HEARD = 16384
     MOVED = 32768
     THROWN = 65536  # a person's hand left a wall that was not calm, before the tail, and stayed away
-    CURRENT = (
-        262144  # the measured current did not follow the active one, or the active one not the commanded one
-    )
+    # The measured current did not follow the active one, or the active one not the commanded one.
+    CURRENT = 262144
     LEFT = 131072  # a person's hand left the calm wall and stayed away
 
 

@@ -337,7 +337,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Simulation:
-    """Settings of a simulated rig: initial position, integration step and delay of the device."""
+    """Settings of a simulated rig: initial position, longest integration step, and delay of a command's effort."""
 
     initial_position: Annotated[
         float | None, Quantity("position", "where the handle rests at power-up; left out: 0")

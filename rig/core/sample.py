@@ -74,7 +74,7 @@ def phase_name(phase: int) -> str:
 
 
 class RowFlag(IntFlag):
-    """Bits of the recorded column ``flags``: events that the host's law and loop detected in the tick."""
+    """Bits of the recorded column ``flags``: events in a tick, such as a clipped effort or a lost sample."""
 
     INSIDE = 1  # penetration > 0
     VELOCITY_UPDATED = 2  # the estimator ran in this tick

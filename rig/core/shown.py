@@ -23,7 +23,7 @@ LINES, WIDTH = 10, 200  # at a prompt
 
 
 class Shown:
-    """Base of results that a Python prompt shows in a few lines; a dataclass with this base needs ``repr=False``."""
+    """Base class of results that a Python prompt shows in a few lines; a dataclass then needs ``repr=False``."""
 
     __slots__ = ()
 
@@ -90,7 +90,7 @@ class Picture:
 
 
 class Drawn:
-    """Base of results that have a picture."""
+    """Base class of results that can be drawn as a picture."""
 
     __slots__ = ()
 

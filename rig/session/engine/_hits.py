@@ -117,7 +117,7 @@ class DeviceRunner:
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return facts about the device, its clock and this computer, which the log stores.
 
-        `changes` (by key) override the experiment and the device's rates.
+        `changes` are sampling rates, by key, that replace those of the experiment and of the device.
         """
         url = devices.url_for(self.url or "sim://", experiment.controller.loop)
         facts: dict[str, Any] = {
@@ -172,10 +172,10 @@ class DeviceRunner:
         return self._refused
 
     def pace(self, experiment: Experiment, changes: Mapping[str, Any]) -> Pace | None:
-        """Measure lost and late samples at the experiment's rate on the open device; nothing moves.
+        """Measure how many samples are lost or late at the experiment's rate on the open device; nothing moves.
 
-        Return None in virtual time. `changes` (by key) override the experiment and the device's rates. Raise
-        `RigError` if the device does not reply, or the required scheduling is not granted.
+        Return None in virtual time. `changes` are sampling rates, by key, that replace those of experiment and device.
+        Raise `RigError` if the device does not reply, or the required scheduling is not granted.
         """
         device = self._device(experiment, changes)
         if device is None:
@@ -190,7 +190,7 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check that device and link can run an experiment with its settings `changes` unchanged; nothing moves.
+        """Check that device and link can run an experiment unchanged, with the sampling rates `changes`; nothing moves.
 
         Return the results of the checks. Raise `RigError` if the device cannot be opened.
         """
@@ -206,7 +206,8 @@ class DeviceRunner:
     def pulse(self, experiment: Experiment, changes: Mapping[str, Any], directory: Path, name: str) -> Pulse:
         """Apply a short torque pulse, with no hand on the handle, to check the motion against the rig's description.
 
-        Record the pulse as `name` in `directory`. `changes` (by key) override the experiment and the device's rates.
+        Record the pulse as `name` in `directory`. `changes` are sampling rates, by key, that replace those of
+        experiment and device.
         """
         device = self._device(experiment, changes)
         assert device is not None  # a real one

@@ -54,7 +54,7 @@ class Difference:
 
     @property
     def usual(self) -> Any:
-        """Most frequent value of the protocol's key over the participants; of equally frequent values, the first."""
+        """Most frequent value of the key in the protocols of all participants; of equals, the first."""
         texts = {code: json.dumps(value, sort_keys=True) for code, value in self.values.items()}
         (most, _), *_ = Counter(texts.values()).most_common(1)
         return next(self.values[code] for code, text in texts.items() if text == most)

@@ -83,7 +83,7 @@ class TrialRunner(Protocol):
     def facts(self, experiment: Experiment, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return facts about the device, its clock and this computer, which the log stores.
 
-        `changes` (by key) override the experiment and the device's rates.
+        `changes` are sampling rates, by key, that replace those of the experiment and of the device.
         """
         ...
 

@@ -62,7 +62,7 @@ _TRUSTED_S = 30.0  # longest cooling assumed between two events: the computer's 
 
 @dataclass(frozen=True, slots=True)
 class DoTrial:
-    """Next step of a session: run a trial with this wall."""
+    """Next step of a session: run a trial with the wall `presented`."""
 
     presented: Presented
 

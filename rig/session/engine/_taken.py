@@ -21,7 +21,7 @@ from rig.session.planning._times import QUESTION_S, Taken
 
 
 def find_taken(protocol: Protocol, study: Path) -> Taken | None:
-    """Return the median times (s) that participants of earlier finished sessions took for the same kind of trials.
+    """Return the median times (s) that people took in earlier finished sessions whose trials had the same course.
 
     `study` is the directory of the participants; sessions that cannot be read are ignored. Return None without
     sessions.

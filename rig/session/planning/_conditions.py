@@ -230,7 +230,6 @@ def _wide_bands(protocol: Protocol, base: Experiment) -> Iterator[Problem]:
 
 
 def _find_refused(walls: Walls) -> Iterator[Problem]:
-    """Yield for each condition the problem of the first wall (softest, stiffest or practice) that is not allowed."""
     protocol, unit = walls.protocol, unit_of("stiffness", walls.base.rig.motion)
     for number, condition in enumerate(protocol.condition, 1):
         levels = levels_of(protocol.search_of(condition))

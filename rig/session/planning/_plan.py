@@ -113,5 +113,5 @@ class StudyPlan:
 
     @reported
     def ok(self) -> bool:
-        """True if no check refuses the study."""
+        """True if no check of the plan has failed, so that the study may begin."""
         return all(check.outcome is not Outcome.REFUSED for check in self.checks)

@@ -434,5 +434,5 @@ class Protocol:
         raise KeyError(name)
 
     def search_of(self, condition: Condition) -> Search:
-        """Return the search settings of a condition: its own, or those of the study."""
+        """Return how the stiffest stable wall of a condition is searched: its own settings, or those of the study."""
         return condition.search or self.search

@@ -296,7 +296,7 @@ def runs(protocol: Protocol) -> Iterator[Problem]:
 
 
 def stiffness_cap(protocol: Protocol) -> Iterator[Problem]:
-    """Yield problems of searches and practice walls above the largest allowed stiffness (``caps.stiffness``)."""
+    """Yield problems of searched and practice walls that are stiffer than allowed (``caps.stiffness``)."""
     cap = protocol.caps.stiffness
     own = [(f"condition {n}.search", one.search) for n, one in enumerate(protocol.condition, 1)]
     for key, wanted in [("search", protocol.search), *own]:

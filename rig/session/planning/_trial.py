@@ -139,7 +139,7 @@ class RecordedTrial(Presented, HitOutcome):
 
 
 def event_of(presented: Presented, hit: HitOutcome) -> dict[str, Any]:
-    """Return the content of the log entry for a trial, from the presented wall and the result of the hit."""
+    """Return the content of the log entry for a trial: the wall that it presented, and the result of the hit."""
     content: dict[str, Any] = plain({**vars(presented), **vars(hit)})
     return content
 

@@ -176,7 +176,7 @@ def locate(levels: tuple[float, ...], verdicts: Sequence[tuple[float, bool]], sh
 def open_interval(side: Censored, end: float, low: float, high: float) -> tuple[float, float]:
     """Return an interval extended to infinity (`side` "above") or to 0 ("below"); unchanged if `side` is "".
 
-    The extended interval contains `end`, the last level on that side.
+    It is extended if the estimated stiffness lies beyond the levels, and contains `end`, the last level on that side.
     """
     if side == "above":
         return min(low, end), math.inf

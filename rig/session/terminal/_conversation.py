@@ -115,7 +115,7 @@ class Conversation:
         return []
 
     def pass_time(self, now_s: float) -> list[Decision]:
-        """Return the reply that ends a rest if the rest is over at `now_s` (s), unless the operator is typing."""
+        """Return the reply that ends a rest that is over at `now_s` (s), unless the operator is typing."""
         if self.left_s(now_s) > 0.0 or self.entry or self.twice or not self._resting:
             return []
         return self._answer(Answer("go"))

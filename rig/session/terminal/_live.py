@@ -22,7 +22,7 @@ ROWS = 512
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Current values of a running trial.
+    """Current values of a running trial, for display.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Snapshot:
     peak_effort
         Largest applied effort of the newest rows (N·m or N).
     saturated
-        True if the safety guard clipped the effort in one of these rows.
+        True if the effort was clipped to its limit in one of these rows.
     round_trip_ns
         Median time from sending a command to the reception of the first sample in which the command is active (ns).
         None if the control law runs on the device, and before the first such sample.
@@ -63,7 +63,7 @@ class LiveLoop:
         self._ring: Ring | None = None
 
     def look(self) -> Snapshot | None:
-        """Return the current values of the running trial; None if no loop runs or the loop has no sample yet."""
+        """Return the current values of the running trial; None if no control loop runs or it has no sample yet."""
         if self._ring is None:
             self._ring = running.memory_of(self._pid)
         if self._ring is None:

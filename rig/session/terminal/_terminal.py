@@ -37,7 +37,7 @@ def from_plain(value: list[Any]) -> list[Any]:
 
 
 def take(descriptor: int, before: list[Any]) -> bytes:
-    """Switch the terminal with the settings `before` to single keys without echo; return bytes typed earlier."""
+    """Switch a terminal, whose settings are `before`, to single keys without echo; return bytes typed earlier."""
     changed = [*before]
     # No ^S, which stops the output and so would hang the console.
     changed[_INPUT] &= ~(termios.IXON | termios.ICRNL)

@@ -64,7 +64,7 @@ class ConsoleDesk(AskingDesk):
     keys
         Section ``[keys]`` of the protocol.
     hand
-        Simulated hand that the console moves; None if a participant or a script moves the handle.
+        Simulated hand that arrow keys move; None if it hits by itself or a participant moves the handle.
     place
         Path of the terminal.
     silence_s
