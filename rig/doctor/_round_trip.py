@@ -162,10 +162,8 @@ def _drive(facts: Mapping[str, float]) -> str:
     """Return a sentence about the bus to a motor drive: reply times (ms), lost replies, drive temperature (°C)."""
     named = (("p50", "median_us"), ("p99.9", "p999_us"), ("longest", "longest_us"))
     times = ", ".join(f"{name} {1e-3 * facts[key]:.3g} ms" for name, key in named)
-    asked, kind = (
-        facts["replies"] + facts["lost"],
-        "samples after" if facts.get("cycle_us") else "replies after",
-    )
+    asked = facts["replies"] + facts["lost"]
+    kind = "samples after" if facts.get("cycle_us") else "replies after"
     return f"{kind} {times}; {facts['lost']:.0f} of {asked:.0f} replies lost; {facts['temperature']:.0f} °C"
 
 

@@ -47,46 +47,46 @@ COUNT_SPEED_SHARE = 0.5
 QUIET_SHARE = 0.9
 
 
-def predict_checks(x: Experiment, ticks: int) -> list[Check]:
+def predict_checks(experiment: Experiment, ticks: int) -> list[Check]:
     """Return all checks that an experiment's description allows, for commands that act `ticks` late."""
-    return [*homing_checks(x, ticks), *_approach_checks(x), *_current_checks(x)]
+    return [*homing_checks(experiment, ticks), *_approach_checks(experiment), *_current_checks(experiment)]
 
 
-def homing_checks(x: Experiment, ticks: int) -> list[Check]:
+def homing_checks(experiment: Experiment, ticks: int) -> list[Check]:
     """Check that the homing servo, with commands `ticks` late, is strong, stable, fast and accurate enough."""
     return [
-        _homing_effort(x),
-        _homing_stability(x, ticks),
-        _homing_slew(x),
-        _homing_resolution(x, ticks),
-        _homing_offset(x, ticks),
-        _homing_time(x),
-        speed_reading(x),
+        _homing_effort(experiment),
+        _homing_stability(experiment, ticks),
+        _homing_slew(experiment),
+        _homing_resolution(experiment, ticks),
+        _homing_offset(experiment, ticks),
+        _homing_time(experiment),
+        speed_reading(experiment),
     ]
 
 
-def speed_reading(x: Experiment) -> Check:
+def speed_reading(experiment: Experiment) -> Check:
     """Check that one encoder count is not estimated as a speed above rig.limits.speed, which would end the run."""
-    reading, limit = highest_reading(x, x.homing.speed), x.rig.limits.speed
-    unit = unit_of("velocity", x.rig.motion)
+    reading, limit = highest_reading(experiment, experiment.homing.speed), experiment.rig.limits.speed
+    unit = unit_of("velocity", experiment.rig.motion)
     text = (
-        f"one count is estimated as up to {reading:.3g} {unit} ({x.controller.estimator} at "
-        f"{x.controller.velocity_rate} Hz, moving at homing.speed = {x.homing.speed:g} {unit}); allowed by "
-        f"rig.limits.speed: {limit:g} {unit}"
+        f"one count is estimated as up to {reading:.3g} {unit} ({experiment.controller.estimator} at "
+        f"{experiment.controller.velocity_rate} Hz, moving at homing.speed = {experiment.homing.speed:g} {unit}); "
+        f"allowed by rig.limits.speed: {limit:g} {unit}"
     )
     higher = round_up(reading / COUNT_SPEED_SHARE)
     filtered = f"choose an estimator with more filtering, or set rig.limits.speed = {higher:g}"
-    return finding("speed reading", reading <= limit, text, quieter_changes(x), filtered)
+    return finding("speed reading", reading <= limit, text, quieter_changes(experiment), filtered)
 
 
-def quieter_changes(x: Experiment) -> dict[str, float]:
+def quieter_changes(experiment: Experiment) -> dict[str, float]:
     """Return a lower cut-off (Hz) of the velocity filter, as a mapping from the key that sets it.
 
     With this cut-off, one encoder count is estimated as at most half of the speed limit. The mapping is empty if the
     present cut-off is low enough, or if no cut-off is.
     """
-    most = COUNT_SPEED_SHARE * x.rig.limits.speed
-    if highest_reading(x) <= most or (cutoff := quiet_cutoff(x, most)) is None:
+    most = COUNT_SPEED_SHARE * experiment.rig.limits.speed
+    if highest_reading(experiment) <= most or (cutoff := quiet_cutoff(experiment, most)) is None:
         return {}
     return {f"controller.parameters.{CUTOFF}": _down(cutoff)}
 
@@ -126,15 +126,15 @@ def _round(value: float, way: Callable[[float], int]) -> float:
     return float(f"{way(value / scale) * scale:.12g}")
 
 
-def _homing_effort(x: Experiment) -> Check:
-    held, effort, limits = holding_effort(x), x.homing.effort, x.rig.limits
-    least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
-    unit = unit_of("effort", x.rig.motion)
+def _homing_effort(experiment: Experiment) -> Check:
+    held, effort, limits = holding_effort(experiment), experiment.homing.effort, experiment.rig.limits
+    least = ABOVE_FRICTION * held + experiment.rig.amplifier.effort_quantum
+    unit = unit_of("effort", experiment.rig.motion)
     text = (
         f"homing.effort of {effort:.3g} {unit} against {held:.3g} {unit} of friction, weight and cogging; "
         f"required at least {least:.3g} {unit}"
     )
-    wanted = round_up(min(max(servos.stable_servo(x).effort, SPARE * least), limits.effort))
+    wanted = round_up(min(max(servos.stable_servo(experiment).effort, SPARE * least), limits.effort))
     if wanted < least:
         return finding(
             "homing effort",
@@ -145,28 +145,30 @@ def _homing_effort(x: Experiment) -> Check:
     return finding("homing effort", effort >= least, text, {"homing.effort": wanted})
 
 
-def _gains(x: Experiment, ticks: int) -> dict[str, float]:
-    servo = servos.stable_servo(x, max(ticks, servos.SPARE_TICKS))
+def _gains(experiment: Experiment, ticks: int) -> dict[str, float]:
+    servo = servos.stable_servo(experiment, max(ticks, servos.SPARE_TICKS))
     return {"homing.stiffness": servo.stiffness, "homing.damping": servo.damping}
 
 
-def _homing_stability(x: Experiment, ticks: int) -> Check:
-    margin = servos.phase_margin(x, x.homing.stiffness, x.homing.damping, ticks)
+def _homing_stability(experiment: Experiment, ticks: int) -> Check:
+    stiffness, damping = experiment.homing.stiffness, experiment.homing.damping
+    margin = servos.phase_margin(experiment, stiffness, damping, ticks)
     text = (
-        f"stiffness {x.homing.stiffness:g}, damping {x.homing.damping:g} at {x.controller.position_rate} Hz: "
+        f"stiffness {stiffness:g}, damping {damping:g} at {experiment.controller.position_rate} Hz: "
         f"phase margin {math.degrees(margin):.2g}°, required at least {math.degrees(LEAST_MARGIN):.2g}°"
     )
     # Of the free handle: a hand damps it, by how much is not described.
-    otherwise = Outcome.WARNING if x.trial.kind == "human" else Outcome.REFUSED
-    return finding("homing stability", margin >= LEAST_MARGIN, text, _gains(x, ticks), otherwise=otherwise)
+    otherwise = Outcome.WARNING if experiment.trial.kind == "human" else Outcome.REFUSED
+    stable = margin >= LEAST_MARGIN
+    return finding("homing stability", stable, text, _gains(experiment, ticks), otherwise=otherwise)
 
 
-def _homing_slew(x: Experiment) -> Check:
+def _homing_slew(experiment: Experiment) -> Check:
     """Check that homing.slew (change of effort per second) is high enough to damp the homing servo's oscillation."""
-    h = x.homing
-    natural = math.sqrt(h.stiffness / servos.inertia(x))
+    h = experiment.homing
+    natural = math.sqrt(h.stiffness / servos.inertia(experiment))
     least = h.effort * natural / servos.SLOWEST_RISE
-    unit = unit_of("effort", x.rig.motion)
+    unit = unit_of("effort", experiment.rig.motion)
     text = (
         f"{h.slew:.3g} {unit}/s for homing.effort {h.effort:.3g} {unit} at {natural:.3g} rad/s; "
         f"required at least {least:.3g} {unit}/s"
@@ -176,65 +178,70 @@ def _homing_slew(x: Experiment) -> Check:
     )
 
 
-def _homing_resolution(x: Experiment, ticks: int) -> Check:
+def _homing_resolution(experiment: Experiment, ticks: int) -> Check:
     """Check that one encoder count changes the homing servo's effort only by a small share of the effort it has."""
-    h, unit = x.homing, unit_of("effort", x.rig.motion)
-    delta, stiffest = x.rig.encoder.resolution, servos.stiffest_for_counts(x, h.effort, servos.COUNT_SHARE)
+    h, unit = experiment.homing, unit_of("effort", experiment.rig.motion)
+    delta = experiment.rig.encoder.resolution
+    stiffest = servos.stiffest_for_counts(experiment, h.effort, servos.COUNT_SHARE)
     text = (
         f"one count changes the spring's effort by {h.stiffness * delta:.3g} {unit}; allowed at most "
         f"{stiffest * delta:.3g} {unit} (from half of homing.effort and twice the friction)"
     )
-    return finding("homing resolution", h.stiffness <= stiffest, text, _gains(x, ticks))
+    return finding("homing resolution", h.stiffness <= stiffest, text, _gains(experiment, ticks))
 
 
-def _homing_offset(x: Experiment, ticks: int) -> Check:
+def _homing_offset(experiment: Experiment, ticks: int) -> Check:
     """Check that friction cannot hold the handle too far from the trial's start: 3/4 of the distance to the wall."""
     # A person brings the handle to its start; an excitation has no approach.
-    if x.trial.kind != "constant-effort":
+    if experiment.trial.kind != "constant-effort":
         return Check("homing offset", Outcome.OK, "not relevant: no push begins at trial.start")
-    delta, unit = x.rig.encoder.resolution, unit_of("position", x.rig.motion)
-    offset, tolerance, largest = servos.resting_offset(x), home_tolerance(x), servos.largest_offset(x)
+    delta, unit = experiment.rig.encoder.resolution, unit_of("position", experiment.rig.motion)
+    offset, largest = servos.resting_offset(experiment), servos.largest_offset(experiment)
+    tolerance, accepted = home_tolerance(experiment), experiment.homing.tolerance_counts
     text = (
         f"friction can hold the handle {offset:.3g} {unit} ({offset / delta:.1f} counts) away from trial.start; homing "
-        f"accepts {tolerance:.3g} {unit} (homing.tolerance_counts = {x.homing.tolerance_counts:g}); allowed at most "
+        f"accepts {tolerance:.3g} {unit} (homing.tolerance_counts = {accepted:g}); allowed at most "
         f"{largest:.3g}, three quarters of the distance to the wall"
     )
     if tolerance <= largest:
         return finding("homing offset", True, text)
-    nearest = servos.nearest_tolerance(x)
+    nearest = servos.nearest_tolerance(experiment)
     # The servo reaches the start all the same, but the trial may begin before it does: a warning.
     if ABOVE_FRICTION * offset <= largest:
-        tighter = {"homing.tolerance_counts": nearest} if nearest < x.homing.tolerance_counts else {}
+        tighter = {"homing.tolerance_counts": nearest} if nearest < accepted else {}
         return finding("homing offset", not tighter, text, tighter, otherwise=Outcome.WARNING)
     changes: dict[str, float] = {}
-    least = SPARE * ABOVE_FRICTION * holding_effort(x) / servos.usual_offset(x)
-    if x.homing.stiffness < least:
-        changes = _gains(x, ticks)
-    reached = ABOVE_FRICTION * holding_effort(x) / changes.get("homing.stiffness", x.homing.stiffness)
-    if x.homing.tolerance_counts > nearest:
+    held, stiffness = holding_effort(experiment), experiment.homing.stiffness
+    if stiffness < SPARE * ABOVE_FRICTION * held / servos.usual_offset(experiment):
+        changes = _gains(experiment, ticks)
+    reached = ABOVE_FRICTION * held / changes.get("homing.stiffness", stiffness)
+    if accepted > nearest:
         changes["homing.tolerance_counts"] = nearest
     way = SPARE * max(reached, nearest * delta) / USUAL_SHARE
-    if way > abs(x.wall.position - x.trial.start):
-        start, limits = x.wall.position - x.wall.side * round_up(way), x.rig.limits
+    if way > abs(experiment.wall.position - experiment.trial.start):
+        start, limits = experiment.wall.position - experiment.wall.side * round_up(way), experiment.rig.limits
         if not limits.position_minimum < start < limits.position_maximum:
-            held = f"{holding_effort(x):.3g} {unit_of('effort', x.rig.motion)}"
-            remedy = f"reduce the friction, {held}; or widen the position window beyond {start:.3g} {unit}"
+            friction = f"{held:.3g} {unit_of('effort', experiment.rig.motion)}"
+            remedy = (
+                f"reduce the friction, {friction}; or widen the position window beyond {start:.3g} {unit}"
+            )
             return Check("homing offset", Outcome.REFUSED, text, remedy)
         changes["trial.start"] = start
     return finding("homing offset", False, text, changes)
 
 
-def _homing_time(x: Experiment) -> Check:
+def _homing_time(experiment: Experiment) -> Check:
     """Check that homing.timeout_s suffices for the longest distance to the trial's start in the position window."""
-    limits, simulation = x.rig.limits, x.rig.simulation
+    limits, simulation = experiment.rig.limits, experiment.rig.simulation
     ends = (limits.position_minimum, limits.position_maximum)
     begins = (simulation.initial_position,) if simulation.initial_position is not None else ends
-    way = max(abs(x.trial.start - begin) for begin in begins)
+    way = max(abs(experiment.trial.start - begin) for begin in begins)
     settles = SETTLES * max(
-        x.homing.damping / x.homing.stiffness, servos.inertia(x) / max(x.homing.damping, 1e-300)
+        experiment.homing.damping / experiment.homing.stiffness,
+        servos.inertia(experiment) / max(experiment.homing.damping, 1e-300),
     )
-    needed = way / x.homing.speed + min(settles, 10.0) + x.homing.settle_s
-    unit, given = unit_of("position", x.rig.motion), x.homing.timeout_s
+    needed = way / experiment.homing.speed + min(settles, 10.0) + experiment.homing.settle_s
+    unit, given = unit_of("position", experiment.rig.motion), experiment.homing.timeout_s
     text = f"takes up to {needed:.3g} s from a distance of {way:.3g} {unit}; homing.timeout_s = {given:g}"
     return finding(
         "homing time",
@@ -245,30 +252,32 @@ def _homing_time(x: Experiment) -> Check:
     )
 
 
-def _approach_checks(x: Experiment) -> Iterator[Check]:
+def _approach_checks(experiment: Experiment) -> Iterator[Check]:
     """Yield checks that the constant push of an automated trial moves the handle and reaches the wall in time."""
-    if x.trial.kind != "constant-effort":
+    if experiment.trial.kind != "constant-effort":
         return
-    unit, held, push = unit_of("effort", x.rig.motion), holding_effort(x), abs(motor_push(x))
-    least = ABOVE_FRICTION * held + x.rig.amplifier.effort_quantum
+    unit = unit_of("effort", experiment.rig.motion)
+    held, push = holding_effort(experiment), abs(motor_push(experiment))
+    least = ABOVE_FRICTION * held + experiment.rig.amplifier.effort_quantum
     text = (
         f"push of {push:.3g} {unit} against a holding effort of {held:.3g} {unit}; required at least {least:.3g} "
         f"{unit}"
     )
-    wanted = x.wall.side * round_up(SPARE * least)
-    if abs(wanted) > x.rig.limits.effort:
+    wanted = experiment.wall.side * round_up(SPARE * least)
+    if abs(wanted) > experiment.rig.limits.effort:
         yield finding("push", push >= least, text, remedy="use a stronger motor, or reduce the friction")
     else:
         yield finding("push", push >= least, text, {"trial.effort": wanted})
     net = push - held
-    if push < least or x.wall.stiffness == 0.0:
+    if push < least or experiment.wall.stiffness == 0.0:
         return
-    yield _unseen_speed(x, net)
-    way = abs(x.wall.position - x.trial.start) + min(home_tolerance(x), servos.largest_offset(x))
-    viscous = rig_model(x).damping
-    needed = math.sqrt(2.0 * servos.inertia(x) * way / net) + viscous * way / net
-    before = push_s(x) - x.verdict.tail_s
-    duration = round_up(SPARE * (needed + x.verdict.tail_s))
+    yield _unseen_speed(experiment, net)
+    offset = min(home_tolerance(experiment), servos.largest_offset(experiment))
+    way = abs(experiment.wall.position - experiment.trial.start) + offset
+    viscous = rig_model(experiment).damping
+    needed = math.sqrt(2.0 * servos.inertia(experiment) * way / net) + viscous * way / net
+    before = push_s(experiment) - experiment.verdict.tail_s
+    duration = round_up(SPARE * (needed + experiment.verdict.tail_s))
     text = f"the wall is reached within {needed:.3g} s; the judged tail begins after {before:.3g} s"
     # A warning: tests of a link or a recording push for milliseconds and mean no contact (`rig.testing`).
     yield finding(
@@ -276,27 +285,27 @@ def _approach_checks(x: Experiment) -> Iterator[Check]:
     )
 
 
-def _unseen_speed(x: Experiment, net: float) -> Check:
+def _unseen_speed(experiment: Experiment, net: float) -> Check:
     """Check that a push stays slow within two counts; a fast handle with a still count would mean a dead encoder."""
-    inertia, unit = servos.inertia(x), unit_of("velocity", x.rig.motion)
-    way, limit = UNMOVED_COUNTS * x.rig.encoder.resolution, UNMOVED_SPEED * x.rig.limits.speed
+    inertia, unit = servos.inertia(experiment), unit_of("velocity", experiment.rig.motion)
+    way = UNMOVED_COUNTS * experiment.rig.encoder.resolution
+    limit = UNMOVED_SPEED * experiment.rig.limits.speed
     speed = math.sqrt(2.0 * net * way / inertia)
-    slower = x.wall.side * _down(holding_effort(x) + inertia * (limit / SPARE) ** 2 / (2.0 * way))
+    accelerating = inertia * (limit / SPARE) ** 2 / (2.0 * way)
+    slower = experiment.wall.side * _down(holding_effort(experiment) + accelerating)
     text = f"up to {speed:.3g} {unit} within two counts; from {limit:.3g} {unit} on a dead encoder would be suspected"
     return finding("unseen speed", speed < limit, text, {"trial.effort": slower})
 
 
-def _current_checks(x: Experiment) -> Iterator[Check]:
+def _current_checks(experiment: Experiment) -> Iterator[Check]:
     """Yield a check of the smallest difference (A) between commanded and measured current that can be detected."""
-    model, amplifier = rig_model(x), x.rig.amplifier
+    model, amplifier = rig_model(experiment), experiment.rig.amplifier
     sensor = current_sensor(model)
     if sensor.noise < 0.0 or not amplifier.current_monitor:
         return
-    quantum, rate = amplifier.current_quantum_a, x.controller.position_rate
-    early, late = (
-        math.floor(0.5 * sensor.delay_s * rate + 1e-9),
-        math.ceil(2.0 * sensor.delay_s * rate - 1e-9),
-    )
+    quantum, rate = amplifier.current_quantum_a, experiment.controller.position_rate
+    early = math.floor(0.5 * sensor.delay_s * rate + 1e-9)
+    late = math.ceil(2.0 * sensor.delay_s * rate - 1e-9)
     least_a = SIGMAS * sensor.noise * quantum / QUIET_SHARE
     text = (
         f"compared with the set-point {early} to {late} ticks before, after a lag of {1e6 * amplifier.lag_s:.3g} µs; "
@@ -314,8 +323,8 @@ def _current_checks(x: Experiment) -> Iterator[Check]:
             otherwise=Outcome.WARNING,
         )
         return
-    push_a = abs(motor_push(x)) / amplifier.effort_per_ampere
-    seen = x.trial.kind != "constant-effort" or push_a >= least_a
+    push_a = abs(motor_push(experiment)) / amplifier.effort_per_ampere
+    seen = experiment.trial.kind != "constant-effort" or push_a >= least_a
     yield finding(
         "current monitor",
         seen,

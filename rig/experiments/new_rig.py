@@ -115,9 +115,9 @@ class NewRig(Shown):
 
     def brief(self) -> list[Item]:
         """Return the lines of a short report: rig and wall, path of the file, and the assumed numbers."""
-        x = self.experiment
+        experiment = self.experiment
         return [
-            x.headline(),
+            experiment.headline(),
             Row("file", str(self.path) if self.path else "not written"),
             *self._assumed_rows(),
         ]
@@ -335,18 +335,16 @@ def _peak_current(a: DataSheets) -> tuple[float, str]:
             "determine its current, must be given",
             remedy="give both, from the data sheet of the motor and from the power supply",
         )
-    limit, source = (
-        (min(PEAK_OVER_NOMINAL * a["nominal_current"], most), "[assumed] twice the nominal current,")
-        if peak is None
-        else (peak, "[computed] current limit of the amplifier,")
-    )
+    if peak is None:
+        limit = min(PEAK_OVER_NOMINAL * a["nominal_current"], most)
+        source = "[assumed] twice the nominal current,"
+    else:
+        limit, source = peak, "[computed] current limit of the amplifier,"
     if "winding_resistance" in a and "supply_voltage" in a:
         stall = a["supply_voltage"] / a["winding_resistance"]
         if stall < limit or profile.drive == "voltage":
-            limit, source = (
-                stall,
-                f"[computed] stall: {a['supply_voltage']:g} V / {a['winding_resistance']:g} ohm,",
-            )
+            voltage, resistance = a["supply_voltage"], a["winding_resistance"]
+            limit, source = stall, f"[computed] stall: {voltage:g} V / {resistance:g} ohm,"
     return limit, f"{source} {limit:.4g} A"
 
 
@@ -466,17 +464,14 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
     `held` is the largest distance from the start at which friction may stop the homing servo (rad or m).
     """
     draft.set("[chosen]", {"trial.effort": push, **SOFT})  # else the wall of a harder push may be refused
-    x = draft.experiment()
-    radius, half, delta = (
-        x.rig.mechanics.handle_radius,
-        x.rig.limits.position_maximum,
-        x.rig.encoder.resolution,
-    )
-    inertia, net = homing.inertia(x), push - homing.holding_effort(x)
+    experiment = draft.experiment()
+    radius, half = experiment.rig.mechanics.handle_radius, experiment.rig.limits.position_maximum
+    delta = experiment.rig.encoder.resolution
+    inertia, net = homing.inertia(experiment), push - homing.holding_effort(experiment)
     start = min(inertia * (ARRIVAL_M_S / radius) ** 2 / (2.0 * net), START_SHARE * half)
     start = min(max(start, START_COUNTS * delta, HELD_OF_WAY * held), LARGEST_SHARE * half)
     speed, unseen = (math.sqrt(2.0 * net * way / inertia) for way in (start, UNMOVED_COUNTS * delta))
-    count = COUNT_PEAK * float(x.controller.parameters["cutoff_hz"]) * delta
+    count = COUNT_PEAK * float(experiment.controller.parameters["cutoff_hz"]) * delta
     draft.set("[chosen]", {
         "rig.limits.speed": _round_digits(max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil),
         "trial.start": -_round_digits(start),
@@ -486,7 +481,8 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
     for before, seen in (("", draft.experiment()), (REALTIME, draft.in_real_time(PORT_TICKS))):
         wall = _stable_wall(seen)
         holds &= wall.stiffness > wall.least
-        settles_s = max(settles_s, SETTLES * 2.0 * inertia / (wall.damping + x.rig.mechanics.motor_damping))
+        damping = wall.damping + experiment.rig.mechanics.motor_damping
+        settles_s = max(settles_s, SETTLES * 2.0 * inertia / damping)
         draft.set(
             "[chosen] within linear theory, what the push shows and the motor gives",
             {
@@ -538,15 +534,15 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
     return draft.experiment()
 
 
-def _adapt_to_encoder(draft: _Draft, x: Experiment) -> None:
+def _adapt_to_encoder(draft: _Draft, experiment: Experiment) -> None:
     """Lower the velocity filter's cut-off, and raise the limit of position ripple, if the encoder is coarse."""
-    toggles = TOGGLING_COUNTS * x.rig.encoder.resolution * x.rig.mechanics.handle_radius
-    if toggles > x.verdict.moved:
+    toggles = TOGGLING_COUNTS * experiment.rig.encoder.resolution * experiment.rig.mechanics.handle_radius
+    if toggles > experiment.verdict.moved:
         draft.set(
             "[computed] one and a half counts: smaller motion cannot be measured", {"verdict.moved": toggles}
         )
-    stiffness = motor_push(x) / (REST_COUNTS * x.rig.encoder.resolution)
-    wall_hz = math.sqrt(stiffness / homing.inertia(x)) / (2.0 * math.pi)
+    stiffness = motor_push(experiment) / (REST_COUNTS * experiment.rig.encoder.resolution)
+    wall_hz = math.sqrt(stiffness / homing.inertia(experiment)) / (2.0 * math.pi)
     wanted = _round_digits(max(CUTOFF_OVER_WALL * wall_hz, LEAST_CUTOFF_HZ))
     for key in ("controller.parameters.cutoff_hz", "realtime.controller.parameters.cutoff_hz"):
         if wanted < draft.keys[key][0]:
@@ -556,13 +552,13 @@ def _adapt_to_encoder(draft: _Draft, x: Experiment) -> None:
 def _set_homing(draft: _Draft) -> float:
     """Set the homing servo; return the largest position error that friction may cause (rad or m)."""
     offsets = []
-    for before, x in (("", draft.experiment()), (REALTIME, draft.in_real_time(0))):
-        servo = homing.stable_servo(x)
+    for before, experiment in (("", draft.experiment()), (REALTIME, draft.in_real_time(0))):
+        servo = homing.stable_servo(experiment)
         values = {"homing.stiffness": servo.stiffness, "homing.damping": servo.damping}
         if not before:
             values |= {"homing.effort": servo.effort, "homing.slew": servo.slew}
         draft.set(SERVO, {f"{before}{key}": value for key, value in values.items()})
-        offsets.append(homing.ABOVE_FRICTION * homing.holding_effort(x) / servo.stiffness)
+        offsets.append(homing.ABOVE_FRICTION * homing.holding_effort(experiment) / servo.stiffness)
     return max(offsets)
 
 
@@ -575,23 +571,24 @@ class _ChosenWall:
     least: float
 
 
-def _stable_wall(x: Experiment) -> _ChosenWall:
+def _stable_wall(experiment: Experiment) -> _ChosenWall:
     """Return a wall well below the limits of linear theory and effort, soft enough to rest some counts deep."""
-    delta, push, limits = x.rig.encoder.resolution, motor_push(x), x.rig.limits
-    # Twice the kinetic energy at the wall.
-    gained = 2.0 * (push - homing.holding_effort(x)) * (x.wall.position - x.trial.start)
-    cutoff = float(x.controller.parameters["cutoff_hz"])
-    damping = min(OF_B_MAX * theory.b_max(x).damping, NOISE_SHARE * push / (COUNT_PEAK * cutoff * delta))
+    delta, push, limits = experiment.rig.encoder.resolution, motor_push(experiment), experiment.rig.limits
+    held, way = homing.holding_effort(experiment), experiment.wall.position - experiment.trial.start
+    gained = 2.0 * (push - held) * way  # twice the kinetic energy at the wall
+    cutoff = float(experiment.controller.parameters["cutoff_hz"])
+    quiet = NOISE_SHARE * push / (COUNT_PEAK * cutoff * delta)
+    damping = min(OF_B_MAX * theory.b_max(experiment).damping, quiet)
     strongest = PEAK_SHARE * limits.effort
     spared = max(0.0, strongest**2 - 2.0 * strongest * push)
     # The spring's effort for half a count must stay below friction, else a toggling count keeps the handle moving.
-    shown = min(push / REST_COUNTS, max(2.0 * homing.holding_effort(x), push / MOST_REST_COUNTS)) / delta
+    shown = min(push / REST_COUNTS, max(2.0 * held, push / MOST_REST_COUNTS)) / delta
     most = min(shown, spared / gained)
     room = DEPTH_SHARE * limits.position_maximum
-    stiffness = min(most, OF_K_MAX * theory.k_max(x, damping=damping).stiffness)
+    stiffness = min(most, OF_K_MAX * theory.k_max(experiment, damping=damping).stiffness)
     # Damping above critical damping would only raise the noise.
-    damping = min(damping, 2.0 * math.sqrt(stiffness * homing.inertia(x)))
-    stiffness = min(stiffness, OF_K_MAX * theory.k_max(x, damping=damping).stiffness)
+    damping = min(damping, 2.0 * math.sqrt(stiffness * homing.inertia(experiment)))
+    stiffness = min(stiffness, OF_K_MAX * theory.k_max(experiment, damping=damping).stiffness)
     return _ChosenWall(stiffness, damping, (2.0 * push * room + gained) / room**2)
 
 
@@ -599,8 +596,11 @@ def _correct(draft: _Draft, *, in_real_time: bool) -> None:
     """Apply changes that failed checks propose; raise `PlanError` if a check of the plan still fails after these."""
     before = REALTIME if in_real_time else ""
     for _ in range(CORRECTIONS + 1):
-        x = draft.in_real_time(0) if in_real_time else draft.experiment()
-        plan = plan_of(controller.prepare_controller(x), linked=True) if in_real_time else make_plan(x)
+        experiment = draft.in_real_time(0) if in_real_time else draft.experiment()
+        if in_real_time:
+            plan = plan_of(controller.prepare_controller(experiment), linked=True)
+        else:
+            plan = make_plan(experiment)
         found = refused(plan.checks)
         changes = {f"{before}{key}": value for check in found for key, value in check.changes.items()}
         if not changes:

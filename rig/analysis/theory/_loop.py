@@ -191,13 +191,13 @@ def cogging_stiffness(subject: Subject) -> tuple[float, float]:
 
     The positions are those from the wall to the end of the window; for a model without experiment, a period of cogging.
     """
-    cogging, x = subject.model.cogging, subject.experiment
+    cogging, experiment = subject.model.cogging, subject.experiment
     if cogging.period is None or not cogging.orders:
         return 0.0, 0.0
     low, high = 0.0, cogging.period
-    if x is not None:
-        limits = x.rig.limits
-        ends = (x.wall.position, limits.position_maximum if x.wall.side > 0 else limits.position_minimum)
+    if experiment is not None:
+        limits, wall = experiment.rig.limits, experiment.wall
+        ends = (wall.position, limits.position_maximum if wall.side > 0 else limits.position_minimum)
         low, high = min(ends), max(ends)
     steps = math.ceil(SLOPES * max(cogging.orders) * (high - low) / cogging.period)
     stiffness = -cogging.slope(np.linspace(low, high, steps + 1))

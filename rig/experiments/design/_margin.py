@@ -134,7 +134,8 @@ def margin_of(
     described = candidate.condition(experiment)
     single, joint = dict(_vary_singly(described)), dict(_vary_jointly(described))
     variants = {"": described, **single, **joint}
-    work = [(x, candidate.scheme, _grid(x, candidate, damping, limit)) for x in variants.values()]
+    scheme, rigs = candidate.scheme, variants.values()
+    work = [(variant, scheme, _grid(variant, candidate, damping, limit)) for variant in rigs]
     maps = dict(zip(variants, run.map_each("margin", work), strict=True))
     nominal, capped = _limit(maps[""])
     left = {}

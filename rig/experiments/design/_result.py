@@ -267,11 +267,8 @@ class Design(Shown, Drawn):
     def _goal_text(self) -> str:
         goal = self.wishes.goal
         if goal == "quiet":
-            values, unit = (
-                [one.measures.noise for one in (self.recommended, self.own)],
-                self._unit("velocity"),
-            )
-            name = "noise at rest"
+            values = [one.measures.noise for one in (self.recommended, self.own)]
+            name, unit = "noise at rest", self._unit("velocity")
         else:
             values = [getattr(one.measures, goal) for one in (self.recommended, self.own)]
             unit = {"stiffness": self._unit("stiffness"), "damping": self._unit("damping")}.get(goal, "")

@@ -155,21 +155,21 @@ class _Search:
     run: Sweeper
 
     def design(self) -> Design:
-        x, wishes = self.request.experiment, self.request.wishes
+        experiment, wishes = self.request.experiment, self.request.wishes
         if self.request.paper:
             # Raise for a rig without a paper before the search, which may run for hours.
-            PaperSchemes.of(x.rig.name)
-        if estimators.get(x.controller.estimator).uses_effort:
+            PaperSchemes.of(experiment.rig.name)
+        if estimators.get(experiment.controller.estimator).uses_effort:
             raise ConfigError(
-                f"the experiment's estimator {x.controller.estimator} uses the motor's effort; a design can "
+                f"the experiment's estimator {experiment.controller.estimator} uses the motor's effort; a design can "
                 "only compare estimators that use counts alone",
                 remedy="set controller.estimator to another one for the design, then compare both by `rig zwidth`",
             )
-        places = self.request.places or places_for(x)
-        own = Candidate.own(x, places)
-        others = listed(x, places, self.request.schemes)
-        candidates = [own, *(one for one in others if not one.same_law(own, x))]
-        reach = dampings_for(x, (own.scheme,), columns=2)[-1]
+        places = self.request.places or places_for(experiment)
+        own = Candidate.own(experiment, places)
+        others = listed(experiment, places, self.request.schemes)
+        candidates = [own, *(one for one in others if not one.same_law(own, experiment))]
+        reach = dampings_for(experiment, (own.scheme,), columns=2)[-1]
         dampings = (0.0, *(reach * 2.0**octave for octave in range(OCTAVES[0], OCTAVES[1] + 1)))
         known = dict(
             zip([one.key for one in candidates], self._run_linear_stage(candidates, dampings), strict=True)
@@ -200,7 +200,7 @@ class _Search:
 
         best, of_own = finalists[0], _find_standing(finalists, own)
         if best.measures.stiffness <= 0.0:
-            lowest = search_for(x, schemes=[one.candidate.scheme for one in finalists]).lowest
+            lowest = search_for(experiment, schemes=[one.candidate.scheme for one in finalists]).lowest
             raise NoStableWallError(
                 f"none of {len(candidates)} sampling schemes has a stable wall with K = {lowest:.4g} or more: a ripple "
                 "is above its limit, or the effort limit cuts more than 20 % of the wall's damping",
@@ -213,11 +213,11 @@ class _Search:
         against: tuple[Against, ...] = ()
         if self.request.paper:
             against = against_paper(
-                x, self._rank_promising(candidates, known, along, known[own.key]), self.run
+                experiment, self._rank_promising(candidates, known, along, known[own.key]), self.run
             )
         damping, limit = _margin_point(best, wishes)
         return Design(
-            experiment=x,
+            experiment=experiment,
             wishes=wishes,
             places=places,
             listed=len(candidates),
@@ -227,7 +227,7 @@ class _Search:
             recommended=best,
             own=of_own,
             held_out=held_out,
-            margin=margin_of(best.candidate, x, damping, limit, self.run),
+            margin=margin_of(best.candidate, experiment, damping, limit, self.run),
             step=self.request.rounds[max(0, len(rounds) - 2)].ratio,
             hits=self.run.hits,
             against=against,
@@ -282,11 +282,13 @@ class _Search:
         own: Candidate,
     ) -> list[Standing]:
         """Find the stable walls of one round's sampling schemes by simulated hits; return the schemes, best first."""
-        x, wishes = self.request.experiment, self.request.wishes
+        experiment, wishes = self.request.experiment, self.request.wishes
         b = sorted({*dampings, wishes.wall[1]} if wishes.wall else set(dampings))
-        search = search_for(x, stage.way, ratio=stage.ratio, schemes=[one.scheme for one in entrants])
+        schemes = [one.scheme for one in entrants]
+        search = search_for(experiment, stage.way, ratio=stage.ratio, schemes=schemes)
         grid = WallGrid(dampings=tuple(b), search=search, offsets=stage.offsets)
-        maps = self.run.map_each(stage.name, [(one.condition(x), one.scheme, grid) for one in entrants])
+        cases = [(one.condition(experiment), one.scheme, grid) for one in entrants]
+        maps = self.run.map_each(stage.name, cases)
         found = [
             self._make_standing(one, known[one.key], of_one, stage.ratio)
             for one, of_one in zip(entrants, maps, strict=True)
@@ -297,7 +299,7 @@ class _Search:
         )
 
     def _make_standing(self, candidate: Candidate, path: Linear, found: ZWidth, step: float) -> Standing:
-        wishes, x = self.request.wishes, self.request.experiment
+        wishes, experiment = self.request.wishes, self.request.experiment
         boundary = tuple(found.curve(0, "any"))
         measures = Measures(
             **asdict(BoundaryMeasures.of([b.damping for b in boundary], [b.counted for b in boundary])),
@@ -312,7 +314,7 @@ class _Search:
             shares["wall"] = min(1.0, there.lowest * step / stiffness, there.rendered / RENDERED)
         return Standing(
             candidate=candidate,
-            label=candidate.scheme.label(candidate.condition(x)),
+            label=candidate.scheme.label(candidate.condition(experiment)),
             measures=measures,
             shares=shares,
             boundary=boundary,
@@ -324,12 +326,12 @@ class _Search:
         wall = self.request.wishes.wall
         if wall is None:
             return finalists
-        x, (stiffness, damping) = self.request.experiment, wall
+        experiment, (stiffness, damping) = self.request.experiment, wall
         # The ratio exceeds the range, so that the search tests one stiffness: the requested wall.
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         offsets = (*self.request.rounds[-1].offsets, *HELD_OUT_OFFSETS)
         grid = WallGrid(dampings=(damping,), search=one_rung, offsets=offsets)
-        work = [(one.candidate.condition(x), one.candidate.scheme, grid) for one in finalists]
+        work = [(one.candidate.condition(experiment), one.candidate.scheme, grid) for one in finalists]
         found = []
         for one, of_one in zip(finalists, self.run.map_each("wished wall", work), strict=True):
             (boundary,) = of_one.curve(0, "any")
@@ -340,20 +342,20 @@ class _Search:
 
     def _compare_held_out(self, best: Standing, own: Standing, dampings: Sequence[float]) -> Comparison:
         """Compare two schemes by simulated hits with encoder offsets and seeds that the search did not use."""
-        x = self.request.experiment
-        x = config.override(x, {"trial.seed": x.trial.seed + HELD_OUT_SEED}, "the comparison")
+        searched = self.request.experiment
+        changes = {"trial.seed": searched.trial.seed + HELD_OUT_SEED}
+        experiment = config.override(searched, changes, "the comparison")
         last = self.request.rounds[-1]
         grid = WallGrid(
             dampings=tuple(dampings),
             search=search_for(
-                x, last.way, ratio=last.ratio, schemes=[best.candidate.scheme, own.candidate.scheme]
+                experiment, last.way, ratio=last.ratio, schemes=[best.candidate.scheme, own.candidate.scheme]
             ),
             offsets=HELD_OUT_OFFSETS,
             repeats=HELD_OUT_REPEATS,
         )
-        maps = self.run.map_each(
-            "held out", [(one.candidate.condition(x), one.candidate.scheme, grid) for one in (best, own)]
-        )
+        pair = (best.candidate, own.candidate)
+        maps = self.run.map_each("held out", [(one.condition(experiment), one.scheme, grid) for one in pair])
         name = rules.measure_of(self.request.wishes.goal)
         return Comparison(
             *(tuple(getattr(one, name) for one in _measure_each_series(found)) for found in maps)

@@ -199,7 +199,7 @@ def against_paper(
 
 class _Whole:
     def __init__(self, experiment: Experiment, paper: PaperSchemes, run: Sweeper) -> None:
-        self._x, self._paper, self._run = experiment, paper, run
+        self._experiment, self._paper, self._run = experiment, paper, run
         self._search = search_for(experiment, "ladder", ratio=RATIO, schemes=paper.schemes)
         reach = dampings_for(experiment, paper.schemes, columns=2)[-1]
         self._dampings = (*columns_to(reach, COLUMNS), *(reach * times for times in BEYOND))
@@ -213,12 +213,12 @@ class _Whole:
             )
 
     def compare(self, candidates: Sequence[Candidate]) -> tuple[Against, ...]:
-        x = self._x
+        experiment = self._experiment
         own = [
             Candidate(
                 scheme=scheme,
-                loop=x.controller.loop,
-                delay_ticks=x.rig.simulation.computation_delay_ticks,
+                loop=experiment.controller.loop,
+                delay_ticks=experiment.rig.simulation.computation_delay_ticks,
             )
             for scheme in self._paper.schemes
         ]
@@ -227,7 +227,7 @@ class _Whole:
 
     def _against(self, number: int, paper: MappedScheme, candidates: Sequence[Candidate]) -> Against:
         name = f"whole set {number + 1}"
-        left = [one for one in candidates if not one.same_law(paper.candidate, self._x)]
+        left = [one for one in candidates if not one.same_law(paper.candidate, self._experiment)]
         listed, ruled_out = len(left), dict[str, int]()
         # A limit is the stiffest wall below which every wall is stable, so that a failed wall at the stiffness that a
         # measure requires rules a scheme out without any other hit. The wall must fail at all encoder offsets; an
@@ -298,7 +298,8 @@ class _Whole:
             return []
         one_rung = StiffnessSearch(way="grid", lowest=stiffness, highest=1.5 * stiffness, ratio=2.0)
         grid = WallGrid(dampings=tuple(dampings), search=one_rung, offsets=OFFSETS)
-        maps = self._run.map_each(stage, [(one.condition(self._x), one.scheme, grid) for one in left])
+        cases = [(one.condition(self._experiment), one.scheme, grid) for one in left]
+        maps = self._run.map_each(stage, cases)
         return [
             one
             for one, found in zip(left, maps, strict=True)
@@ -310,26 +311,25 @@ class _Whole:
 
     def _map_whole(self, stage: str, some: Sequence[Candidate]) -> list[MappedScheme]:
         """Find all stable walls of the schemes by hits, and all passive walls if the paper judges impedances."""
-        x = self._x
         grid = WallGrid(dampings=self._dampings, search=self._search, offsets=OFFSETS)
-        maps = self._run.map_each(f"{stage} hits", [(one.condition(x), one.scheme, grid) for one in some])
+        conditions = [one.condition(self._experiment) for one in some]
+        cases = [(condition, one.scheme, grid) for condition, one in zip(conditions, some, strict=True)]
+        maps = self._run.map_each(f"{stage} hits", cases)
         widths: Sequence[SchemeWidths | None] = [None] * len(some)
         if self._impedances:
             plans = [
-                frequency_plan(
-                    one.condition(x), (one.scheme,), stiffnesses=self._walls[0], dampings=self._walls[1]
-                )
-                for one in some
+                frequency_plan(condition, (one.scheme,), stiffnesses=self._walls[0], dampings=self._walls[1])
+                for condition, one in zip(conditions, some, strict=True)
             ]
             widths = [SchemeWidths.of(found, 0) for found in self._run.each(f"{stage} impedances", plans)]
         return [
             MappedScheme(
                 candidate=one,
-                label=one.scheme.label(one.condition(x)),
+                label=one.scheme.label(condition),
                 values=self._values(one, found, width),
                 capped=self._list_capped(found, width),
             )
-            for one, found, width in zip(some, maps, widths, strict=True)
+            for condition, one, found, width in zip(conditions, some, maps, widths, strict=True)
         ]
 
     def _values(self, one: Candidate, found: ZWidth, width: SchemeWidths | None) -> dict[str, float]:
@@ -358,7 +358,7 @@ class _Whole:
 
     def _count_tuned(self, one: Candidate) -> int:
         """Return the number of tuned settings of an estimator; an order or window at its default does not count."""
-        controller = one.applied(self._x).controller
+        controller = one.applied(self._experiment).controller
         defaults = {
             setting.name: setting.default for setting in estimators.get(controller.estimator).settings
         }

@@ -260,11 +260,8 @@ def _tolerance(prepared: Prepared, counts: Ints, elapsed: Ints, velocity: Floats
 
 def _with_rounded_memory(prepared: Prepared, counts: Ints, elapsed: Ints) -> Floats:
     """Return the velocities (rad/s or m/s) of an estimator whose state is rounded to float32 after each sample."""
-    update, state_f, state_i = (
-        prepared.estimator.update,
-        np.zeros_like(prepared.state_f),
-        np.zeros_like(prepared.state_i),
-    )
+    update = prepared.estimator.update
+    state_f, state_i = np.zeros_like(prepared.state_f), np.zeros_like(prepared.state_i)
     velocities = np.empty(len(counts))
     for k, (count, periods) in enumerate(zip(counts.tolist(), elapsed.tolist(), strict=True)):
         velocities[k] = update(count, 0.0, periods, 0.0, state_f, state_i, prepared.parameters)

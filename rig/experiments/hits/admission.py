@@ -83,13 +83,13 @@ def admission_checks(run: PreparedRun, device: FramedDevice) -> list[Check]:
 
     The wall's stability with the link's delay is checked later, in `rig.doctor.gate.gate`.
     """
-    x, dictionary = run.experiment, device.dictionary
+    experiment, dictionary = run.experiment, device.dictionary
     return [
-        check_rig(config.rig_model(x), dictionary),
+        check_rig(config.rig_model(experiment), dictionary),
         *plan_of(run).checks,
         *device_checks(run, dictionary),
-        *link_checks(x, dictionary.position_rate_maximum, device.link.bytes_per_second),
-        *refused(human_limit_checks(x, real=not dictionary.simulated)),
+        *link_checks(experiment, dictionary.position_rate_maximum, device.link.bytes_per_second),
+        *refused(human_limit_checks(experiment, real=not dictionary.simulated)),
     ]
 
 

@@ -106,18 +106,18 @@ class Examination:
             found += ["device", *self.device.rows()]
         if self.link is not None:
             found += ["link", *self.link.rows()]
-        x = self.experiment
-        if x is not None and self.walls:
-            found += wall_items(x, self.walls)
-        if x is not None and self.gate is not None:
-            stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
-            on_the_device = x.controller.loop == "device"
-            wall = f"K = {x.wall.stiffness:g} {stiffness}, B = {x.wall.damping:g} {damping}"
+        experiment = self.experiment
+        if experiment is not None and self.walls:
+            found += wall_items(experiment, self.walls)
+        if experiment is not None and self.gate is not None:
+            stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
+            on_the_device = experiment.controller.loop == "device"
+            wall = f"K = {experiment.wall.stiffness:g} {stiffness}, B = {experiment.wall.damping:g} {damping}"
             verdict, *reasons = self.gate.items()
             if refused(self.admission):
                 verdict = Check("arming", Outcome.REFUSED, "this wall must not be armed")
             where = f"at {self.gate.rate_hz:g} Hz, the law on the {'device' if on_the_device else 'host'}"
-            found += [f"arming {x.rig.name} with {wall} {where}", verdict, *self.admission, *reasons]
+            found += [f"arming {experiment.rig.name} with {wall} {where}", verdict, *self.admission, *reasons]
         return found
 
 

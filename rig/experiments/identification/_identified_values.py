@@ -40,7 +40,7 @@ class Identified:
 
 
 def identified_values(
-    x: Experiment,
+    experiment: Experiment,
     sliding: Sliding,
     dynamics: Dynamics,
     cogging: CoggingMap | None = None,
@@ -54,10 +54,10 @@ def identified_values(
     damping always, inertia only if no resonance was identified. If the law will run on the board (`on_board`), the
     link's delay in whole ticks is left out.
     """
-    found, m = Identified(), x.rig.mechanics
+    found, m = Identified(), experiment.rig.mechanics
 
     def unit(quantity: str) -> str:
-        return unit_of(quantity, x.rig.motion)
+        return unit_of(quantity, experiment.rig.motion)
 
     hung = m.end_mass * m.handle_radius**2
     if dynamics.mode is None:
@@ -66,22 +66,22 @@ def identified_values(
     else:
         _put_mode(found, m, dynamics.mode, sliding, unit("inertia"), unit("stiffness"))
     damping, coulomb = sliding.damping, sliding.coulomb
-    viscous, back_emf = damping.text(unit("damping")), x.rig.amplifier.back_emf
+    viscous, back_emf = damping.text(unit("damping")), experiment.rig.amplifier.back_emf
     if back_emf > 0.0:
         viscous += f", beside {back_emf:g} of back-EMF as described"
     found.share(m, "damping", max(0.0, damping.value), viscous, "sliding")
     levels = f"{coulomb.text(unit('effort'))}: up {sliding.up.text()}, down {sliding.down.text()}"
     found.share(m, "coulomb", max(0.0, coulomb.value), levels, "sliding")
     found.put("rig.amplifier.lag_s", max(0.0, dynamics.lag_s.value), dynamics.lag_s.text("s"), "dynamics")
-    rate = x.controller.position_rate
+    rate = experiment.controller.position_rate
     # A law on the board does not have the delay of the link that these motions had.
     if not on_board:
-        beside = x.rig.amplifier.set_point_ticks(1.0 / rate)  # described separately, for any rate
+        beside = experiment.rig.amplifier.set_point_ticks(1.0 / rate)  # described separately, for any rate
         ticks = max(0, dynamics.delay_ticks - beside)
         whole = f"whole ticks at {rate} Hz; total delay {dynamics.delay_s.text('s')}"
         found.put("rig.simulation.computation_delay_ticks", ticks, whole, "dynamics")
     if cogging is not None:
-        _put_cogging(found, cogging, x.rig.cogging, ripple, unit("effort"))
+        _put_cogging(found, cogging, experiment.rig.cogging, ripple, unit("effort"))
     return found
 
 

@@ -26,9 +26,9 @@ LOST_MARGIN = 0.5
 RATES = ("controller.position_rate", "controller.velocity_rate")
 
 
-def at_rate(x: Experiment, rate_hz: int, origin: str) -> Experiment:
+def at_rate(experiment: Experiment, rate_hz: int, origin: str) -> Experiment:
     """Return the experiment without a wall at the loop rate `rate_hz`; error messages quote the reason `origin`."""
-    return config.override(still(x), dict.fromkeys(RATES, rate_hz), origin)
+    return config.override(still(experiment), dict.fromkeys(RATES, rate_hz), origin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,14 +40,14 @@ class RateChoice:
     silence_s: float
 
 
-def measure_for(device: FramedDevice, x: Experiment, rate_hz: int) -> LinkMeasurement:
+def measure_for(device: FramedDevice, experiment: Experiment, rate_hz: int) -> LinkMeasurement:
     """Measure the link by clock exchanges at this rate (Hz), in a thread scheduled like the loop; nothing moves."""
-    with obtained(host_beside(x.host, device.link)) as realtime:
+    with obtained(host_beside(experiment.host, device.link)) as realtime:
         return measure_link(device, SECONDS, rate_hz, realtime=realtime)
 
 
 def choose_rate(
-    x: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
+    experiment: Experiment, measurement: LinkMeasurement, *, most_hz: int, stated_hz: int | None = None
 ) -> RateChoice:
     """Return `stated_hz`, or the highest of `most_hz` and its halves (Hz), for which the measured link is good enough.
 
@@ -57,19 +57,19 @@ def choose_rate(
         The link is too slow or lossy at these rates; the message has the numbers, and proposes a rate if there is one.
     """
     rates = [most_hz, *halves(most_hz)]
-    judged = [judge_rate(x, measurement, rate) for rate in rates]
+    judged = [judge_rate(experiment, measurement, rate) for rate in rates]
     last = bearing_rate(judged[-1].silence_s)
     if SLOWEST_HZ <= last < judged[-1].rate_hz:
-        judged.append(judge_rate(x, measurement, last))
+        judged.append(judge_rate(experiment, measurement, last))
     works = next((choice for choice in judged if not choice.reason), None)
     if stated_hz is not None:
-        stated = judge_rate(x, measurement, stated_hz)
+        stated = judge_rate(experiment, measurement, stated_hz)
         if not stated.reason:
             return stated
         slower = works if works is not None and works.rate_hz < stated_hz else None
-        raise _make_refusal(x, measurement, stated, slower)
+        raise _make_refusal(experiment, measurement, stated, slower)
     if works is None:
-        raise _make_refusal(x, measurement, judged[-1], None)
+        raise _make_refusal(experiment, measurement, judged[-1], None)
     return works
 
 
@@ -79,11 +79,11 @@ def halves(rate_hz: int) -> list[int]:
     return [rate - rate % RATE_STEP for rate in slower if rate - rate % RATE_STEP >= SLOWEST_HZ]
 
 
-def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
+def judge_rate(experiment: Experiment, measurement: LinkMeasurement, rate_hz: int) -> RateChoice:
     """Judge by the measured link if identification works at a rate (Hz): command lifetime, lost samples, capacity."""
-    slowed = at_rate(x, rate_hz, "the link")
+    slowed = at_rate(experiment, rate_hz, "the link")
     lifetime_s = command_lifetime_s(slowed)
-    pace = pace_of(measurement, rate_hz, x.verdict)
+    pace = pace_of(measurement, rate_hz, experiment.verdict)
     # A device ends an effort whose command has expired: half of the lifetime is a reserve for a longer gap than the
     # measurement contains.
     late_s, silence_s = measurement.late_s, max(measurement.late_s, pace.longest_gap_s)
@@ -107,14 +107,15 @@ def judge_rate(x: Experiment, measurement: LinkMeasurement, rate_hz: int) -> Rat
 
 
 def _make_refusal(
-    x: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
+    experiment: Experiment, measurement: LinkMeasurement, choice: RateChoice, works: RateChoice | None
 ) -> PlanError:
     if works is not None:
         remedy = f"choose `rate` {works.rate_hz}, or leave it out"
     else:
         slower = (choice.rate_hz >> number for number in range(1, choice.rate_hz.bit_length()))
         slower = (rate for rate in slower if rate >= LEAST_RATE_HZ)
-        carried = next((rate for rate in slower if not judge_rate(x, measurement, rate).reason), None)
+        carrying = (rate for rate in slower if not judge_rate(experiment, measurement, rate).reason)
+        carried = next(carrying, None)
         carry = f"{carried} Hz" if carried else f"less than {LEAST_RATE_HZ} Hz"
         remedy = (
             "end other programs on the computer, or grant real-time scheduling (`rig doctor` shows "

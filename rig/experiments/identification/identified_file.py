@@ -15,16 +15,16 @@ from rig.experiments.identification.identify import Identification
 
 def format_identification(found: Identification) -> str:
     """Return the text of a TOML file with the identified experiment, which `rig.config.load_experiment` can read."""
-    x = found.experiment
+    experiment = found.experiment
     where = "its simulation" if found.simulated else "the rig itself"
     lines = [
-        f"# {x.rig.name}, identified on {where}.",
+        f"# {experiment.rig.name}, identified on {where}.",
         "# Keys marked [identified] have their 95 % interval (scatter and uncertainty of friction) and the names of",
         "# their recordings. All other keys are unchanged.",
         "",
     ]
     lines += [f"# {warning}" for warning in found.warnings]
-    _section(config.as_mapping(x), "", found, lines)
+    _section(config.as_mapping(experiment), "", found, lines)
     return "\n".join(lines).rstrip() + "\n"
 
 

@@ -232,11 +232,11 @@ class Identification(Shown, Drawn):
 
     def brief(self) -> list[Item]:
         """Return the lines of a short report: friction, damping, inertia and delay with intervals, and warnings."""
-        x, sliding, dynamics = self.experiment, self.sliding, self.dynamics
+        experiment, sliding, dynamics = self.experiment, self.sliding, self.dynamics
         values = {
-            "Coulomb friction": sliding.coulomb.text(_unit(x, "effort")),
-            "viscous damping": sliding.damping.text(_unit(x, "damping")),
-            "inertia": dynamics.inertia.text(_unit(x, "inertia")),
+            "Coulomb friction": sliding.coulomb.text(_unit(experiment, "effort")),
+            "viscous damping": sliding.damping.text(_unit(experiment, "damping")),
+            "inertia": dynamics.inertia.text(_unit(experiment, "inertia")),
             "delay": dynamics.delay_s.scaled(1e3).text("ms"),
         }
         rows = [Row(name, text) for name, text in values.items()]
@@ -324,7 +324,7 @@ def identify(request: IdentifyRequest, tell: Tell | None = None, ask: Ask | None
     return replace(found, warnings=(*found.warnings, *_doubts(base, found, session.drift, session.repeated)))
 
 
-def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
+def _doubts(experiment: Experiment, found: Identification, drift: float, repeated: int) -> Iterator[str]:
     """Yield warnings about identified values that may be wrong by more than their interval, or are unknown."""
     dynamics, damping = found.dynamics, found.sliding.damping
     if repeated:
@@ -336,12 +336,12 @@ def _doubts(x: Experiment, found: Identification, drift: float, repeated: int) -
             "handle, and identify again"
         )
     if damping.ci95 > damping.value:
-        value = damping.text(_unit(x, "damping"))
+        value = damping.text(_unit(experiment, "damping"))
         yield (
             f"the viscous damping, {value}, cannot be distinguished from zero: it is masked by "
             "friction and by the encoder's resolution"
         )
-    elastic = dynamics.mode_above_hz is not None or x.rig.mechanics.structure == "two-mass"
+    elastic = dynamics.mode_above_hz is not None or experiment.rig.mechanics.structure == "two-mass"
     if dynamics.mode is None and elastic:
         yield (
             f"the first mode lies above the band or is hidden in it (up to {dynamics.band.high_hz:.4g} Hz): inertia "
@@ -380,8 +380,8 @@ def plan_of(free: Experiment, request: IdentifyRequest) -> Plan:
     return loaded_plan(plan, with_mass(free, request.mass_kg, arm), request.cogging, weight)
 
 
-def _arm(x: Experiment, request: IdentifyRequest) -> float:
-    return x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
+def _arm(experiment: Experiment, request: IdentifyRequest) -> float:
+    return experiment.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
 
 
 # ---------------------------------------------------------------------- running them
@@ -390,10 +390,10 @@ def _arm(x: Experiment, request: IdentifyRequest) -> float:
 class _Session:
     """The motions of one identification on an open device, with their recordings."""
 
-    def __init__(self, device: FramedDevice, x: Experiment, request: IdentifyRequest) -> None:
+    def __init__(self, device: FramedDevice, experiment: Experiment, request: IdentifyRequest) -> None:
         self.device, self._request = device, request
         self._stem = f"identify-{datetime.now():%Y%m%d-%H%M%S}"
-        self._reference = position_zero(device, x)
+        self._reference = position_zero(device, experiment)
         self._swept: Swept  # for cogging, with nothing on the rig
         self._swept_in: tuple[float, int]  # period and highest harmonic
         self._cogging = Cogging()  # measured cogging, which later fits add to the motor's effort
@@ -401,70 +401,73 @@ class _Session:
         self.repeated = 0  # number of motions repeated because of late or lost samples
         self.drift = 0.0  # largest change of an excited motion from period to period
 
-    def free_motions(self, x: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
+    def free_motions(self, experiment: Experiment, say: Tell) -> tuple[SignCheck, Sliding, Dynamics]:
         """Run pushes, slow sweeps for cogging, strokes and excitations; return fits of signs, friction and dynamics."""
         request = self._request
-        say(f"signs: {PUSHES} small pushes, at most {most_push(x):.3g} {_unit(x, 'effort')}")
+        most = f"{most_push(experiment):.3g} {_unit(experiment, 'effort')}"
+        say(f"signs: {PUSHES} small pushes, at most {most}")
         # The order matters: pushes need no known sign and end by themselves after a few counts; strokes need the sign,
         # and measure the friction that the excitation must exceed.
-        signs = self.signs(x)
+        signs = self.signs(experiment)
         _check_signs(signs)
         if request.cogging is not None:
-            say(f"cogging: slow sweeps for {cogging_sweeps(x, request.cogging)[1][-1].end_s:.3g} s")
-            self.sweep(x, request.cogging)
+            say(f"cogging: slow sweeps for {cogging_sweeps(experiment, request.cogging)[1][-1].end_s:.3g} s")
+            self.sweep(experiment, request.cogging)
         say("friction: strokes at constant speeds")
-        sliding = self.sliding(x)
+        sliding = self.sliding(experiment)
         say(f"dynamics: excited {request.realisations} times for {excited_s(request.period_s):.3g} s")
-        return signs, sliding, self.dynamics(x, signs, sliding)
+        return signs, sliding, self.dynamics(experiment, signs, sliding)
 
     def may_go_slower(self, error: RigError) -> bool:
         """Return True if a lower rate may help: samples were late or lost, and the user set no rate."""
         virtual = self.device.link.clock.virtual
         return spoiled_by_timing(error) and not virtual and _stated_rate(self._request) is None
 
-    def signs(self, x: Experiment) -> SignCheck:
-        at = position_now(self.device, x, self._reference)
-        rows, rate = self._run(pushes_motion(x, at), "signs")
-        return signs_of(x, rows, rate)
+    def signs(self, experiment: Experiment) -> SignCheck:
+        at = position_now(self.device, experiment, self._reference)
+        rows, rate = self._run(pushes_motion(experiment, at), "signs")
+        return signs_of(experiment, rows, rate)
 
-    def sliding(self, x: Experiment) -> Sliding:
-        rows, rate = self._run(self._compensate_cogging(strokes_motion(x)), "sliding")
+    def sliding(self, experiment: Experiment) -> Sliding:
+        rows, rate = self._run(self._compensate_cogging(strokes_motion(experiment)), "sliding")
         return fit_sliding(
             np.arange(len(rows)) / rate,
             self._effort(rows),
             rows["position"],
-            strokes_of(x)[1],
-            resolution=x.rig.encoder.resolution,
-            back_emf=x.rig.amplifier.back_emf,
+            strokes_of(experiment)[1],
+            resolution=experiment.rig.encoder.resolution,
+            back_emf=experiment.rig.amplifier.back_emf,
         )
 
-    def dynamics(self, x: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
+    def dynamics(self, experiment: Experiment, signs: SignCheck, sliding: Sliding) -> Dynamics:
         request = self._request
         # The smaller of both inertias determines the excitation: a too large effort could move the handle out of its
         # window, a too small effort only widens the intervals.
-        inertia = min(inertia_of(x), signs.inertia) if math.isfinite(signs.inertia) else inertia_of(x)
+        inertia = inertia_of(experiment)
+        if math.isfinite(signs.inertia):
+            inertia = min(inertia, signs.inertia)
         runs, lates = [], []
         for number in range(request.realisations):
-            multisine = excitation(x, request.seed, request.period_s, inertia, number)
-            run, late = self._run_excitation(x, multisine, inertia, number)
+            multisine = excitation(experiment, request.seed, request.period_s, inertia, number)
+            run, late = self._run_excitation(experiment, multisine, inertia, number)
             runs.append(run)
             lates.append(late)
         found = fit_dynamics(
             runs,
-            resolution=x.rig.encoder.resolution,
+            resolution=experiment.rig.encoder.resolution,
             inertia=inertia,
             sliding=sliding,
             damping=sliding.damping,
-            back_emf=x.rig.amplifier.back_emf,
+            back_emf=experiment.rig.amplifier.back_emf,
         )
         self.drift = max(period_change(run, found.band.chosen) for run in runs)
-        return found.later(round(float(np.median(lates))), 1.0 / x.controller.position_rate)
+        return found.later(round(float(np.median(lates))), 1.0 / experiment.controller.position_rate)
 
     def _run_excitation(
-        self, x: Experiment, multisine: Multisine, inertia: float, number: int
+        self, experiment: Experiment, multisine: Multisine, inertia: float, number: int
     ) -> tuple[ExcitedRun, int]:
         """Run the excitation with one draw of phases; return its signals, and the delay of commands (ticks)."""
-        motion = self._compensate_cogging(excitation_motion(x, multisine, inertia))
+        motion = self._compensate_cogging(excitation_motion(experiment, multisine, inertia))
         for attempt in range(1 if self.device.link.clock.virtual else ATTEMPTS):
             if attempt:
                 self.repeated += 1
@@ -477,10 +480,11 @@ class _Session:
                 break
         return run, late
 
-    def sweep(self, x: Experiment, most_order: int) -> None:
+    def sweep(self, experiment: Experiment, most_order: int) -> None:
         """Run slow sweeps and fit cogging with the rig's described inertia; later motions compensate this cogging."""
-        self._swept, self._swept_in = self._sweeps(x, most_order, "cogging"), (cogging_period(x), most_order)
-        self._cogging = self.cogging(inertia_of(x), config.rig_model(x).damping).cogging
+        self._swept = self._sweeps(experiment, most_order, "cogging")
+        self._swept_in = (cogging_period(experiment), most_order)
+        self._cogging = self.cogging(inertia_of(experiment), config.rig_model(experiment).damping).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
         """Fit cogging to the recorded sweeps with this inertia and damping (SI units)."""
@@ -503,18 +507,18 @@ class _Session:
         )
         return fit_ripple(free, hanging, period=period, most_order=most_order)
 
-    def _sweeps(self, x: Experiment, most_order: int, name: str, *, loaded: bool = False) -> Swept:
-        rows, rate = self._run(cogging_motion(x, most_order, loaded=loaded), name)
-        sweeps = cogging_sweeps(x, most_order, loaded=loaded)[1]
+    def _sweeps(self, experiment: Experiment, most_order: int, name: str, *, loaded: bool = False) -> Swept:
+        rows, rate = self._run(cogging_motion(experiment, most_order, loaded=loaded), name)
+        sweeps = cogging_sweeps(experiment, most_order, loaded=loaded)[1]
         return np.arange(len(rows)) / rate, rows["effort_sent"], rows["position"], sweeps
 
     def _compensate_cogging(self, motion: IdentificationMotion) -> IdentificationMotion:
         """Return the motion with known cogging compensated, so that the handle does not jump between detents."""
-        x = motion.experiment
+        experiment = motion.experiment
         if not self._cogging.orders:
             return motion
-        taken = replace(x.controller, cogging_compensation=True, cogging_limit=1.0)
-        evened = replace(x, rig=replace(x.rig, cogging=self._cogging), controller=taken)
+        taken = replace(experiment.controller, cogging_compensation=True, cogging_limit=1.0)
+        evened = replace(experiment, rig=replace(experiment.rig, cogging=self._cogging), controller=taken)
         return IdentificationMotion(config.override(evened, {}, "identification"), motion.law)
 
     def _effort(self, rows: NDArray[np.void]) -> NDArray[np.float64]:
@@ -525,22 +529,22 @@ class _Session:
         self, motion: IdentificationMotion, name: str, number: int = 0
     ) -> tuple[NDArray[np.void], float]:
         """Run one motion, again if samples are late; return its samples and their rate (Hz)."""
-        x, request = motion.experiment, self._request
+        experiment, request = motion.experiment, self._request
 
         def run() -> tuple[NDArray[np.void], Path]:
             return run_motion(
                 self.device,
                 motion,
-                free_name(Path(request.output), f"{x.rig.name}-{self._stem}-{name}-{number + 1}"),
+                free_name(Path(request.output), f"{experiment.rig.name}-{self._stem}-{name}-{number + 1}"),
                 verified=request.verified,
                 reference_count=self._reference,
                 extra={"identification": name, "number": number + 1, "seed": request.seed},
             )
 
-        (rows, recording), repeated = repeat_if_late(self.device, run, x.controller.position_rate)
+        (rows, recording), repeated = repeat_if_late(self.device, run, experiment.controller.position_rate)
         self.repeated += repeated
         self.recordings[name] = (*self.recordings.get(name, ()), recording)
-        return rows, float(x.controller.position_rate)
+        return rows, float(experiment.controller.position_rate)
 
 
 def excited_run_of(
@@ -673,5 +677,5 @@ def _files(paths: tuple[Path, ...]) -> str:
     return str(paths[0]) if len(paths) == 1 else f"{paths[0]} … {paths[-1].name}"
 
 
-def _unit(x: Experiment, quantity: str) -> str:
-    return unit_of(quantity, x.rig.motion)
+def _unit(experiment: Experiment, quantity: str) -> str:
+    return unit_of(quantity, experiment.rig.motion)

@@ -57,19 +57,26 @@ class MapRequest:
         ),
     ] = None
 
-    def plan(self, x: Experiment, *, on_device: bool = False) -> MapPlan:
-        """Return the plan of a map of stable walls for experiment `x`; raise `PlanError` if a range is invalid."""
+    def plan(self, experiment: Experiment, *, on_device: bool = False) -> MapPlan:
+        """Return the plan of a map of stable walls for `experiment`; raise `PlanError` if a range is invalid."""
         dampings = numbers_of(self.damping, "`damping`") if self.damping else None
         parsed = [Scheme.parse(text) for text in self.schemes]
-        schemes = schemes_for(x, parsed, dampings, on_device=on_device)
+        schemes = schemes_for(experiment, parsed, dampings, on_device=on_device)
         low, high = bounds_of(self.stiffness, "`stiffness`") if self.stiffness else (None, None)
+        search = search_for(
+            experiment,
+            self.way,
+            ratio=self.ratio,
+            lowest=low,
+            highest=high,
+            schemes=schemes,
+            on_device=on_device,
+        )
         return hit_plan(
-            x,
+            experiment,
             schemes,
             dampings=dampings,
-            search=search_for(
-                x, self.way, ratio=self.ratio, lowest=low, highest=high, schemes=schemes, on_device=on_device
-            ),
+            search=search,
             offsets=numbers_of(self.offsets, "`offsets`") if self.offsets else None,
             repeats=self.repeats,
             judged=self.judged,

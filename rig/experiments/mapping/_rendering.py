@@ -18,12 +18,7 @@ RENDERED = 0.8
 def rendered_share(experiment: Experiment, damping: float) -> float:
     """Return the fraction (0 to 1) of a wall's damping effort that the effort limit leaves in motion by single counts.
 
-    Parameters
-    ----------
-    experiment
-        Estimator, velocity rate, encoder and effort limit; the damping of its wall is ignored.
-    damping
-        B of the wall (N·m·s/rad or N·s/m).
+    `damping` is B of the wall (N·m·s/rad or N·s/m), instead of that of the experiment's wall.
     """
     # Each count appears in the estimated velocity as a pulse with the area of one count. The damper multiplies it by B,
     # and the effort limit cuts its top: with an unfiltered difference the rendered B is at most limit·T/Δ. Delay

@@ -226,11 +226,11 @@ class ImpedanceResult(Shown, Drawn):
     @reported
     def excitation(self) -> dict[str, Any]:
         """Return the values of the section ``[excitation]`` by key, with the computed rms or peak effort (N·m or N)."""
-        x = self.experiment
+        experiment = self.experiment
         return {
-            **config.as_mapping(x)["excitation"],
-            **config.excitation_size(x),
-            "channel": x.excitation.channel,
+            **config.as_mapping(experiment)["excitation"],
+            **config.excitation_size(experiment),
+            "channel": experiment.excitation.channel,
         }
 
     def brief(self) -> list[Item]:

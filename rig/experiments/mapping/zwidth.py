@@ -374,30 +374,30 @@ class ZWidth(Shown, Drawn):
 
     def brief(self) -> list[Item]:
         """Return the lines of a short report: largest stiffness and damping of each sampling scheme's stable walls."""
-        x = self.plan.experiment
-        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        experiment = self.plan.experiment
+        stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
         rows = []
         for number, scheme in enumerate(self.plan.schemes):
             width = self.width(number, "any")
             least, beyond = ("≥ " if capped else "" for capped in (width.capped, width.range_capped))
             peak = f"K up to {least}{written(width.stiffness_peak)} {stiffness}"
-            rows.append(
-                Row(scheme.label(x), f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}")
-            )
+            text = f"{peak}, B up to {beyond}{written(width.damping_range)} {damping}"
+            rows.append(Row(scheme.label(experiment), text))
         notes = [] if self.cutoffs is None else [self.cutoffs]
         by = "; judged by the simulation's truth" if self.plan.judged == "true" else ""
         return [
-            f"Z-width of {x.rig.name}: {self.hits} hits, neither felt, heard nor moved{by}",
+            f"Z-width of {experiment.rig.name}: {self.hits} hits, neither felt, heard nor moved{by}",
             *rows,
             *notes,
         ]
 
     def detailed(self) -> list[Item]:
         """Return a full report: the short report, and a table of each sampling scheme's limit at each damping."""
-        x = self.plan.experiment
-        stiffness, damping = (unit_of(name, x.rig.motion) for name in ("stiffness", "damping"))
+        experiment = self.plan.experiment
+        stiffness, damping = (unit_of(name, experiment.rig.motion) for name in ("stiffness", "damping"))
         curves = [self.curve(number, "any") for number in range(len(self.plan.schemes))]
-        head = (f"B ({damping})", *(f"K ({stiffness}), {scheme.label(x)}" for scheme in self.plan.schemes))
+        labels = (scheme.label(experiment) for scheme in self.plan.schemes)
+        head = (f"B ({damping})", *(f"K ({stiffness}), {label}" for label in labels))
         rows = [[limits[0].damping, *(b.stiffness for b in limits)] for limits in zip(*curves, strict=True)]
         return [*self.brief(), Table(head, rows, words=0)]
 

@@ -267,18 +267,19 @@ class FrequencyMap(Shown, Drawn):
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plan and verdicts as JSON values by name, without single results and without the paper's Table I."""
-        plan, x = self.plan, self.plan.experiment
+        plan, experiment = self.plan, self.plan.experiment
+        mapping = config.as_mapping(experiment)
         return {
             "domain": "frequency",
-            "rig": x.rig.name,
-            "motion": x.rig.motion,
+            "rig": experiment.rig.name,
+            "motion": experiment.rig.motion,
             "stiffnesses": list(plan.stiffnesses),
             "dampings": list(plan.dampings),
             "judging": {**asdict(plan.judging), "band_hz": list(plan.band_hz)},
-            "excitation": {**config.as_mapping(x)["excitation"], **config.excitation_size(x)},
+            "excitation": {**mapping["excitation"], **config.excitation_size(experiment)},
             "signal": plan.signal,
             "passive": self.passive[:, -1].tolist(),
-            "experiment": config.as_mapping(x),
+            "experiment": mapping,
         }
 
 

@@ -44,7 +44,7 @@ LOOKS = 25  # checks of `REST_S` seconds each until the handle must rest
 
 def board_pushes(
     device: FramedDevice,
-    x: Experiment,
+    experiment: Experiment,
     pushes: int,
     recording: Path,
     *,
@@ -54,20 +54,9 @@ def board_pushes(
 ) -> Pushes:
     """Run pushes on the board, two in one direction, two in the other, and so on; return their samples and recording.
 
-    Parameters
-    ----------
-    device
-        Open device, at rest.
-    x
-        Experiment with the rig and its limits, whose law runs on the board.
-    pushes
-        Number of pushes.
-    recording
-        Path of the first push's recording; the recordings of later pushes are beside it, with numbers.
-    verified, reference_count
-        True if the signs of motor and encoder were checked; encoder count at position zero.
-    extra
-        Additional entries of the recordings' headers.
+    The law of `experiment` runs on the board. `recording` is the path of the first push's recording; the recordings of
+    later pushes are beside it, with numbers, and `extra` is added to their headers. `verified` is True if the signs of
+    motor and encoder were checked; `reference_count` is the encoder count at position zero.
 
     Raises
     ------
@@ -82,14 +71,14 @@ def board_pushes(
     rows: list[NDArray[np.void]] = []
     ended: DeviceFaultError | None = None
     for number in range(pushes):
-        at = _at_rest(device, x, reference_count)
+        at = _at_rest(device, experiment, reference_count)
         way: Literal[-1, 1] = 1 if number % (2 * ALIKE) < ALIKE else -1
-        run = _prepare_push(device, x, at, way, verified=verified, zero=reference_count)
+        run = _prepare_push(device, experiment, at, way, verified=verified, zero=reference_count)
         refuse(device_checks(run, device.dictionary))
         request = TrialRequest(
             run=run,
             recording=free_name(recording.parent, recording.stem),
-            seed=x.trial.seed,
+            seed=experiment.trial.seed,
             extra={**extra, "push": number + 1},
             leaves_switch=True,
         )
@@ -104,19 +93,19 @@ def board_pushes(
         pushed = rows[-1]["position"][rows[-1]["phase"] == Phase.TRIAL]
         if not len(pushed):
             raise _make_restless_error()
-        if np.ptp(pushed) < NOTHING * push_way(x):
+        if np.ptp(pushed) < NOTHING * push_way(experiment):
             break  # as in `nudges`
     path = recorded[0].path
     assert path is not None
     return Pushes(np.concatenate(rows), path, ended)
 
 
-def _at_rest(device: FramedDevice, x: Experiment, reference_count: int) -> float:
+def _at_rest(device: FramedDevice, experiment: Experiment, reference_count: int) -> float:
     """Wait until the handle rests, and return its position (rad or m); the count may alternate between two values."""
     for _ in range(LOOKS):
         counts = [state.count for state in device.states(REST_S)]
         if len(counts) > 1 and max(counts) - min(counts) <= 1:
-            return position_now(device, x, reference_count)
+            return position_now(device, experiment, reference_count)
     raise _make_restless_error()
 
 
@@ -128,7 +117,7 @@ def _make_restless_error() -> IdentificationError:
 
 
 def _prepare_push(
-    device: FramedDevice, x: Experiment, at: float, way: Literal[-1, 1], *, verified: bool, zero: int
+    device: FramedDevice, experiment: Experiment, at: float, way: Literal[-1, 1], *, verified: bool, zero: int
 ) -> PreparedRun:
     given: dict[str, Any] = {
         "verified": verified or device.dictionary.simulated,
@@ -138,8 +127,8 @@ def _prepare_push(
     # by the constant effort, which grows with the slew limit; its time by the length of the trial. If this computer
     # sends nothing, the effort is zero after `controller.supervise_lifetime_s` and the ramp. The device around the law
     # has the wider limits of all pushes: with the slew limit of a push a ramp down would take as long as the growth.
-    around = prepared_on(device, pushes_motion(x, at).experiment, **given)
-    run = prepared_on(device, single_push(x, at, way), **given)
+    around = prepared_on(device, pushes_motion(experiment, at).experiment, **given)
+    run = prepared_on(device, single_push(experiment, at, way), **given)
     return replace(run, parameters={**run.parameters, **{name: around.parameters[name] for name in AROUND}})
 
 

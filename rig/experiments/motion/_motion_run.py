@@ -76,13 +76,13 @@ def refuse_unverified(device: FramedDevice, *, verified: bool) -> None:
     )
 
 
-def position_now(device: FramedDevice, x: Experiment, reference_count: int) -> float:
+def position_now(device: FramedDevice, experiment: Experiment, reference_count: int) -> float:
     """Return the position of the handle (rad or m); raise `PlanError` if the handle is outside of its window."""
-    at = controller.resolution(x) * (device.count() - reference_count)
-    limits = x.rig.limits
+    at = controller.resolution(experiment) * (device.count() - reference_count)
+    limits = experiment.rig.limits
     if not limits.position_minimum < at < limits.position_maximum:
         raise PlanError(
-            f"the handle is at {at:.4g} {unit_of('position', x.rig.motion)}, outside of its window "
+            f"the handle is at {at:.4g} {unit_of('position', experiment.rig.motion)}, outside of its window "
             f"({limits.position_minimum:.4g} to {limits.position_maximum:.4g})",
             remedy="move the handle into the window by hand",
         )
@@ -101,20 +101,9 @@ def run_motion(
 ) -> tuple[NDArray[np.void], Path]:
     """Run a motion; return its logged samples, one for each tick, and the path of the recording.
 
-    Parameters
-    ----------
-    device
-        Open device, at rest.
-    motion
-        Motion, and its limits.
-    recording
-        Path of the recording to write; the file must not exist.
-    verified, reference_count
-        True if the signs of motor and encoder were checked; encoder count at position zero.
-    extra
-        Additional entries of the recording's header.
-    leaves_switch
-        True if the motion may begin with a pressed limit switch.
+    `recording` is the path of a file that must not exist yet; `extra` is added to its header. `verified` is True if the
+    signs of motor and encoder were checked; `reference_count` is the encoder count at position zero. With
+    `leaves_switch` the motion may begin with a pressed limit switch.
 
     Raises
     ------
@@ -123,19 +112,18 @@ def run_motion(
     RigError
         The trial ended early; the effort is zero.
     """
-    x = motion.experiment
+    experiment = motion.experiment
     run = prepared_on(
         device,
-        x,
+        experiment,
         verified=verified or device.dictionary.simulated,
         reference_count=reference_count,
         law=motion.law,
     )
+    seed = experiment.trial.seed
     end = run_trial(
         device,
-        TrialRequest(
-            run=run, recording=recording, seed=x.trial.seed, extra=dict(extra), leaves_switch=leaves_switch
-        ),
+        TrialRequest(run=run, recording=recording, seed=seed, extra=dict(extra), leaves_switch=leaves_switch),
     )
     assert end.sealed is not None
     return trial_rows(end.sealed, motion.phases), end.recording
@@ -277,16 +265,16 @@ def silence_of(error: RigError) -> float | None:
     return 1e-9 * float(np.diff(end.sealed.rows["received_at"]).max())
 
 
-def signs_of(x: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
+def signs_of(experiment: Experiment, rows: NDArray[np.void], rate: float) -> SignCheck:
     """Compare the logged samples of pushes (`rate` in Hz) with the described rig: direction, inertia and friction."""
     return check_signs(
         np.arange(len(rows)) / rate,
         # The effort that the next sample reports: a slow loop or a late command delays the sent one.
         np.append(rows["effort_applied"][1:], rows["effort_sent"][-1]),
         rows["position"],
-        resolution=x.rig.encoder.resolution,
-        expected_inertia=inertia_of(x),
+        resolution=experiment.rig.encoder.resolution,
+        expected_inertia=inertia_of(experiment),
         rest_s=0.25 * REST_S,
-        damping=config.rig_model(x).damping,
-        friction=coulomb_of(x),
+        damping=config.rig_model(experiment).damping,
+        friction=coulomb_of(experiment),
     )

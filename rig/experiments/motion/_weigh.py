@@ -153,20 +153,21 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
         A run ended early; the effort is zero.
     """
     described = config.override(request.experiment, request.changes)
-    x = config.override(described, {"controller.loop": "host", "rig.mechanics.end_mass": 0.0}, "weighing")
-    arm = x.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
+    unloaded = {"controller.loop": "host", "rig.mechanics.end_mass": 0.0}
+    experiment = config.override(described, unloaded, "weighing")
+    arm = experiment.rig.mechanics.handle_radius if request.arm_m is None else request.arm_m
     weight = request.mass_kg * request.gravity * arm
-    refuse_load(x, weight)
-    loaded = with_mass(x, request.mass_kg, arm)
+    refuse_load(experiment, weight)
+    loaded = with_mass(experiment, request.mass_kg, arm)
     url, output = request.url or "sim://", Path(request.output)
     with ExitStack() as stack:
-        device = stack.enter_context(devices.open_device(url, config.rig_model(still(x))))
-        refuse([check_rig(config.rig_model(still(x)), device.dictionary)])
+        device = stack.enter_context(devices.open_device(url, config.rig_model(still(experiment))))
+        refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
         refuse_unverified(device, verified=request.verified)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
-        zero = position_zero(device, x)
-        bare, first = _slide(device, x, request, zero, "bare")
+        zero = position_zero(device, experiment)
+        bare, first = _slide(device, experiment, request, zero, "bare")
         device = hung(
             stack, device, loaded, url, ask, mass_kg=request.mass_kg, arm=arm, gravity=request.gravity
         )
@@ -178,15 +179,15 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
     difference = pulled.bias.value - bare.bias.value
     measured = Interval(abs(difference), math.hypot(pulled.bias.ci95, bare.bias.ci95))
     if measured.low <= 0.0:
-        effort = unit_of("effort", x.rig.motion)
+        effort = unit_of("effort", experiment.rig.motion)
         raise IdentificationError(
             f"the weight of {weight:.3g} {effort} was measured as {measured.text(effort)}, so it "
             "cannot be distinguished from friction",
             remedy="hang a larger mass, or slide more slowly (homing.speed)",
         )
     return Weighing(
-        rig=x.rig.name,
-        motion=x.rig.motion,
+        rig=experiment.rig.name,
+        motion=experiment.rig.motion,
         device=name,
         mass_kg=request.mass_kg,
         arm_m=arm,
@@ -194,14 +195,15 @@ def weigh(request: WeighRequest, ask: Ask) -> Weighing:
         measured=measured,
         bare=bare,
         loaded=pulled,
-        described=x.rig.amplifier.effort_per_ampere,
+        described=experiment.rig.amplifier.effort_per_ampere,
         recordings=(first, second),
     )
 
 
-def refuse_load(x: Experiment, weight: float) -> None:
+def refuse_load(experiment: Experiment, weight: float) -> None:
     """Raise `PlanError` if a weight (N·m or N) exceeds the nominal effort, or the effort a device allows at rest."""
-    limits, needed, effort = x.rig.limits, weight + coulomb_of(x), unit_of("effort", x.rig.motion)
+    limits, effort = experiment.rig.limits, unit_of("effort", experiment.rig.motion)
+    needed = weight + coulomb_of(experiment)
     for bound, meaning, remedy in (
         (
             limits.nominal_effort,
@@ -251,23 +253,24 @@ def hung(
     return device
 
 
-def with_mass(x: Experiment, mass_kg: float, arm: float) -> Experiment:
+def with_mass(experiment: Experiment, mass_kg: float, arm: float) -> Experiment:
     """Return the experiment with a mass (kg) at a lever arm (m) as its end mass, for which servos are then computed."""
-    at_the_handle = mass_kg * (arm / x.rig.mechanics.handle_radius) ** 2
-    return config.override(x, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
+    at_the_handle = mass_kg * (arm / experiment.rig.mechanics.handle_radius) ** 2
+    return config.override(experiment, {"rig.mechanics.end_mass": at_the_handle}, "weighing")
 
 
 def _slide(
-    device: FramedDevice, x: Experiment, request: WeighRequest, zero: int, name: str
+    device: FramedDevice, experiment: Experiment, request: WeighRequest, zero: int, name: str
 ) -> tuple[Sliding, Path]:
-    x = config.override(x, at_own_rate(x, device), "weighing")
-    refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
-    position_now(device, x, zero)
-    motion = weighing_motion(x)
+    experiment = config.override(experiment, at_own_rate(experiment, device), "weighing")
+    most_hz, bytes_per_second = device.dictionary.position_rate_maximum, device.link.bytes_per_second
+    refuse(link_checks(still(experiment), most_hz, bytes_per_second))
+    position_now(device, experiment, zero)
+    motion = weighing_motion(experiment)
     rows, recording = run_motion(
         device,
         motion,
-        free_name(Path(request.output), f"{x.rig.name}-weigh-{name}"),
+        free_name(Path(request.output), f"{experiment.rig.name}-weigh-{name}"),
         verified=request.verified,
         reference_count=zero,
         extra={"weighing": name, "mass_kg": request.mass_kg if name == "loaded" else 0.0},
@@ -276,8 +279,8 @@ def _slide(
         np.arange(len(rows)) / motion.experiment.controller.position_rate,
         rows["effort_sent"],
         rows["position"],
-        weighing_strokes(x)[1],
-        resolution=x.rig.encoder.resolution,
-        back_emf=x.rig.amplifier.back_emf,
+        weighing_strokes(experiment)[1],
+        resolution=experiment.rig.encoder.resolution,
+        back_emf=experiment.rig.amplifier.back_emf,
     )
     return fit, recording

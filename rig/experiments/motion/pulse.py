@@ -121,18 +121,18 @@ class Pulse:
 
 def check_rig_moves(request: FreeRigRequest) -> Pulse:
     """Open a device and send a torque pulse to check that the rig moves as described; raise `RigError` on failure."""
-    x = config.override(request.experiment, request.changes)
-    url = devices.url_for(request.url or "sim://", x.controller.loop)
-    with devices.open_device(url, config.rig_model(still(x))) as device:
+    experiment = config.override(request.experiment, request.changes)
+    url = devices.url_for(request.url or "sim://", experiment.controller.loop)
+    with devices.open_device(url, config.rig_model(still(experiment))) as device:
         output = Path(request.output)
         with plain_errors("make", output):
             output.mkdir(parents=True, exist_ok=True)
         return pulse(
             device,
-            x,
-            recording=free_name(output, f"{x.rig.name}-pulse"),
+            experiment,
+            recording=free_name(output, f"{experiment.rig.name}-pulse"),
             verified=request.verified,
-            reference_count=position_zero(device, x),
+            reference_count=position_zero(device, experiment),
         )
 
 
@@ -169,29 +169,31 @@ def pulse(
     changes = at_own_rate(experiment, device)
     if experiment.trial.kind == "human":  # the end mass is mounted in automated trials only
         changes["rig.mechanics.end_mass"] = 0.0
-    x = config.override(experiment, changes, "the torque pulse")
-    on_board = x.controller.loop == "device"
+    experiment = config.override(experiment, changes, "the torque pulse")
+    on_board = experiment.controller.loop == "device"
     if not on_board and not device.link.clock.virtual:
         refuse_real_time('the torque pulse of controller.loop = "host"')
-    refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+    most_hz, bytes_per_second = device.dictionary.position_rate_maximum, device.link.bytes_per_second
+    refuse(link_checks(still(experiment), most_hz, bytes_per_second))
     push = board_pushes if on_board else _host_pushes
+    described = {"pushes": PUSHES, "most_effort": most_push(experiment), "way": push_way(experiment)}
     made = push(
         device,
-        x,
+        experiment,
         PUSHES,
         recording,
         verified=verified,
         reference_count=reference_count,
-        extra={"pulse": {"pushes": PUSHES, "most_effort": most_push(x), "way": push_way(x)}},
+        extra={"pulse": described},
     )
-    signs = signs_of(x, made.rows, slow_rate(x))
+    signs = signs_of(experiment, made.rows, slow_rate(experiment))
     found = Pulse(
-        rig=x.rig.name,
-        motion=x.rig.motion,
+        rig=experiment.rig.name,
+        motion=experiment.rig.motion,
         device=device.dictionary.device,
         recording=made.recording,
         signs=signs,
-        checks=judged(x, signs),
+        checks=judged(experiment, signs),
     )
     if made.ended is not None and found.ok:
         raise made.ended
@@ -201,7 +203,7 @@ def pulse(
 
 def _host_pushes(
     device: FramedDevice,
-    x: Experiment,
+    experiment: Experiment,
     pushes: int,
     recording: Path,
     *,
@@ -215,7 +217,7 @@ def _host_pushes(
         used = any(recording.with_suffix(suffix).exists() for suffix in (".rigcap", ".parquet"))
         return run_motion(
             device,
-            pushes_motion(x, position_now(device, x, reference_count), pushes),
+            pushes_motion(experiment, position_now(device, experiment, reference_count), pushes),
             free_name(recording.parent, recording.stem) if used else recording,
             verified=verified,
             reference_count=reference_count,
@@ -224,7 +226,7 @@ def _host_pushes(
         )
 
     try:
-        (rows, path), _ = repeat_if_late(device, run, slow_rate(x))
+        (rows, path), _ = repeat_if_late(device, run, slow_rate(experiment))
     except DeviceFaultError as error:
         sealed = stalled(error)
         assert sealed.path is not None
@@ -232,31 +234,31 @@ def _host_pushes(
     return Pushes(rows, path)
 
 
-def at_own_rate(x: Experiment, device: FramedDevice) -> dict[str, Any]:
+def at_own_rate(experiment: Experiment, device: FramedDevice) -> dict[str, Any]:
     """Return by key the loop rates for slow motions on a device (at most 2 kHz); empty in virtual time."""
     if device.link.clock.virtual:
         return {}
-    rate = min(device.dictionary.position_rate_default, slow_rate(x))
+    rate = min(device.dictionary.position_rate_default, slow_rate(experiment))
     return dict.fromkeys(("controller.position_rate", "controller.velocity_rate"), rate)
 
 
-def energy_of(x: Experiment) -> float:
+def energy_of(experiment: Experiment) -> float:
     """Return the largest energy of one push of a torque pulse (J): its largest effort times its travel."""
-    return most_push(x) * push_way(x)
+    return most_push(experiment) * push_way(experiment)
 
 
-def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
+def judged(experiment: Experiment, signs: SignCheck) -> tuple[Check, ...]:
     """Return checks of pushes against the described rig: motion, direction, size (inertia) and delay."""
-    most, coulomb = most_push(x), coulomb_of(x)
-    effort = unit_of("effort", x.rig.motion)
+    most, coulomb = most_push(experiment), coulomb_of(experiment)
+    effort = unit_of("effort", experiment.rig.motion)
     moved = [push for push in signs.pushes if push.moved]
     # Friction above the largest push cannot be distinguished from a dead motor: without motion the rig is not armed for
     # a person.
     if not moved:
-        return (_judge_unmoved(x, signs, most, coulomb, effort),)
+        return (_judge_unmoved(experiment, signs, most, coulomb, effort),)
     sizes = [push.inertia for push in moved if math.isfinite(push.inertia)]
     begins = float(np.median([push.began_s for push in moved]))
-    expected = coulomb / push_growth(x)
+    expected = coulomb / push_growth(experiment)
     latest = SAME_FRICTION * expected + LATEST_S
     return (
         _check(
@@ -290,20 +292,22 @@ def judged(x: Experiment, signs: SignCheck) -> tuple[Check, ...]:
         Check(
             "delay",
             Outcome.OK if begins <= latest else Outcome.WARNING,
-            f"the handle begins to move {begins:.3g} s into a push, {begins * push_growth(x):.3g} {effort}; described "
-            f"friction {coulomb:.3g} {effort}: {expected:.3g} s, at the latest {latest:.3g} s",
+            f"the handle begins to move {begins:.3g} s into a push, {begins * push_growth(experiment):.3g} {effort}; "
+            f"described friction {coulomb:.3g} {effort}: {expected:.3g} s, at the latest {latest:.3g} s",
             "friction is larger than described, or the effort comes late: `rig identify` measures both",
         ),
     )
 
 
-def _judge_unmoved(x: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str) -> Check:
+def _judge_unmoved(
+    experiment: Experiment, signs: SignCheck, most: float, coulomb: float, effort: str
+) -> Check:
     seen = max((push.seen for push in signs.pushes), default=0.0)
     text = f"nothing moved, up to {most:.3g} {effort}"
-    if (hidden := observable_check(x)).outcome is not Outcome.OK:
+    if (hidden := observable_check(experiment)).outcome is not Outcome.OK:
         bears = " if the rig tolerates it, or free the mechanism" if hidden.changes else ""
         return _check("motion", False, f"not observed: {text}; {hidden.text}", f"{hidden.remedy}{bears}")
-    if seen > 0.5 * x.rig.encoder.resolution:
+    if seen > 0.5 * experiment.rig.encoder.resolution:
         return _check(
             "motion",
             False,

@@ -113,13 +113,13 @@ class FoundReference:
 
 def find_reference(request: ReferenceRequest, tell: Tell | None = None) -> FoundReference:
     """Open a device and find its position zero by limit switch and index; raise `RigError` if the search fails."""
-    x = config.override(request.experiment, request.changes)
-    _refuse_without_index(x)
-    url = devices.url_for(request.url or "sim://", x.controller.loop)
-    with devices.open_device(url, config.rig_model(still(x))) as device:
+    experiment = config.override(request.experiment, request.changes)
+    _refuse_without_index(experiment)
+    url = devices.url_for(request.url or "sim://", experiment.controller.loop)
+    with devices.open_device(url, config.rig_model(still(experiment))) as device:
         return reference(
             device,
-            x,
+            experiment,
             output=Path(request.output),
             verified=request.verified,
             by_hand=request.by_hand,
@@ -165,24 +165,23 @@ def reference(
     """
     _refuse_without_index(experiment)
     refuse([check_rig(config.rig_model(still(experiment)), device.dictionary)])
-    x = config.override(experiment, at_own_rate(experiment, device), "reference")
-    search = _IndexSearch(device, x, output, tell or (lambda text: None), verified=verified)
+    experiment = config.override(experiment, at_own_rate(experiment, device), "reference")
+    search = _IndexSearch(device, experiment, output, tell or (lambda text: None), verified=verified)
     if by_hand:
         index_count, switch_count, passed = search.by_hand()
     else:
         index_count, switch_count, passed = search.by_motor()
-    scale, at = resolution(x), x.rig.reference.position
+    scale, at = resolution(experiment), experiment.rig.reference.position
     zero = index_count - round(at / scale)
     device.reference_count = zero
-    run = prepared_on(
-        device, still(x), verified=verified or device.dictionary.simulated, reference_count=zero
-    )
+    verified = verified or device.dictionary.simulated
+    run = prepared_on(device, still(experiment), verified=verified, reference_count=zero)
     device.configure(run.parameters)
     if not by_hand:
         search.into_the_window(zero)
     return FoundReference(
-        rig=x.rig.name,
-        motion=x.rig.motion,
+        rig=experiment.rig.name,
+        motion=experiment.rig.motion,
         device=device.dictionary.device,
         reference_count=zero,
         index_count=index_count,
@@ -193,10 +192,10 @@ def reference(
     )
 
 
-def _refuse_without_index(x: Experiment) -> None:
-    if not x.rig.reference.index:
+def _refuse_without_index(experiment: Experiment) -> None:
+    if not experiment.rig.reference.index:
         raise ConfigError(
-            f"{x.rig.name} has no index to find: rig.reference.index is false",
+            f"{experiment.rig.name} has no index to find: rig.reference.index is false",
             remedy="set rig.reference.index = true and rig.reference.travel, and describe a limit switch if the travel "
             "contains more than one index; or put the handle at position zero before each run",
         )
@@ -209,16 +208,17 @@ class _IndexSearch:
     """A search for index and switch on an open device, in counts; positions are relative to a provisional zero."""
 
     def __init__(
-        self, device: FramedDevice, x: Experiment, output: Path, tell: Tell, *, verified: bool
+        self, device: FramedDevice, experiment: Experiment, output: Path, tell: Tell, *, verified: bool
     ) -> None:
-        self._device, self._x, self._output, self._tell, self._verified = device, x, output, tell, verified
-        self._scale, self._reference = resolution(x), x.rig.reference
-        self._every = self._reference.index_counts(x.rig.encoder)
+        self._device, self._experiment, self._verified = device, experiment, verified
+        self._output, self._tell = output, tell
+        self._scale, self._reference = resolution(experiment), experiment.rig.reference
+        self._every = self._reference.index_counts(experiment.rig.encoder)
         assert self._reference.travel is not None  # a rule of the configuration
         self._travel = self._reference.travel
         # Direction away from the switch in counts; upwards without a switch.
-        self._away = (self._reference.away or 1) * x.rig.encoder.sign
-        limits = x.rig.limits
+        self._away = (self._reference.away or 1) * experiment.rig.encoder.sign
+        limits = experiment.rig.limits
         self._middle = 0.5 * (limits.position_minimum + limits.position_maximum)
         self._zero = device.count() - round(self._middle / self._scale)
         self.recordings: list[Path] = []
@@ -226,22 +226,22 @@ class _IndexSearch:
     # ------------------------------------------------------------------ by the motor
 
     def by_motor(self) -> _Found:
-        device, x = self._device, self._x
+        device, experiment = self._device, self._experiment
         if self._reference.limit_switch == "none":
             raise ConfigError(
-                f"{x.rig.name} has no limit switch to move to (rig.reference.limit_switch)",
+                f"{experiment.rig.name} has no limit switch to move to (rig.reference.limit_switch)",
                 remedy="move the handle by hand: `by_hand`; this is enough, since the travel contains "
                 "one index",
             )
-        refuse(link_checks(still(x), device.dictionary.position_rate_maximum, device.link.bytes_per_second))
+        most_hz, bytes_per_second = device.dictionary.position_rate_maximum, device.link.bytes_per_second
+        refuse(link_checks(still(experiment), most_hz, bytes_per_second))
         refuse_unverified(device, verified=self._verified)
         with plain_errors("make", self._output):
             self._output.mkdir(parents=True, exist_ok=True)
         # With a wrong sign the search would move away from the switch and not stop.
         self._tell("signs: a torque pulse, hands off the handle")
-        signs = pulse(
-            device, x, recording=self._name("pulse"), verified=self._verified, reference_count=self._zero
-        )
+        name, verified = self._name("pulse"), self._verified
+        signs = pulse(device, experiment, recording=name, verified=verified, reference_count=self._zero)
         self.recordings.append(signs.recording)
         signs.insist()
         if not self._is_pressed():
@@ -271,7 +271,7 @@ class _IndexSearch:
         raise IdentificationError("the device sent no STATE message within 1 s", remedy="update its firmware")
 
     def _name(self, what: str) -> Path:
-        return free_name(self._output, f"{self._x.rig.name}-reference-{what}")
+        return free_name(self._output, f"{self._experiment.rig.name}-reference-{what}")
 
     def _go(self, count: int, what: str, *, zero: int | None = None) -> NDArray[np.void]:
         """Move to a count; return the logged samples. Raise `IdentificationError` if the handle stops short of it."""
@@ -280,7 +280,7 @@ class _IndexSearch:
         try:
             rows, recording = run_motion(
                 device,
-                way_motion(self._x, at, to, MARGIN * self._travel),
+                way_motion(self._experiment, at, to, MARGIN * self._travel),
                 self._name(what),
                 verified=self._verified,
                 reference_count=zero,
@@ -305,7 +305,7 @@ class _IndexSearch:
 
     def _short(self, way: float) -> IdentificationError:
         return IdentificationError(
-            f"the handle stopped {way:.3g} {unit_of('position', self._x.rig.motion)} before its target",
+            f"the handle stopped {way:.3g} {unit_of('position', self._experiment.rig.motion)} before its target",
             remedy="take all hands off the handle and remove obstacles from its travel; or raise homing.effort",
         )
 
@@ -320,9 +320,10 @@ class _IndexSearch:
                 raise
             self.recordings.append(end.recording)
             return
+        unit = unit_of("position", self._experiment.rig.motion)
         raise IdentificationError(
-            f"no limit switch was found within a travel of {self._travel:.4g} "
-            f"{unit_of('position', self._x.rig.motion)} towards the {self._reference.limit_switch} of the travel",
+            f"no limit switch was found within a travel of {self._travel:.4g} {unit} towards the "
+            f"{self._reference.limit_switch} of the travel",
             remedy="check rig.reference.limit_switch and travel, the board's setting of the switch, and "
             "that the handle presses it; a stop before it, or a hand, can hold the handle back "
             "too",
@@ -347,7 +348,7 @@ class _IndexSearch:
 
     def by_hand(self) -> _Found:
         """Find index and switch while a person moves the handle; return count of index, of switch, between indices."""
-        away = "rising" if self._away * self._x.rig.encoder.sign > 0 else "falling"
+        away = "rising" if self._away * self._experiment.rig.encoder.sign > 0 else "falling"
         switched = self._reference.limit_switch != "none"
         where = "press the limit switch with the handle, then move it" if switched else "move the handle"
         self._tell(f"{where} slowly through its travel, with {away} position, without turning back")
@@ -424,7 +425,7 @@ class _IndexSearch:
 
     def into_the_window(self, zero: int) -> None:
         """Move the handle into the position window, so that a run may begin; `zero` is the count at position zero."""
-        limits = self._x.rig.limits
+        limits = self._experiment.rig.limits
         margin = MARGIN * (limits.position_maximum - limits.position_minimum)
         at = self._scale * (self._device.count() - zero)
         to = min(max(at, limits.position_minimum + margin), limits.position_maximum - margin)

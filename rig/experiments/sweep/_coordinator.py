@@ -153,13 +153,8 @@ class Coordinator:
     ) -> None:
         self.failure: tuple[int, Failure] | None = None
         self.interruption: BaseException | None = None
-        self._tasks, self._store, self._executor, self._unit, self._watch = (
-            tasks,
-            store,
-            executor,
-            unit,
-            watch,
-        )
+        self._tasks, self._store, self._executor = tasks, store, executor
+        self._unit, self._watch = unit, watch
         self._progress = Progress.begin(tasks, kept, store.damaged)
         left = set(range(len(tasks))).difference(kept)
         # The longest tasks first: a long task that begins last would run alone while other workers are idle.

@@ -156,16 +156,8 @@ IN_DOUBT = frozenset(
 def error_of(end: LoopEnd, url: str, fault: FaultReport | None, rows: NDArray[np.void]) -> RigError | None:
     """Return the error for the end of a run; None if the run finished as planned.
 
-    Parameters
-    ----------
-    end
-        Reason and error counters of the loop's end.
-    url
-        URL of the device.
-    fault
-        The device's fault report; None if no report was received.
-    rows
-        Last logged samples of the run; a `LinkLostError` stores these.
+    `fault` is the device's fault report, None if no report was received. A `LinkLostError` stores the last logged
+    samples, `rows`.
     """
     if end.reason == EndReason.FINISHED:
         return None

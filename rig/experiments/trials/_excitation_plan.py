@@ -24,9 +24,9 @@ RENDERED = "peak motor effort"  # name of a check of `rig.control.excitation.Mul
 
 def excitation_plan(experiment: Experiment) -> Plan:
     """Return the plan (steps and checks) of an impedance measurement."""
-    x = config.excited(experiment)
-    checks = (*excitation_checks(x), *_heat_checks(x))
-    return Plan(x.rig.name, x.excitation.realisations, _steps(x), checks)
+    experiment = config.excited(experiment)
+    checks = (*excitation_checks(experiment), *_heat_checks(experiment))
+    return Plan(experiment.rig.name, experiment.excitation.realisations, _steps(experiment), checks)
 
 
 def excitation_checks(experiment: Experiment) -> list[Check]:
@@ -34,21 +34,21 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
 
     The prediction neglects friction and instability, and replaces a non-linear estimator by a finite difference.
     """
-    x, motion, limits, wall = experiment, experiment.rig.motion, experiment.rig.limits, experiment.wall
-    centre, loop = wall.position, _linear_loop(x)
-    multisines = [multisine_of(x, number) for number in range(x.excitation.realisations)]
+    motion, limits, wall = experiment.rig.motion, experiment.rig.limits, experiment.wall
+    centre, loop, excitation = wall.position, _linear_loop(experiment), experiment.excitation
+    multisines = [multisine_of(experiment, number) for number in range(excitation.realisations)]
     lines = multisines[0].lines_hz
     whole, alone = rendered_impedance(loop, wall.stiffness, wall.damping, lines), bare(loop, lines)
-    motor = x.excitation.channel == "motor"
+    motor = excitation.channel == "motor"
     bounds = {
-        "effort_limit": min(limits.effort, x.rig.amplifier.effort_limit) if motor else None,
+        "effort_limit": min(limits.effort, experiment.rig.amplifier.effort_limit) if motor else None,
         "position_limit": min(limits.position_maximum - centre, centre - limits.position_minimum),
         "speed_limit": limits.speed,
     }
     most: dict[str, Peak] = {}
     for multisine in multisines:
         for check in multisine.check(
-            whole, wall=whole - alone, motor_limit=limits.effort, channel=x.excitation.channel, **bounds
+            whole, wall=whole - alone, motor_limit=limits.effort, channel=excitation.channel, **bounds
         ):
             if check.name not in most or not check.value <= most[check.name].value:
                 most[check.name] = check
@@ -58,7 +58,7 @@ def excitation_checks(experiment: Experiment) -> list[Check]:
         "stiffer wall",
         "velocity": "reduce the excitation",
     }
-    stability = _stability_checks(x, loop)
+    stability = _stability_checks(experiment, loop)
     # For an unstable wall the predicted motion is not valid: warn, do not refuse.
     moved = Outcome.REFUSED if all(check.outcome == Outcome.OK for check in stability) else Outcome.WARNING
     worst = {"effort": Outcome.REFUSED, "position": moved, "velocity": moved}
@@ -89,23 +89,23 @@ def _rendered_check(found: Peak, motion: Motion) -> Check:
     )
 
 
-def _linear_loop(x: Experiment) -> LinearLoop:
+def _linear_loop(experiment: Experiment) -> LinearLoop:
     """Return the loop's model for linear theory; a non-linear estimator or wall is replaced by a linear one."""
-    x, fixed = with_linear_wall(x), replace(x.controller, slow_velocity_rate=None)
+    experiment, fixed = with_linear_wall(experiment), replace(experiment.controller, slow_velocity_rate=None)
     try:
-        loop = linear_loop(replace(x, controller=fixed))
+        loop = linear_loop(replace(experiment, controller=fixed))
         loop.estimator.response(1.0)  # raises for an estimator that uses the effort
         return loop
     except ConfigError:
         plain = replace(fixed, estimator="fdm", parameters={})
-        return linear_loop(replace(x, controller=plain))
+        return linear_loop(replace(experiment, controller=plain))
 
 
-def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
-    if x.wall.stiffness == 0.0 and x.wall.damping == 0.0:
+def _stability_checks(experiment: Experiment, loop: LinearLoop) -> list[Check]:
+    if experiment.wall.stiffness == 0.0 and experiment.wall.damping == 0.0:
         return []
-    radius = float(Lifted.of(loop).radius(x.wall.stiffness, x.wall.damping))
-    own, used = x.controller.estimator, loop.controller.estimator
+    radius = float(Lifted.of(loop).radius(experiment.wall.stiffness, experiment.wall.damping))
+    own, used = experiment.controller.estimator, loop.controller.estimator
     other = "" if used == own else f" with {used} in place of {own}"
     return [
         limited(
@@ -118,22 +118,25 @@ def _stability_checks(x: Experiment, loop: LinearLoop) -> list[Check]:
     ]
 
 
-def _steps(x: Experiment) -> tuple[Step, ...]:
-    position, effort = (unit_of(q, x.rig.motion) for q in ("position", "effort"))
-    e, w, c = x.excitation, x.wall, x.controller
-    (size, value), (whole_s, settling_s) = *config.excitation_size(x).items(), config.excitation_s(x)
-    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+def _steps(experiment: Experiment) -> tuple[Step, ...]:
+    position, effort = (unit_of(q, experiment.rig.motion) for q in ("position", "effort"))
+    e, w, c = experiment.excitation, experiment.wall, experiment.controller
+    ((size, value),) = config.excitation_size(experiment).items()
+    whole_s, settling_s = config.excitation_s(experiment)
+    stiffness, damping = (unit_of(quantity, experiment.rig.motion) for quantity in ("stiffness", "damping"))
+    wall = f"{w.stiffness:g} {stiffness}, {w.damping:g} {damping}"
     who = "the rig's own motor" if e.channel == "motor" else "a second actuator"
     return (
         Step(
             "configure",
-            f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, {where_it_runs(x)}",
+            f"position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, "
+            f"{where_it_runs(experiment)}",
             0.0,
         ),
         Step(
             "home",
             f"to the wall at {w.position:g} {position}",
-            x.homing.timeout_s if e.channel == "motor" else 0.0,
+            experiment.homing.timeout_s if e.channel == "motor" else 0.0,
         ),
         Step(
             "excite",
@@ -146,9 +149,10 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
     )
 
 
-def _heat_checks(x: Experiment) -> list[Check]:
+def _heat_checks(experiment: Experiment) -> list[Check]:
     """Check the heat of the motor if the rig's own motor excites the rig; else return an empty list."""
-    if x.excitation.channel != "motor":
+    if experiment.excitation.channel != "motor":
         return []
-    seconds = x.excitation.realisations * config.excitation_s(x)[0]
-    return [heat_check(x, multisine_of(x).rms, seconds, "reduce the excitation, or shorten it")]
+    seconds = experiment.excitation.realisations * config.excitation_s(experiment)[0]
+    rms, remedy = multisine_of(experiment).rms, "reduce the excitation, or shorten it"
+    return [heat_check(experiment, rms, seconds, remedy)]

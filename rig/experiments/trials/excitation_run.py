@@ -211,33 +211,34 @@ class ExcitedRig:
         LawError
             The estimator or the law returned a value that is not finite.
         """
-        x, prepared = self.experiment, self._excitation(realisation)
-        wall = asdict(replace(x.wall, stiffness=stiffness, damping=damping))
+        experiment, prepared = self.experiment, self._excitation(realisation)
+        wall = asdict(replace(experiment.wall, stiffness=stiffness, damping=damping))
         fresh = self._template.fresh(wall)
         if prepared.law is not None:
             fresh = replace(fresh, law=prepared.law.prepare(wall))
-        motion = self._excited_plant.excite(fresh, x.wall.position, prepared.external, ramp_s(x), self._ticks)
+        ramp, middle = ramp_s(experiment), experiment.wall.position
+        motion = self._excited_plant.excite(fresh, middle, prepared.external, ramp, self._ticks)
         saturated = motion.saturated / max(1, motion.ticks)
-        tick_s = 1.0 / x.controller.position_rate
+        tick_s = 1.0 / experiment.controller.position_rate
         if motion.ticks < self._ticks:
             memory = fresh.memory[0]
-            reason = _explain_trip(x, float(memory["position"]), float(memory["velocity"]))
+            reason = _explain_trip(experiment, float(memory["position"]), float(memory["velocity"]))
             return RealisationRun(None, reason, motion.ticks * tick_s, saturated)
         each = round(tick_s / motion.acquisition_s)  # stored positions per tick
-        first = round(config.excitation_s(x)[1] / tick_s)
+        first = round(config.excitation_s(experiment)[1] / tick_s)
         position: Floats = motion.position
         if self._signal == "count":
-            position = np.asarray(controller.resolution(x) * motion.counts, dtype=np.float64)
-        excitation = np.tile(prepared.multisine.period(each / tick_s), x.excitation.periods)
+            position = np.asarray(controller.resolution(experiment) * motion.counts, dtype=np.float64)
+        excitation = np.tile(prepared.multisine.period(each / tick_s), experiment.excitation.periods)
         effort, delay_s, hold_s = excitation, 0.0, 0.0
-        if x.excitation.channel == "motor":
-            table = np.tile(prepared.multisine.period(1.0 / tick_s), x.excitation.periods)
+        if experiment.excitation.channel == "motor":
+            table = np.tile(prepared.multisine.period(1.0 / tick_s), experiment.excitation.periods)
             effort = _apply_lag(np.repeat(table + motion.withheld[first:], each), self._model, each / tick_s)
-            delay_s, hold_s = _delay_s(x), motion.acquisition_s
+            delay_s, hold_s = _delay_s(experiment), motion.acquisition_s
         record = ExcitedRun(
             rate_hz=each / tick_s,
-            period_samples=len(excitation) // x.excitation.periods,
-            periods=x.excitation.periods,
+            period_samples=len(excitation) // experiment.excitation.periods,
+            periods=experiment.excitation.periods,
             excitation=excitation,
             effort=effort,
             position=position[first * each :],
@@ -273,7 +274,7 @@ class _Excitation:
         return cls(multisine, larger.period(inner_rate_hz, offset=0.5), None)
 
 
-def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
+def record_of(recording: Recording, experiment: Experiment) -> ExcitedRun:
     """Return effort and position in whole periods from a recorded trial whose motor excited the rig.
 
     Raises
@@ -282,44 +283,44 @@ def record_of(recording: Recording, x: Experiment) -> ExcitedRun:
         The recorded trial is not excited, ended early, or lost samples during the excitation.
     """
     saved = recording.header["initial_state"]["law"]
-    if x.trial.kind != "excitation" or saved["name"] != "excited":
+    if experiment.trial.kind != "excitation" or saved["name"] != "excited":
         raise RecordingError(
-            f"the recording is of kind {x.trial.kind} with the law {saved['name']}, and contains no "
+            f"the recording is of kind {experiment.trial.kind} with the law {saved['name']}, and contains no "
             "excitation",
             remedy="record an excited trial with rig impedance measure --url",
         )
     rows = recording.rows[recording.rows["phase"] == Phase.TRIAL]
-    tick_s = 1.0 / x.controller.position_rate
-    first, ticks = (round(s / tick_s) for s in reversed(config.excitation_s(x)))
+    tick_s = 1.0 / experiment.controller.position_rate
+    first, ticks = (round(s / tick_s) for s in reversed(config.excitation_s(experiment)))
     lost = int(rows["elapsed_ticks"].sum()) - len(rows) if len(rows) else 0
     if len(rows) < ticks or lost:
         raise RecordingError(
             f"the excited run has {len(rows)} of {ticks} samples ({lost} were lost), so its periods "
             "are incomplete",
             remedy="measure this realisation again; if the host is busy, choose a rate of "
-            f"{x.controller.position_rate // 2} Hz",
+            f"{experiment.controller.position_rate // 2} Hz",
         )
     rows = rows[:ticks]
     parameters = np.array(saved["parameters"], dtype=np.float64)
-    excitation = bilateral.played(parameters, x.wall.side, tick_s, ticks)
+    excitation = bilateral.played(parameters, experiment.wall.side, tick_s, ticks)
     # Z = F/V with the external effort F on the handle. Here the rig's motor renders the wall and excites the rig at the
     # same time, so that F is the part of its effort besides the wall's reaction: the excitation, plus the change by the
     # guard's rounding and clipping. F acts later by the hold, the delay and the amplifier's lag.
     effort = excitation + rows["effort_sent"] - rows["effort_wanted"]
-    model = config.rig_model(x)
-    lines = multisine_of(x).lines_hz
+    model = config.rig_model(experiment)
+    lines = multisine_of(experiment).lines_hz
     late = late_ticks(rows["current_sent"], rows["current_applied"])
     return ExcitedRun(
         rate_hz=1.0 / tick_s,
-        period_samples=round(x.excitation.period_s / tick_s),
-        periods=x.excitation.periods,
+        period_samples=round(experiment.excitation.period_s / tick_s),
+        periods=experiment.excitation.periods,
         excitation=excitation[first:],
         effort=_apply_lag(effort[first:], model, 1.0 / tick_s),
         # Samples at the loop's rate underestimate the motion between them, for a free mass at 250 Hz and 1 kHz by 3 %.
         # The ratio depends on the rig only, not on the wall (`seen_at_ticks`), so that it can be corrected.
         position=_correct_for_sampling(rows["position"][first:], model, tick_s, float(lines[-1])),
         lines_hz=lines,
-        effort_delay_s=-(_delay_s(x) + late * tick_s),
+        effort_delay_s=-(_delay_s(experiment) + late * tick_s),
         effort_hold_s=tick_s,
     )
 
@@ -376,13 +377,13 @@ def _apply_lag(effort: Floats, model: RigModel, rate_hz: float) -> Floats:
     return np.fft.irfft(np.fft.rfft(effort) / (1.0 + s * lag_s), len(effort))
 
 
-def _delay_s(x: Experiment) -> float:
-    tick_s = 1.0 / x.controller.position_rate
-    return rig_model(x).delay_ticks(tick_s) * tick_s
+def _delay_s(experiment: Experiment) -> float:
+    tick_s = 1.0 / experiment.controller.position_rate
+    return rig_model(experiment).delay_ticks(tick_s) * tick_s
 
 
-def _explain_trip(x: Experiment, position: float, velocity: float) -> str:
-    limits = x.rig.limits
+def _explain_trip(experiment: Experiment, position: float, velocity: float) -> str:
+    limits = experiment.rig.limits
     if abs(velocity) > limits.speed:
         return f"estimated speed {abs(velocity):.3g} above the limit {limits.speed:g}"
     return f"position {position:.3g} outside the window {limits.position_minimum:g} … {limits.position_maximum:g}"

@@ -128,22 +128,22 @@ def plan_of(
     return Plan(experiment.rig.name, experiment.trial.repeats, _steps(experiment), checks, run)
 
 
-def _drive_wall_checks(x: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
+def _drive_wall_checks(experiment: Experiment, dictionary: Dictionary | None = None) -> list[Check]:
     """Return checks of a wall that a motor drive renders by itself; empty for all other walls.
 
     They check that the device with this `dictionary` (description) renders the wall; None: that it can be planned.
     """
-    if not x.controller.wall_is_elsewhere:
+    if not experiment.controller.wall_is_elsewhere:
         return []
-    wall = wall_elsewhere(x.controller.arithmetic)
-    return wall.planned(x) if dictionary is None else wall.fits(x, dictionary)
+    wall = wall_elsewhere(experiment.controller.arithmetic)
+    return wall.planned(experiment) if dictionary is None else wall.fits(experiment, dictionary)
 
 
-def _tick_checks(x: Experiment, board: str) -> list[Check]:
+def _tick_checks(experiment: Experiment, board: str) -> list[Check]:
     """Warn if the board's processor is too slow for the control law at this rate; empty if this computer runs it."""
-    if x.controller.loop != "device" or x.controller.wall_is_elsewhere:
+    if experiment.controller.loop != "device" or experiment.controller.wall_is_elsewhere:
         return []
-    budget, own = named_budget(board), x.controller
+    budget, own = named_budget(board), experiment.controller
     most, divider = budget.rate_maximum(own.estimator), own.position_rate // own.velocity_rate
     velocity_rate = RATE_STEP * math.floor(most / divider / RATE_STEP)
     rates = {"controller.position_rate": divider * velocity_rate, "controller.velocity_rate": velocity_rate}
@@ -159,9 +159,9 @@ def _tick_checks(x: Experiment, board: str) -> list[Check]:
     ]
 
 
-def _cutoff_checks(x: Experiment) -> list[Check]:
+def _cutoff_checks(experiment: Experiment) -> list[Check]:
     """Return a note if uniform and dual-rate sampling would get different filter cut-offs; else an empty list."""
-    found = describe_cutoffs(default_schemes(x), x)
+    found = describe_cutoffs(default_schemes(experiment), experiment)
     return [] if found is None else [Check(CUTOFFS, Outcome.OK, found)]
 
 
@@ -196,14 +196,14 @@ def link_checks(experiment: Experiment, rate_maximum: int, bytes_per_second: flo
     return checks
 
 
-def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check]:
+def delay_checks(experiment: Experiment, round_trip_s: float | None = None) -> list[Check]:
     """Return a check that states the delay of commands over a link, and the wall's stability checks with this delay.
 
     No check refuses the run: a wall that is unstable with the delay becomes a warning.
 
     Parameters
     ----------
-    x
+    experiment
         Experiment as it would run.
     round_trip_s
         Measured round trip of the link, and of the drive behind a bridge (s). None:
@@ -215,9 +215,10 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
         The round trip is not above 0.
     """
     check_positive({"round_trip": round_trip_s})
-    tick_s = 1.0 / x.controller.position_rate
-    ticks, why = _link_ticks(x, round_trip_s)
-    beside, late_s = x.rig.amplifier.set_point_ticks(tick_s), x.rig.amplifier.set_point_delay_s
+    tick_s = 1.0 / experiment.controller.position_rate
+    ticks, why = _link_ticks(experiment, round_trip_s)
+    amplifier = experiment.rig.amplifier
+    beside, late_s = amplifier.set_point_ticks(tick_s), amplifier.set_point_delay_s
     total = ticks + beside
     text = (
         f"{total} tick{'' if total == 1 else 's'}, {1e6 * total * tick_s:.4g} µs, from a sample to its effort: "
@@ -225,39 +226,39 @@ def delay_checks(x: Experiment, round_trip_s: float | None = None) -> list[Check
     )
     wall = [
         replace(check, outcome=Outcome.WARNING) if check.outcome is Outcome.REFUSED else check
-        for check in late_wall(x, ticks).checks
+        for check in late_wall(experiment, ticks).checks
     ]
     return [Check("delay", Outcome.OK, text), *wall]
 
 
-def _link_ticks(x: Experiment, round_trip_s: float | None) -> tuple[int, str]:
+def _link_ticks(experiment: Experiment, round_trip_s: float | None) -> tuple[int, str]:
     """Return the link's delay of commands (ticks), and a text that names the source of this number."""
-    rate, described = x.controller.position_rate, x.rig.simulation.computation_delay_ticks
-    if x.controller.loop == "device":
+    rate, described = experiment.controller.position_rate, experiment.rig.simulation.computation_delay_ticks
+    if experiment.controller.loop == "device":
         return 0, "the device runs the law"
     if round_trip_s is not None:
         return ticks_late(
-            round_trip_s, rate, x.host.pacing
+            round_trip_s, rate, experiment.host.pacing
         ), f"a round trip of {1e6 * round_trip_s:.4g} µs, as stated"
     if described > 0:
         return described, "rig.simulation.computation_delay_ticks"
     return ticks_late(
-        0.0, rate, x.host.pacing
+        0.0, rate, experiment.host.pacing
     ), "assumed, the smallest possible for a link: `rig doctor` measures it"
 
 
-def _batch_check(x: Experiment, usable: float) -> Check:
+def _batch_check(experiment: Experiment, usable: float) -> Check:
     """Check that the link's capacity `usable` (bytes/s) is enough to report every tick of a law on the device."""
-    needed = device_law.bytes_per_second(x)
+    needed = device_law.bytes_per_second(experiment)
     remedy = "choose a lower `rate`, or a faster link"
-    if x.controller.measured_current:
-        short = replace(x, controller=replace(x.controller, measured_current=False))
+    if experiment.controller.measured_current:
+        short = replace(experiment, controller=replace(experiment.controller, measured_current=False))
         if device_law.bytes_per_second(short) <= usable:
             remedy = f"leave the measured current out (controller.measured_current = false), {remedy}"
     return limited(
         "link capacity",
         needed <= usable,
-        f"{needed / 1e3:.1f} kB/s for every tick at {x.controller.position_rate} Hz, "
+        f"{needed / 1e3:.1f} kB/s for every tick at {experiment.controller.position_rate} Hz, "
         f"the link's capacity is {usable / 1e3:.1f} kB/s",
         remedy,
     )
@@ -348,47 +349,50 @@ def predict_impact(experiment: Experiment) -> PredictedImpact:
     return PredictedImpact(velocity, peak, wall.stiffness * peak)
 
 
-def _hand_travel(x: Experiment, distance: float) -> float:
+def _hand_travel(experiment: Experiment, distance: float) -> float:
     """Return how far a hand would push the handle from its start (rad or m) if the wall at `distance` were missing."""
-    operator = x.operator
+    operator = experiment.operator
     stretch = math.inf
     if operator.hand_stiffness > 0.0:
         stretch = operator.press * (1.0 + operator.press_modulation) / operator.hand_stiffness
-    return distance + (operator.depth + stretch) / x.rig.mechanics.handle_radius
+    return distance + (operator.depth + stretch) / experiment.rig.mechanics.handle_radius
 
 
-def _reach_velocity(x: Experiment, distance: float) -> float:
+def _reach_velocity(experiment: Experiment, distance: float) -> float:
     """Return a modelled hand's velocity at the wall (rad/s or m/s), at `distance` from the start (rad or m).
 
     The position follows a raised cosine over the whole distance that the hand would move without a wall.
     """
-    way = _hand_travel(x, distance)
+    way = _hand_travel(experiment, distance)
     if math.isinf(way):
         return math.inf
     share = distance / way
-    return math.pi * way / x.operator.reach_s * math.sqrt(share * (1.0 - share))
+    return math.pi * way / experiment.operator.reach_s * math.sqrt(share * (1.0 - share))
 
 
-def _push_text(x: Experiment) -> str:
-    motion, o = x.rig.motion, x.operator
-    if x.trial.kind != "human":
-        return f"{x.trial.effort:g} {unit_of('effort', motion)}"
+def _push_text(experiment: Experiment) -> str:
+    motion, o = experiment.rig.motion, experiment.operator
+    if experiment.trial.kind != "human":
+        return f"{experiment.trial.effort:g} {unit_of('effort', motion)}"
     return (
         f"a person's hand with a {o.grip} grip, no motor: it reaches {o.depth * 1e3:g} mm deep in {o.reach_s:g} s "
         f"from {o.begin_s:g} s on, and presses {o.press:g} N"
     )
 
 
-def _steps(x: Experiment) -> tuple[Step, ...]:
-    position, effort, velocity = (unit_of(q, x.rig.motion) for q in ("position", "effort", "velocity"))
-    c, t, h, w = x.controller, x.trial, x.homing, x.wall
+def _steps(experiment: Experiment) -> tuple[Step, ...]:
+    motion = experiment.rig.motion
+    position, effort, velocity = (unit_of(name, motion) for name in ("position", "effort", "velocity"))
+    c, t, h, w = experiment.controller, experiment.trial, experiment.homing, experiment.wall
     scheme = "uniform" if c.position_rate == c.velocity_rate else "dual-rate"
-    wall = f"{w.stiffness:g} {unit_of('stiffness', x.rig.motion)}, {w.damping:g} {unit_of('damping', x.rig.motion)}"
+    wall = f"{w.stiffness:g} {unit_of('stiffness', motion)}, {w.damping:g} {unit_of('damping', motion)}"
+    push = f"{_push_text(experiment)} into a wall of {wall} at {w.position:g} {position}"
+    judged = f"on the last {experiment.verdict.tail_s:g} s of the push; disarm and seal the recording"
     return (
         Step(
             "configure",
             f"{scheme}: position {c.position_rate} Hz, velocity {c.velocity_rate} Hz by {c.estimator}, "
-            f"{where_it_runs(x)}",
+            f"{where_it_runs(experiment)}",
             0.0,
         ),
         Step(
@@ -396,29 +400,30 @@ def _steps(x: Experiment) -> tuple[Step, ...]:
             f"to {t.start:g} {position} at {h.speed:g} {velocity}, at most {h.effort:g} {effort}",
             h.timeout_s,
         ),
-        *_baseline_step(x),
-        Step("push", f"{_push_text(x)} into a wall of {wall} at {w.position:g} {position}", push_s(x)),
+        *_baseline_step(experiment),
+        Step("push", push, push_s(experiment)),
         Step("release", "ramp the effort to zero", t.release_s),
-        Step("judge", f"on the last {x.verdict.tail_s:g} s of the push; disarm and seal the recording", 0.0),
+        Step("judge", judged, 0.0),
     )
 
 
-def _baseline_step(x: Experiment) -> tuple[Step, ...]:
-    trial = x.trial
+def _baseline_step(experiment: Experiment) -> tuple[Step, ...]:
+    trial = experiment.trial
     if trial.baseline_s + trial.foreperiod_s == 0.0:
         return ()
     most = f", and up to {trial.foreperiod_s:g} s more" if trial.foreperiod_s else ""
     return (Step("wait", f"in free space for the cue{most}", trial.baseline_s),)
 
 
-def _watch_checks(x: Experiment) -> list[Check]:
+def _watch_checks(experiment: Experiment) -> list[Check]:
     """Check the push against the limit of energy that ends a run, and state the limit of oscillations."""
-    energy, oscillations = controller.energy_limit(x), controller.oscillation_limit(x)
+    energy, oscillations = controller.energy_limit(experiment), controller.oscillation_limit(experiment)
     checks = []
-    if energy > 0.0 and x.wall.stiffness > 0.0:
-        hit = predict_impact(x)
-        work = abs(motor_push(x)) * (abs(x.wall.position - x.trial.start) + hit.peak_penetration)
-        leak = x.wall.stiffness * x.rig.encoder.resolution**2
+    if energy > 0.0 and experiment.wall.stiffness > 0.0:
+        hit = predict_impact(experiment)
+        way = abs(experiment.wall.position - experiment.trial.start) + hit.peak_penetration
+        work = abs(motor_push(experiment)) * way
+        leak = experiment.wall.stiffness * experiment.rig.encoder.resolution**2
         checks.append(
             limited(
                 "energy",
@@ -429,7 +434,7 @@ def _watch_checks(x: Experiment) -> list[Check]:
             )
         )
     if oscillations > 0:
-        within = f"each within {x.rig.limits.oscillation_s:g} s"
+        within = f"each within {experiment.rig.limits.oscillation_s:g} s"
         checks.append(
             Check(
                 "violence",
@@ -440,12 +445,12 @@ def _watch_checks(x: Experiment) -> list[Check]:
     return checks
 
 
-def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
+def human_limit_checks(experiment: Experiment, *, real: bool = False) -> list[Check]:
     """Check the limits that protect a person: exceeded limits are refused on a `real` rig, else they are warnings."""
-    if x.trial.kind != "human":
+    if experiment.trial.kind != "human":
         return []
-    limits, unit = x.rig.limits, unit_of("effort", x.rig.motion)
-    if exceeded := human_limits_exceeded(x):
+    limits, unit = experiment.rig.limits, unit_of("effort", experiment.rig.motion)
+    if exceeded := human_limits_exceeded(experiment):
         text = f"a person holds the handle, and {', '.join(exceeded)}; a real rig refuses this trial"
         outcome = Outcome.REFUSED if real else Outcome.WARNING
         return [
@@ -471,12 +476,10 @@ def human_limit_checks(x: Experiment, *, real: bool = False) -> list[Check]:
     ]
 
 
-def _saturation_remedy(x: Experiment) -> str:
+def _saturation_remedy(experiment: Experiment) -> str:
     """Return what to do about a hit in which the wall's effort exceeds the effort limit at the deepest point."""
-    if (
-        x.trial.kind == "human"
-        and push_at_rest(x) * (1.0 + x.operator.press_modulation) < x.rig.limits.effort
-    ):
+    most = push_at_rest(experiment) * (1.0 + experiment.operator.press_modulation)
+    if experiment.trial.kind == "human" and most < experiment.rig.limits.effort:
         return (
             "expected briefly at impact; the verdict judges the end of the push; to avoid it push "
             "less or start closer"
@@ -484,10 +487,10 @@ def _saturation_remedy(x: Experiment) -> str:
     return "the hit will saturate; push less or start closer"
 
 
-def _wall_checks(x: Experiment) -> list[Check]:
-    limits, motion, delta = x.rig.limits, x.rig.motion, x.rig.encoder.resolution
+def _wall_checks(experiment: Experiment) -> list[Check]:
+    limits, motion, delta = experiment.rig.limits, experiment.rig.motion, experiment.rig.encoder.resolution
     position, effort, velocity = (unit_of(q, motion) for q in ("position", "effort", "velocity"))
-    if x.wall.stiffness == 0.0:
+    if experiment.wall.stiffness == 0.0:
         return [
             Check(
                 "stiffness",
@@ -496,18 +499,18 @@ def _wall_checks(x: Experiment) -> list[Check]:
                 "set wall.stiffness above 0",
             )
         ]
-    hit = predict_impact(x)
-    end = x.wall.position + x.wall.side * hit.peak_penetration
+    hit = predict_impact(experiment)
+    end = experiment.wall.position + experiment.wall.side * hit.peak_penetration
     inside = limits.position_minimum <= end <= limits.position_maximum
     # The velocity of a hand without stiffness has no upper bound.
-    reading = highest_reading(x, hit.velocity) if math.isfinite(hit.velocity) else math.inf
+    reading = highest_reading(experiment, hit.velocity) if math.isfinite(hit.velocity) else math.inf
     checks = [
         finding(
             "impact velocity",
             reading <= limits.speed,
             f"up to {hit.velocity:.3g} {velocity}, which reads as up to {reading:.3g} {velocity}; "
             f"limit {limits.speed:g}",
-            {**quieter_changes(x), **_slower_changes(x, hit.velocity)},
+            {**quieter_changes(experiment), **_slower_changes(experiment, hit.velocity)},
             "push less or start closer to the wall",
         ),
         finding(
@@ -515,23 +518,23 @@ def _wall_checks(x: Experiment) -> list[Check]:
             inside,
             f"up to {hit.peak_penetration:.3g} {position} ({hit.peak_penetration / delta:.1f} counts), "
             f"window {limits.position_minimum:g} … {limits.position_maximum:g}",
-            _stiffer_changes(x, hit),
+            _stiffer_changes(experiment, hit),
             "raise wall.stiffness, push less, or widen the window",
         ),
         limited(
             "peak effort",
             hit.peak_effort <= limits.effort,
             f"spring up to {hit.peak_effort:.3g} {effort}, limit {limits.effort:g}",
-            _saturation_remedy(x),
+            _saturation_remedy(experiment),
             Outcome.WARNING,
         ),
     ]
-    rest = push_at_rest(x) / x.wall.stiffness
-    enough = rest / delta >= x.trial.minimum_rest_counts
-    if x.trial.kind == "human":
-        checks.append(_let_go_check(x))
-    if share := x.rig.cogging.ripple_crest:
-        low, high = (x.wall.stiffness * (1.0 + way * share) for way in (-1.0, 1.0))
+    rest = push_at_rest(experiment) / experiment.wall.stiffness
+    enough = rest / delta >= experiment.trial.minimum_rest_counts
+    if experiment.trial.kind == "human":
+        checks.append(_let_go_check(experiment))
+    if share := experiment.rig.cogging.ripple_crest:
+        low, high = (experiment.wall.stiffness * (1.0 + way * share) for way in (-1.0, 1.0))
         varies = f"K·(1 ± {share:.2g}) over position, {low:.4g} to {high:.4g} {unit_of('stiffness', motion)}"
         checks.append(Check("ripple", Outcome.OK, f"{varies}, as much of B; not compensated"))
     return [
@@ -539,57 +542,58 @@ def _wall_checks(x: Experiment) -> list[Check]:
         limited(
             "resting penetration",
             enough,
-            f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {x.trial.minimum_rest_counts:g} counts",
+            f"{rest:.3g} {position} ({rest / delta:.2f} counts), least {experiment.trial.minimum_rest_counts:g} counts",
             "push more, or lower wall.stiffness",
         ),
     ]
 
 
-def _slower_changes(x: Experiment, velocity: float) -> dict[str, float]:
+def _slower_changes(experiment: Experiment, velocity: float) -> dict[str, float]:
     """Return by key a push and stiffness with which the handle reaches the wall below the speed limit.
 
     `velocity` is the predicted velocity at the wall (rad/s or m/s). Empty for a person's trial, and if `velocity` is
     low enough.
     """
-    way = abs(x.wall.position - x.trial.start)
-    count = min(highest_reading(x), COUNT_SPEED_SHARE * x.rig.limits.speed)
-    speed = LESS * x.rig.limits.speed - count
-    if x.trial.kind == "human" or velocity <= speed:
+    way = abs(experiment.wall.position - experiment.trial.start)
+    count = min(highest_reading(experiment), COUNT_SPEED_SHARE * experiment.rig.limits.speed)
+    speed = LESS * experiment.rig.limits.speed - count
+    if experiment.trial.kind == "human" or velocity <= speed:
         return {}
-    push = holding_effort(x) + 0.5 * homing.inertia(x) * speed**2 / way
-    rest = x.trial.minimum_rest_counts * x.rig.encoder.resolution
-    rests = push >= rest * x.wall.stiffness
+    push = holding_effort(experiment) + 0.5 * homing.inertia(experiment) * speed**2 / way
+    rest = experiment.trial.minimum_rest_counts * experiment.rig.encoder.resolution
+    rests = push >= rest * experiment.wall.stiffness
     softer = {} if rests else {"wall.stiffness": float(f"{LESS * push / rest:.3g}")}
-    return {"trial.effort": x.wall.side * float(f"{push:.3g}"), **softer}
+    return {"trial.effort": experiment.wall.side * float(f"{push:.3g}"), **softer}
 
 
-def _stiffer_changes(x: Experiment, hit: PredictedImpact) -> dict[str, float]:
+def _stiffer_changes(experiment: Experiment, hit: PredictedImpact) -> dict[str, float]:
     """Return by key the stiffness of a wall that stops the handle within the window; empty for a person's trial."""
-    limits = x.rig.limits
-    end = limits.position_maximum if x.wall.side > 0 else limits.position_minimum
-    room = LESS * abs(end - x.wall.position)
-    if x.trial.kind == "human" or room == 0.0:
+    limits = experiment.rig.limits
+    end = limits.position_maximum if experiment.wall.side > 0 else limits.position_minimum
+    room = LESS * abs(end - experiment.wall.position)
+    if experiment.trial.kind == "human" or room == 0.0:
         return {}
-    stiffness = (2.0 * push_at_rest(x) * room + homing.inertia(x) * hit.velocity**2) / room**2
+    work, kinetic = push_at_rest(experiment) * room, homing.inertia(experiment) * hit.velocity**2
+    stiffness = (2.0 * work + kinetic) / room**2
     return {"wall.stiffness": float(f"{stiffness:.3g}")}
 
 
-def _let_go_check(x: Experiment) -> Check:
+def _let_go_check(experiment: Experiment) -> Check:
     """Check that a pressing hand stays within the window when the wall is switched off at the end of a trial."""
-    limits = x.rig.limits
-    start = x.trial.start
-    end = start + x.wall.side * _hand_travel(x, abs(x.wall.position - start))
+    limits = experiment.rig.limits
+    start = experiment.trial.start
+    end = start + experiment.wall.side * _hand_travel(experiment, abs(experiment.wall.position - start))
     inside = limits.position_minimum <= end <= limits.position_maximum
     return limited(
         "after the wall",
         inside,
-        f"the hand continues to {end:.3g} {unit_of('position', x.rig.motion)}, window "
+        f"the hand continues to {end:.3g} {unit_of('position', experiment.rig.motion)}, window "
         f"{limits.position_minimum:g} … {limits.position_maximum:g}",
         "press less, or choose a stiffer grip",
     )
 
 
-def _heat_check(x: Experiment) -> Check:
-    seconds = x.trial.duration_s * x.trial.repeats
+def _heat_check(experiment: Experiment) -> Check:
+    seconds = experiment.trial.duration_s * experiment.trial.repeats
     remedy = "push less, shorten trial.duration_s, or let the motor cool between repeats"
-    return heat_check(x, push_at_rest(x), seconds, remedy)
+    return heat_check(experiment, push_at_rest(experiment), seconds, remedy)

@@ -89,21 +89,21 @@ def check_positive(named: Mapping[str, float | None]) -> None:
             )
 
 
-def heat_check(x: Experiment, effort: float, seconds: float, remedy: str) -> Check:
+def heat_check(experiment: Experiment, effort: float, seconds: float, remedy: str) -> Check:
     """Check that a cold motor does not overheat if it holds a constant `effort` (N·m or N) for `seconds`."""
-    limits = x.rig.limits
+    limits = experiment.rig.limits
     load = effort / limits.nominal_effort
     budget = load**2 * -math.expm1(-seconds / limits.thermal_time_constant_s)
     text = f"{100 * budget:.2g} % of the winding's budget, at {load:.2g} of the nominal effort"
     return limited("motor heat", budget <= 1.0, text, remedy)
 
 
-def where_it_runs(x: Experiment) -> str:
+def where_it_runs(experiment: Experiment) -> str:
     """Return a text on where the control law runs; if on the device, also its arithmetic and its data rate."""
-    if x.controller.loop == "host":
+    if experiment.controller.loop == "host":
         return "the law on this computer"
-    arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(x.controller)]
+    arithmetic = ARITHMETIC_WORDS[device_law.arithmetic_of(experiment.controller)]
     return (
-        f"the law on the device in {arithmetic}, which sends every tick, {device_law.batch_samples(x)} to a frame "
-        f"({device_law.bytes_per_second(x) / 1e3:.1f} kB/s)"
+        f"the law on the device in {arithmetic}, which sends every tick, {device_law.batch_samples(experiment)} to a "
+        f"frame ({device_law.bytes_per_second(experiment) / 1e3:.1f} kB/s)"
     )

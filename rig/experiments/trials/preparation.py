@@ -45,7 +45,7 @@ def prepared_on(
     )
 
 
-def position_zero(device: FramedDevice, x: Experiment) -> int:
+def position_zero(device: FramedDevice, experiment: Experiment) -> int:
     """Return the encoder count at position zero of an open device.
 
     Without an index the result is the present count, because the handle must be at position zero now; 0 for a simulated
@@ -58,7 +58,7 @@ def position_zero(device: FramedDevice, x: Experiment) -> int:
         The experiment uses an index, and the device has not found the index since the device started.
     """
     simulated = device.dictionary.simulated
-    if not x.rig.reference.index:
+    if not experiment.rig.reference.index:
         return 0 if simulated else device.count()
     if device.reference_count is None:
         held = device.reference()
