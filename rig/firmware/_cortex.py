@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -228,25 +228,35 @@ def _extra(word: int, taken: int) -> int:
     return 0
 
 
-# 32-bit instructions: masks and values of both halves, cycles above one, True to add the cost of a jump.
-_WIDE = (
-    (0xF800, 0xF000, 0xD000, 0xD000, 2, False),  # call
-    (0xF800, 0xF000, 0xD000, 0x9000, 0, True),  # jump
-    (0xFFF0, 0xE8D0, 0xFFE0, 0xF000, 2, True),  # jump by table
-    (0xFE40, 0xE840, 0x0000, 0x0000, 2, False),  # two words
-    (0xFE00, 0xF800, 0x0000, 0x0000, 1, False),  # load and store
-    (0xFFD0, 0xFB90, 0x0000, 0x0000, 7, False),  # division
-    (0xFF20, 0xED00, 0x0000, 0x0000, 1, False),  # load and store of a float
-    (0xFFB0, 0xEE80, 0x0000, 0x0000, 13, False),  # its division
-    (0xFFBF, 0xEEB1, 0x00C0, 0x00C0, 13, False),  # its root
+class _WideInstruction(NamedTuple):
+    """A kind of 32-bit instruction: masks and values of its two halves, cycles above one, and whether it jumps."""
+
+    mask: int
+    value: int
+    second_mask: int
+    second_value: int
+    cycles: int
+    jumps: bool
+
+
+_WIDE_INSTRUCTIONS = (
+    _WideInstruction(0xF800, 0xF000, 0xD000, 0xD000, 2, False),  # call
+    _WideInstruction(0xF800, 0xF000, 0xD000, 0x9000, 0, True),  # jump
+    _WideInstruction(0xFFF0, 0xE8D0, 0xFFE0, 0xF000, 2, True),  # jump by table
+    _WideInstruction(0xFE40, 0xE840, 0x0000, 0x0000, 2, False),  # two words
+    _WideInstruction(0xFE00, 0xF800, 0x0000, 0x0000, 1, False),  # load and store
+    _WideInstruction(0xFFD0, 0xFB90, 0x0000, 0x0000, 7, False),  # division
+    _WideInstruction(0xFF20, 0xED00, 0x0000, 0x0000, 1, False),  # load and store of a float
+    _WideInstruction(0xFFB0, 0xEE80, 0x0000, 0x0000, 13, False),  # its division
+    _WideInstruction(0xFFBF, 0xEEB1, 0x00C0, 0x00C0, 13, False),  # its root
 )
 
 
 def _extra_wide(first: int, second: int, taken: int) -> int:
-    """Return the cycles above 1 of a 32-bit instruction; `taken` is the cost of a jump."""
+    """Return the cycles above 1 of a 32-bit instruction from its two halves; a jump costs `taken` cycles more."""
     if first & 0xFE40 == 0xE800:
         return second.bit_count()  # several words
-    for mask, value, mask_2, value_2, cycles, jumps in _WIDE:
-        if first & mask == value and second & mask_2 == value_2:
-            return cycles + (taken if jumps else 0)
+    for kind in _WIDE_INSTRUCTIONS:
+        if first & kind.mask == kind.value and second & kind.second_mask == kind.second_value:
+            return kind.cycles + (taken if kind.jumps else 0)
     return second & 0xFF if first & 0xFE00 == 0xEC00 else 0  # several floats

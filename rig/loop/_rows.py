@@ -113,15 +113,7 @@ def show_law(rows: Any, slot: int, memory: Any) -> None:
     r["flags"] = m["flags"]
 
 
-@kernel(
-    types.void(
-        CONTROLLER_TYPE,
-        SHARED_TYPE,
-        SETTINGS_TYPE,
-        BUFFERS_TYPE,
-        *[types.int64] * 5,
-    )
-)
+@kernel(types.void(CONTROLLER_TYPE, SHARED_TYPE, SETTINGS_TYPE, BUFFERS_TYPE, *[types.int64] * 5))
 def leave_row(
     controller: ControllerArguments,
     shared: SharedRing,

@@ -195,9 +195,9 @@ def _run_law(
     supervised: SupervisionBuffers,
     to_the_end: bool,
 ) -> int:
-    """Run the law on queued samples and write their rows; return an `EndReason`, `_CONTINUE` or `_ABANDONED`.
+    """Run the law on queued samples and write their rows; return an `EndReason`, or 0 to continue.
 
-    `_ABANDONED`: the waiting thread has given up. With `to_the_end`, samples do not wait for a reply about a new wall.
+    Return -1 if the waiting thread has given up. With `to_the_end`, samples do not wait for the reply about a new wall.
     """
     # While the reply about a new wall is awaited, samples wait as long as there is room: the reply names the sample
     # from which the new wall counts.

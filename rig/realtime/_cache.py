@@ -37,13 +37,7 @@ def cache_key(sources: Mapping[str, bytes]) -> str:
     # caller's old machine code would remain in use, which for a control law is silently wrong.
     digest = hashlib.sha256()
     cpu = getattr(numba.config, "CPU_NAME", None) or get_host_cpu_name()
-    for fact in (
-        numba.__version__,
-        numpy.__version__,
-        platform.python_version(),
-        platform.machine(),
-        cpu,
-    ):
+    for fact in (numba.__version__, numpy.__version__, platform.python_version(), platform.machine(), cpu):
         digest.update(fact.encode() + b"\0")
     for name, text in sources.items():
         digest.update(name.encode() + b"\0" + hashlib.sha256(text).digest())

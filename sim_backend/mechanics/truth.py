@@ -39,7 +39,7 @@ class TruthLog:
         return self._indices, self._states, self._size
 
     def written(self, size: int) -> None:
-        """Set the number of rows in the log to `size`, after other code has written into the buffers of `room`."""
+        """Set the number of rows to `size`, after other code has written into the buffers that `room` returned."""
         self._size = size
 
     def table(self) -> NDArray[np.void]:
