@@ -1,4 +1,4 @@
-"""Attack everything that a stranger can reach, from a seed, for minutes or hours.
+"""Attack every interface that untrusted input can reach, with cases drawn from a seed, for minutes or hours.
 
     python -m tests.attack                                   a minute of each area
     python -m tests.attack --minutes 480 --seed 7            a night
@@ -38,7 +38,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Worker:
-    """The process of an area; one that died is started again with the next case."""
+    """The process that runs the cases of one area; a worker that died is replaced, and the next case follows."""
 
     def __init__(self, area: str, seed: int) -> None:
         self._place = tempfile.TemporaryDirectory(prefix=f"attack-{area}-", ignore_cleanup_errors=True)
@@ -63,7 +63,7 @@ class Worker:
         self._read(READY_S)
 
     def run(self, case: int) -> dict[str, Any]:
-        """Run a case; a process that dies or hangs is a failure of it."""
+        """Run a case and return its result; report a process that dies or hangs as a failure of this case."""
         try:
             print(case, file=self._process.stdin, flush=True)
             return self._read(CASE_S)
@@ -85,7 +85,7 @@ class Worker:
         return self._stderr.read().decode("utf-8", "replace")
 
     def close(self) -> None:
-        """End it, and all that it started."""
+        """End the process and everything that it started."""
         self._context.__exit__(None, None, None)
         self._stderr.close()
         self._place.cleanup()
@@ -93,7 +93,7 @@ class Worker:
 
 @contextmanager
 def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
-    """Start a worker, in a list in which a new one may replace it."""
+    """Start a worker; yield it in a list, in which the caller may replace it by a new one."""
     workers = [Worker(area, seed)]
     try:
         yield workers
@@ -102,7 +102,7 @@ def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
 
 
 def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float, most_bytes: float) -> None:
-    """Run cases of an area until the time is over, enough bytes have gone in, or there are no more."""
+    """Run cases of an area until the time is over, enough bytes were sent, or no case remains."""
     with worker_of(area, seed) as workers:
         begun = printed = time.monotonic()
         for case in cases:
@@ -121,7 +121,7 @@ def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: floa
 
 
 def main() -> int:
-    """Read the command line, attack, report."""
+    """Parse the command line, run the attack, print the report and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.attack", description=(__doc__ or "").partition("\n")[0]
     )

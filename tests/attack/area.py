@@ -1,4 +1,4 @@
-"""What an area of the attack is: numbered cases, each of which follows from the seed, the area and its number alone."""
+"""The interface of an attack area: numbered cases, each determined by the seed, the area's name and its number."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ NAMESPACES = (
 
 
 class Finding(AssertionError):  # noqa: N818  (a test calls it so)
-    """An invariant that does not hold."""
+    """Raised by a case: an invariant does not hold."""
 
 
 def require(holds: object, *what: object) -> None:
-    """Raise `Finding` unless something holds; an assertion may be switched off, this may not."""
+    """Raise `Finding` unless a condition holds; unlike `assert`, it also works under `python -O`."""
     if not holds:
         raise Finding(" ".join(map(str, what)))
 
 
 @dataclass
 class Outcome:
-    """One case that found nothing new.
+    """The result of one case without a new finding.
 
     Attributes
     ----------
@@ -54,24 +54,24 @@ class Outcome:
 
 
 class Area(Protocol):
-    """One file of this directory."""
+    """An attack area: the class that a module of this directory provides."""
 
     def __init__(self, place: Path) -> None:
-        """Prepare in an empty directory of its own."""
+        """Prepare the area in an empty directory that no other area uses."""
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """Run one case; whatever it raises is a finding."""
+        """Run one case; every exception that it raises is a finding."""
         ...
 
 
 def chance_of(seed: int, area: str, case: int) -> random.Random:
-    """Return what a case draws from."""
+    """Return the random generator of a case."""
     return random.Random(f"{seed}/{area}/{case}")
 
 
 @cache
 def isolation() -> tuple[str, ...]:
-    """Command that gives a program processes and mounts of its own; empty where this user may not.
+    """Return the command prefix that gives a program its own process and mount namespaces; empty if not permitted.
 
     In them a `rig stop` finds no other loop, a full disk belongs to it alone, and all dies with the first.
     """
@@ -87,7 +87,7 @@ def isolation() -> tuple[str, ...]:
 
 @contextmanager
 def mounted(place: Path, options: str) -> Iterator[bool]:
-    """Mount a file system in memory at a place; yields False where this is not permitted."""
+    """Mount a tmpfs at a place; yield False where this is not permitted."""
     place.mkdir(parents=True, exist_ok=True)
     command = ["mount", "-t", "tmpfs", "-o", options, "attack", str(place)]
     permitted = (

@@ -1,4 +1,4 @@
-"""Command lines in forks of one process that has imported everything: in a directory, under limits, until an end.
+"""Run command lines in forks of one process that has imported everything, each in a directory and with a time limit.
 
 A fork costs milliseconds where a new interpreter costs seconds. The forked process is the leader of a group, which dies
 with it.
@@ -26,7 +26,7 @@ _CODES = re.compile(r"Exit codes: (.*?)\n\n", re.DOTALL)
 
 
 def documented() -> frozenset[int]:
-    """Exit codes that the documents explain."""
+    """Return the exit codes that the documentation explains."""
     found = _CODES.search((ROOT / "rig" / "docs" / "reference" / "exit-codes.md").read_text())
     assert found is not None
     return frozenset(int(code) for code in re.findall(r"(?:^|;\s+)(\d+)\s", found[1]))
@@ -43,14 +43,14 @@ class Ended:
     seconds: float
 
     def check(self, allowed: frozenset[int]) -> None:
-        """An end that a person can do something with."""
+        """Require a documented exit code, and an output without a traceback."""
         require(self.code in allowed, "exit code", self.code, self.err[-1500:])
         for word in ("Traceback (most recent", "internal error", "Exception ignored in"):
             require(word not in self.err and word not in self.out, word, (self.out + self.err)[-1500:])
 
 
 def main_of(arguments: Sequence[str]) -> int:
-    """Run a command line as `rig` does; its exit code."""
+    """Run a command line as `rig` does and return its exit code."""
     from rig.__main__ import main  # noqa: PLC0415  (after the fork of the process that has imported it)
 
     sys.argv = ["rig", *arguments]
@@ -62,7 +62,7 @@ def main_of(arguments: Sequence[str]) -> int:
 
 
 def preload() -> None:
-    """Import what commands need, so that a fork has it."""
+    """Import all modules that commands need, so that each fork inherits them."""
     import rig.cli  # noqa: F401, PLC0415
     from rig.cli.completion_table import made  # noqa: PLC0415
 
@@ -70,7 +70,7 @@ def preload() -> None:
 
 
 def forked(work: Callable[[], int], directory: Path, environment: Mapping[str, str] | None = None) -> int:
-    """Start `work` in a process of its own group, in a directory; its number."""
+    """Start `work` in a forked process with its own process group, in a directory; return its process number."""
     child = os.fork()
     if child:
         with suppress(OSError):
@@ -105,7 +105,7 @@ def forked(work: Callable[[], int], directory: Path, environment: Mapping[str, s
 
 
 def waited(child: int, directory: Path, patience_s: float) -> Ended:
-    """Wait for the end of what `forked` started; Ctrl-C when it takes too long, and a kill when that does not help."""
+    """Wait for the end of a forked process; after `patience_s` send Ctrl-C, then SIGKILL."""
     begun = time.monotonic()
     interrupted = 0.0
     while True:
@@ -130,12 +130,12 @@ def waited(child: int, directory: Path, patience_s: float) -> Ended:
 
 
 def read_output(directory: Path, name: str) -> str:
-    """What a command has written to its output."""
+    """Return what a command has written to its standard output ("out") or standard error ("err")."""
     path = directory.parent / f"{directory.name}.{name}"
     return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 
 def run(arguments: Sequence[str], directory: Path, patience_s: float = 60.0, **environment: str) -> Ended:
-    """Run a command line to its end."""
+    """Run a command line in a fork and return how it ended."""
     child = forked(lambda: main_of(arguments), directory, environment)
     return waited(child, directory, patience_s)

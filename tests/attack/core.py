@@ -1,4 +1,4 @@
-"""The firmware's core in C under the sanitizers, as a process of its own: `tests/firmware/fuzz.c` from many seeds."""
+"""Fuzz the firmware's C core under the sanitizers: `tests/firmware/fuzz.c` as its own process, with many seeds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CASE_S = 120.0
 
 
 class Core:
-    """One run of the fuzzer is one case; its seed is drawn."""
+    """The area "core": each case is one run of the fuzzer with a drawn seed."""
 
     def __init__(self, place: Path) -> None:
         self._program: Path | None = None
@@ -26,7 +26,7 @@ class Core:
             self._program = build.kept_c("fuzz", [source, *build.SOURCES], flags)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """Run it for `STEPS` steps."""
+        """Run the fuzzer for `STEPS` steps."""
         if self._program is None:
             return Outcome(skipped=Counter({"core: no gcc": 1}))
         seed = chance.getrandbits(32)

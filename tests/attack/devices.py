@@ -1,4 +1,4 @@
-"""The device twice (readable, and the firmware in C) under the same bytes, most of the time armed.
+"""Send the same bytes to the Python device and to the C firmware, most of the time armed.
 
 Both say the same, byte for byte, and none gives a current that it must not give.
 """
@@ -44,7 +44,7 @@ _ARM, _DISARM = LAYOUT_OF[m.Arm].type_id, LAYOUT_OF[m.Disarm].type_id
 
 
 class Watched(Pair):
-    """Two devices whose every step is watched."""
+    """The Python device and the C firmware, checked against the safety invariants after every step."""
 
     def __init__(self, library: ctypes.CDLL, chance: random.Random) -> None:
         self.figures: Counter[str] = Counter()
@@ -65,7 +65,7 @@ class Watched(Pair):
     def both(self, call: Callable[[Any], bytes | None]) -> None:
         super().both(call)
         self.figures["bytes_sent"] += len(self.sent)
-        self._look()
+        self._check_invariants()
 
     def tick(self, ticks: int = 1) -> None:
         for _ in range(ticks):
@@ -73,8 +73,8 @@ class Watched(Pair):
             self.figures["ticks_armed"] += self.lively
             super().tick()
 
-    def _look(self) -> None:
-        """What must hold after any step, by the state that both agree on."""
+    def _check_invariants(self) -> None:
+        """Check the invariants of current, arming and faults that must hold after any step."""
         status = self.c.core.status
         state, fault = self.c.state, self.c.fault
         currents = (self.python.current, status.current)
@@ -85,14 +85,14 @@ class Watched(Pair):
         else:
             require(currents == (0, 0) and not status.enabled, "currents", currents, "in", state.name)
         if lively and (not self.lively or self.c.session != self.reported_session):
-            require(self._armed_by_right(), "armed by", self.incoming.hex())
+            require(self._has_valid_arm(), "armed by", self.incoming.hex())
         if self.latched and not fault and state is not State.BOOT:
-            require(self._cleared(), "a fault that left by", self.incoming.hex())
+            require(self._has_clear_fault(), "a fault that left by", self.incoming.hex())
         require(bool(fault) == (state is State.FAULT), fault, "in", state.name)
         self.lively, self.latched, self.reported_session = lively, fault, self.c.session
 
-    def _armed_by_right(self) -> bool:
-        """Whether there was an ARM with this session, and both sums of the device."""
+    def _has_valid_arm(self) -> bool:
+        """Return True if an ARM with this session and the device's dictionary hash and parameter CRC arrived."""
         right = self.python._configuration
         for raw in raw_frames(self.incoming):
             if raw[1] == _ARM and raw[3] == self.c.session != 0:
@@ -102,12 +102,12 @@ class Watched(Pair):
                     return True
         return False
 
-    def _cleared(self) -> bool:
+    def _has_clear_fault(self) -> bool:
         flag = int(DisarmFlag.CLEAR_FAULT)
         return any(raw[1] == _DISARM and raw[8] & flag for raw in raw_frames(self.incoming))
 
-    def calm(self, chance: random.Random) -> None:
-        """Do what a person does before a new run, and begin one."""
+    def restart(self, chance: random.Random) -> None:
+        """Release the emergency stop, clear the fault and begin a session, as an operator does before a new run."""
         for hardware in self.hardware:
             hardware.external_effort = hardware.jump = hardware.spike = 0
         self.both(lambda device: device.press_emergency_stop(False))
@@ -121,9 +121,9 @@ class Watched(Pair):
         self.begin(self.last_session, **values, position_rate=chance.choice(RATES))
 
     def run_on(self, chance: random.Random) -> None:
-        """Begin a session unless there is one, mostly, and let the device run for some ticks."""
+        """Begin a session if one is missing (mostly), and let the device run for some ticks."""
         if not self.lively and chance.random() < _REARMED:
-            self.calm(chance)
+            self.restart(chance)
         current, lifetime_us = chance.choice((0, 5, -20, 60)), chance.choice((3_000, 20_000))
         for _ in range(chance.randrange(TICKS_ON)):
             if not self.lively:
@@ -132,7 +132,7 @@ class Watched(Pair):
             self.tick()
 
     def volley(self, chance: random.Random) -> None:
-        """Many frames in one piece: commands of the session, and all that a host can say, mangled."""
+        """Write many mangled frames at once: commands of the session, and any other message of a host."""
         data = b""
         session = self.python.connection.session
         for _ in range(chance.randrange(1, FRAMES)):
@@ -153,8 +153,8 @@ class Watched(Pair):
             data += mangled(chance, frame)
         self.write(data)
 
-    def fall_silent(self) -> None:
-        """Say nothing for longer than any lifetime and ramp; then nothing moves and nothing is armed."""
+    def check_silence(self) -> None:
+        """Send nothing for longer than any lifetime and ramp; then the device must be disarmed."""
         values = self.python._configuration.values
         longest_s = 1e-6 * (
             max(values["command_lifetime_us"], values["supervise_lifetime_us"]) + values["ramp_us"]
@@ -168,15 +168,15 @@ class Watched(Pair):
 
 
 class Devices:
-    """Walks of two devices."""
+    """The area "devices": each case is one random walk of both devices."""
 
     def __init__(self, place: Path) -> None:
         self._library = firmware_library.library()
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """One walk of `STEPS` steps of host, person and accident, with volleys of frames between them."""
+        """Run `STEPS` random steps of the host, the operator and the hardware, with volleys of frames between them."""
         watched = Watched(self._library, chance)
-        watched.calm(chance)
+        watched.restart(chance)
         for _ in range(STEPS):
             watched.run_on(chance)
             random_step(chance).act(watched)
@@ -184,6 +184,6 @@ class Devices:
                 watched.volley(chance)
         watched.write(b"\0")
         watched.ask_everything()
-        watched.fall_silent()
+        watched.check_silence()
         watched.ask_everything()
         return Outcome(watched.figures)

@@ -1,4 +1,4 @@
-"""Commands where the machine gives less than they expect: rights, descriptors, disk, home, output, time.
+"""Run commands where the machine lacks something they expect: rights, descriptors, disk, home, output or time.
 
 Each case is one command as a program of its own in one environment. It succeeds, or it ends with an exit code that is
 documented and a sentence; what it recorded until then is not damaged.
@@ -59,7 +59,7 @@ main()
 
 @dataclass
 class Start:
-    """How a command is started."""
+    """The process settings of a command: variables, limits, streams, user and closed descriptors."""
 
     environment: dict[str, str] = field(default_factory=dict)
     without: tuple[str, ...] = ()  # variables
@@ -70,7 +70,7 @@ class Start:
     program: tuple[str, ...] = ("-m", "rig")
 
     def begin(self) -> None:
-        """In the child, before the program."""
+        """Apply the settings in the child process, before the program starts."""
         for descriptor in self.closed:
             os.close(descriptor)
         if self.unprivileged:
@@ -83,11 +83,11 @@ class Start:
 
 
 class Skip(Exception):  # noqa: N818  (it is no error)
-    """This machine does not permit it."""
+    """Raised where this machine does not permit an environment."""
 
 
 class Environment:
-    """Cases are drawn from environments and commands."""
+    """The area "environment": each case is one command in one environment."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
@@ -103,7 +103,7 @@ class Environment:
         os.chmod(place, 0o755)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """One command in one environment."""
+        """Run one drawn command in the environment of this case and check its end and its recordings."""
         name = list(KINDS)[case % len(KINDS)]
         command = chance.choice(list(COMMANDS))
         here = self._place / "here"
@@ -149,7 +149,7 @@ class Environment:
             require(word not in output, what, "prints", output[-1500:])
 
     def _check_recordings(self, here: Path) -> None:
-        """What was sealed reads, whatever came later."""
+        """Require that every sealed recording is readable, whatever happened later."""
         from rig.recording.reader import open_recording  # noqa: PLC0415
 
         for path in here.rglob("*.parquet"):
@@ -157,7 +157,7 @@ class Environment:
                 require(len(open_recording(path)) > 0, path, "is empty")
 
     def cache_of_another_user(self) -> str:
-        """Compiled kernels that belong to another user, so that nothing has to be compiled."""
+        """Return a cache of compiled kernels that belongs to another user, so that nothing must be compiled."""
         if os.getuid() != 0 or "--user" in isolation():
             raise Skip("needs root")
         if not _runs_without_privileges():
@@ -182,7 +182,7 @@ def _runs_without_privileges() -> bool:
 
 
 def _others(place: str, names: list[str]) -> list[str]:
-    """What is not of this version of the sources."""
+    """Return the names of cache directories that belong to other versions of the sources."""
     return [name for name in names if Path(place) == cache_root() and name != CACHE_DIRECTORY.name]
 
 
@@ -191,7 +191,7 @@ KINDS: dict[str, Kind] = {}
 
 
 def kind(name: str) -> Callable[[Callable[..., Iterator[Start]]], None]:
-    """Enter an environment into the table."""
+    """Register an environment in `KINDS` under a name."""
 
     def enter(make: Callable[..., Iterator[Start]]) -> None:
         KINDS[name] = contextmanager(make)

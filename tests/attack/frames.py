@@ -1,4 +1,4 @@
-"""Frames from the tables of the protocol, changed at the level of fields, frames and bytes; most have a right CRC."""
+"""Frames from the tables of the protocol, changed at the level of fields, frames and bytes; most have a valid CRC."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def any_message(chance: random.Random, classes: Sequence[type[Message]]) -> Mess
 
 
 def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR, flags: int = 0) -> bytes:
-    """Frame of a message."""
+    """Return the encoded frame of a message."""
     layout = LAYOUT_OF[type(message)]
     return encode_frame(HEADER.pack(major, layout.type_id, flags, session, sequence) + layout.pack(message))
 
 
 def reshaped(chance: random.Random, frame: bytes) -> bytes:
-    """Return a frame of this content with another type, length or major, and a CRC that is right again."""
+    """Return a frame of this content with another type, length or major version, and a valid CRC."""
     raw = bytearray(_unstuffed(frame))
     for _ in range(chance.randrange(1, 3)):
         kind = chance.randrange(5)
@@ -70,7 +70,7 @@ def reshaped(chance: random.Random, frame: bytes) -> bytes:
 
 
 def damaged(chance: random.Random, frame: bytes) -> bytes:
-    """Return a frame whose bytes were changed, lost or added on the way."""
+    """Return a frame of which some bytes were changed, lost or added in transfer."""
     broken = bytearray(frame)
     for _ in range(chance.randrange(1, 4)):
         at = chance.randrange(len(broken)) if broken else 0
@@ -87,7 +87,7 @@ def damaged(chance: random.Random, frame: bytes) -> bytes:
 
 
 def mangled(chance: random.Random, frame: bytes) -> bytes:
-    """Return what a bad line or a bad sender makes of a frame; mostly the frame itself."""
+    """Return the frame as a faulty line or sender would deliver it; mostly unchanged."""
     kind = chance.random()
     if kind < _SHARE_OF_NOISE:
         return chance.randbytes(chance.randrange(300))
@@ -99,7 +99,7 @@ def mangled(chance: random.Random, frame: bytes) -> bytes:
 
 
 def _unstuffed(frame: bytes) -> bytes:
-    """Header and payload of a frame that `encode_frame` made."""
+    """Return header and payload of a frame that `encode_frame` encoded."""
     raw, at = bytearray(frame[:-1]), 0
     while at < len(raw):
         code = raw[at]

@@ -1,4 +1,4 @@
-"""kill -9 at any moment: what was begun recovers or begins again, and ends as it would have without the kill.
+"""Kill commands with SIGKILL at any moment: they must recover or restart, and end as they would have without the kill.
 
 A command in virtual time runs in a fork, under a seed, and is killed after a time that is drawn up to a little more
 than it takes. What it does at that time depends on the machine too: a case may have to be repeated. Sessions are killed
@@ -53,7 +53,7 @@ VOLATILE = {
 
 
 class Kills:
-    """A case is one kill of a command, or `SESSION_KILLS` of a session."""
+    """The area "kills": each case is one kill of a command, or `SESSION_KILLS` kills of a session."""
 
     def __init__(self, place: Path) -> None:
         preload()
@@ -61,7 +61,7 @@ class Kills:
         self._whole: dict[str, tuple[Ended, Path]] = {}
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """Kill, recover, and do it again."""
+        """Kill a command, recover what it left, and run it again."""
         name = KINDS[case % len(KINDS)]
         shared = set(os.listdir("/dev/shm"))
         here = self._place / "here"
@@ -79,8 +79,8 @@ class Kills:
         require(not left, "left in /dev/shm:", left)
         return outcome
 
-    def _of(self, name: str) -> tuple[Ended, Path]:
-        """Result of a command that is not killed, and where."""
+    def _reference_run(self, name: str) -> tuple[Ended, Path]:
+        """Return the result and the directory of a reference run of a command that is not killed."""
         if name not in self._whole:
             directory = self._place / f"whole-{name}"
             directory.mkdir()
@@ -93,7 +93,7 @@ class Kills:
         return self._whole[name]
 
     def _command(self, name: str, here: Path, chance: random.Random) -> Outcome:
-        whole, directory = self._of(name)
+        whole, directory = self._reference_run(name)
         mark = uuid.uuid4().hex
         child = forked(lambda: main_of(COMMANDS[name]), here, {MARK: mark})
         time.sleep(chance.uniform(0.0, 1.1) * whole.seconds)
@@ -110,7 +110,7 @@ class Kills:
         return Outcome(Counter({"kills": int(killed), f"kills of {name}": int(killed), "runs": 1}))
 
     def _check_recovery(self, here: Path, whole: Path) -> None:
-        """All captures can be sealed, and have the first rows of those that were not killed.
+        """Require that each capture can be sealed, with the same first rows as in the reference run.
 
         One in whose header the kill came is named: nothing had moved. One that was sealed and not yet removed goes.
         """
@@ -129,8 +129,8 @@ class Kills:
         require(recovered.code == 0, "recover:", recovered.code, recovered.out, recovered.err)
         left = [path for path in here.rglob("*") if path.suffix == ".rigcap" or path.name.endswith(".draft")]
         require(not left, "left after recovering:", left, recovered.out)
-        of_whole = _named(whole)
-        for which, path in _named(here).items():
+        of_whole = _recordings_by_number(whole)
+        for which, path in _recordings_by_number(here).items():
             require(which in of_whole, path, "is of no trial")
             rows, full = open_recording(path).rows, open_recording(of_whole[which]).rows
             other = [
@@ -141,7 +141,7 @@ class Kills:
             require(not other, path, "differs from", of_whole[which], "in", other)
 
     def _realtime(self, here: Path, chance: random.Random) -> Outcome:
-        """A loop, a device process and a picture's process: the host dies, all go."""
+        """Kill the host of a real-time run; its loop, device process and plot process must end too."""
         mark = uuid.uuid4().hex
         child = forked(lambda: main_of(REALTIME), here, {MARK: mark})
         time.sleep(chance.uniform(0.2, 6.0))
@@ -190,7 +190,7 @@ class Kills:
 
 
 def _has_no_header(capture: Path) -> bool:
-    """Whether the kill came while the header was written: nothing had moved then."""
+    """Return True if the kill came while the header was written; the handle had not moved by then."""
     from rig.core.errors import RecordingError  # noqa: PLC0415
     from rig.recording.reader import open_recording  # noqa: PLC0415
 
@@ -202,7 +202,7 @@ def _has_no_header(capture: Path) -> bool:
 
 
 def facts(out: str) -> Any:
-    """What a command says for machines, without places and times."""
+    """Return the JSON output of a command without paths and times."""
     return _still(json.loads(out))
 
 
@@ -214,8 +214,8 @@ def _still(value: Any) -> Any:
     return NAMES.sub("", value) if isinstance(value, str) else value
 
 
-def _named(place: Path) -> dict[tuple[str, int], Path]:
-    """Recordings by what they are of and their number; between the two stands a time of day."""
+def _recordings_by_number(place: Path) -> dict[tuple[str, int], Path]:
+    """Return the recordings by condition and number; the file name has a time of day between the two."""
     found = {}
     for path in place.rglob("*.parquet"):
         stem, _, number = path.stem.rpartition("-")

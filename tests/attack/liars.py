@@ -1,9 +1,8 @@
-"""A device that lies: of currents, clock, index, count, limits, faults, identity, and of anything in any answer.
+"""A device that sends false values: currents, clock, index, count, limits, faults, identity, or any field of a reply.
 
-It obeys like an honest one and says something else, in frames with a right CRC; or the link lies, which delivers as new
-what it has held back. Whatever it says, the run ends with no
-effort and, unless it went well, a reason; and what contradicts itself is never called a stable wall. `KNOWN` has the
-lies that a host cannot see, each with its reason: they are counted apart.
+It obeys commands like a correct device, with valid CRCs; or the link delivers old frames as new ones. Every run must
+end without effort and, unless it went well, with a reason; contradicting values must never be judged a stable wall.
+`KNOWN` lists the false values that a host cannot detect, each with its reason; they are counted separately.
 """
 
 from __future__ import annotations
@@ -51,14 +50,14 @@ TICKS = 450  # about what a run takes
 ANSWERS_MOST = 20_000  # of one run: a host that asks for ever is a finding
 U16, U32, I16 = 0xFFFF, 0xFFFFFFFF, 0x7FFF
 
-Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, in how many it has lied, chance
+Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, number of lies so far, chance
 
 
-def _wrapped(value: int, bits: int) -> int:
+def _wrap(value: int, bits: int) -> int:
     return (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1)
 
 
-def _frozen(name: str) -> Lie:
+def _freeze(name: str) -> Lie:
     kept: dict[int, int] = {}
 
     def lie(state: m.State, lies: int, chance: random.Random) -> m.State:
@@ -69,52 +68,52 @@ def _frozen(name: str) -> Lie:
     return lie
 
 
-def _changed(name: str, change: Callable[[int, int], int]) -> Callable[[], Lie]:
-    """Lie by a function of the true value and of how many lies there were."""
+def _lie_by(name: str, change: Callable[[int, int], int]) -> Callable[[], Lie]:
+    """Return a lie that computes the sent value from the true value and the number of lies so far."""
     return lambda: lambda state, lies, chance: replace(state, **{name: change(getattr(state, name), lies)})
 
 
 # Name → what makes a lie. Each contradicts something else that the host receives, or that it has sent.
 CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
-    "measured current: none": _changed("current_measured", lambda true, lies: 0),
-    "measured current: opposite": _changed("current_measured", lambda true, lies: max(-I16, -true)),
-    "measured current: threefold": _changed(
+    "measured current: none": _lie_by("current_measured", lambda true, lies: 0),
+    "measured current: opposite": _lie_by("current_measured", lambda true, lies: max(-I16, -true)),
+    "measured current: threefold": _lie_by(
         "current_measured", lambda true, lies: max(-I16, min(I16, 3 * true))
     ),
-    "measured current: frozen": lambda: _frozen("current_measured"),
-    "active current: none": _changed("current_commanded", lambda true, lies: 0),
-    "active current: opposite": _changed("current_commanded", lambda true, lies: max(-I16, -true)),
-    "active current: half": _changed("current_commanded", lambda true, lies: true // 2),
-    "device time: a second ahead": _changed("device_time", lambda true, lies: (true + 16_000_000) & U32),
-    "device time: a second back": _changed("device_time", lambda true, lies: (true - 16_000_000) & U32),
-    "device time: frozen": lambda: _frozen("device_time"),
-    "device time: twice as fast": _changed("device_time", lambda true, lies: (true + lies * 16_000) & U32),
-    "sample index: a thousand ahead": _changed("sample_index", lambda true, lies: (true + 1_000) & U32),
-    "sample index: two billion ahead": _changed(
+    "measured current: frozen": lambda: _freeze("current_measured"),
+    "active current: none": _lie_by("current_commanded", lambda true, lies: 0),
+    "active current: opposite": _lie_by("current_commanded", lambda true, lies: max(-I16, -true)),
+    "active current: half": _lie_by("current_commanded", lambda true, lies: true // 2),
+    "device time: a second ahead": _lie_by("device_time", lambda true, lies: (true + 16_000_000) & U32),
+    "device time: a second back": _lie_by("device_time", lambda true, lies: (true - 16_000_000) & U32),
+    "device time: frozen": lambda: _freeze("device_time"),
+    "device time: twice as fast": _lie_by("device_time", lambda true, lies: (true + lies * 16_000) & U32),
+    "sample index: a thousand ahead": _lie_by("sample_index", lambda true, lies: (true + 1_000) & U32),
+    "sample index: two billion ahead": _lie_by(
         "sample_index", lambda true, lies: (true + 2_000_000_000) & U32
     ),
-    "sample index: a thousand back": _changed("sample_index", lambda true, lies: (true - 1_000) & U32),
-    "sample index: frozen": lambda: _frozen("sample_index"),
-    "sample index: every second": _changed("sample_index", lambda true, lies: (2 * true) & U32),
-    "count: jumps far": _changed("count", lambda true, lies: _wrapped(true + 1_000_000, 32)),
-    "count: jumps to the end": _changed("count", lambda true, lies: -(1 << 31)),
-    "count: shakes": _changed("count", lambda true, lies: _wrapped(true + (40 if lies % 2 else -40), 32)),
-    "count: frozen": lambda: _frozen("count"),
-    "edge time: ahead of the sample": _changed("edge_time", lambda true, lies: (true + 160_000_000) & U32),
-    "limits: all": _changed("limits", lambda true, lies: U16),
-    "limits: ramping": _changed("limits", lambda true, lies: int(LimitFlag.RAMPING)),
-    "fault: an unknown one": _changed("fault", lambda true, lies: 37),
-    "fault: over-speed, but it runs": _changed("fault", lambda true, lies: 2),
-    "state: fault without a fault": _changed("state", lambda true, lies: int(State.FAULT)),
-    "state: not armed": _changed("state", lambda true, lies: int(State.CONFIGURED)),
-    "state: boot": _changed("state", lambda true, lies: int(State.BOOT)),
-    "state: one that does not exist": _changed("state", lambda true, lies: 200),
-    "inputs: emergency stop, but it runs": _changed(
+    "sample index: a thousand back": _lie_by("sample_index", lambda true, lies: (true - 1_000) & U32),
+    "sample index: frozen": lambda: _freeze("sample_index"),
+    "sample index: every second": _lie_by("sample_index", lambda true, lies: (2 * true) & U32),
+    "count: jumps far": _lie_by("count", lambda true, lies: _wrap(true + 1_000_000, 32)),
+    "count: jumps to the end": _lie_by("count", lambda true, lies: -(1 << 31)),
+    "count: shakes": _lie_by("count", lambda true, lies: _wrap(true + (40 if lies % 2 else -40), 32)),
+    "count: frozen": lambda: _freeze("count"),
+    "edge time: ahead of the sample": _lie_by("edge_time", lambda true, lies: (true + 160_000_000) & U32),
+    "limits: all": _lie_by("limits", lambda true, lies: U16),
+    "limits: ramping": _lie_by("limits", lambda true, lies: int(LimitFlag.RAMPING)),
+    "fault: an unknown one": _lie_by("fault", lambda true, lies: 37),
+    "fault: over-speed, but it runs": _lie_by("fault", lambda true, lies: 2),
+    "state: fault without a fault": _lie_by("state", lambda true, lies: int(State.FAULT)),
+    "state: not armed": _lie_by("state", lambda true, lies: int(State.CONFIGURED)),
+    "state: boot": _lie_by("state", lambda true, lies: int(State.BOOT)),
+    "state: one that does not exist": _lie_by("state", lambda true, lies: 200),
+    "inputs: emergency stop, but it runs": _lie_by(
         "inputs", lambda true, lies: true | int(Input.EMERGENCY_STOP)
     ),
-    "command: none yet": _changed("command_age", lambda true, lies: U16),
-    "command: another sequence": _changed("command_sequence", lambda true, lies: (true + 30_000) & U16),
-    "missed ticks: many": _changed("missed_ticks", lambda true, lies: U16),
+    "command: none yet": _lie_by("command_age", lambda true, lies: U16),
+    "command: another sequence": _lie_by("command_sequence", lambda true, lies: (true + 30_000) & U16),
+    "missed ticks: many": _lie_by("missed_ticks", lambda true, lies: U16),
 }
 KNOWN = {"count: frozen": "a hand that holds still looks like that on two single-ended channels"}
 
@@ -140,12 +139,12 @@ IDENTITIES: tuple[dict[str, Any], ...] = (
 
 
 class EndlessError(Exception):
-    """A host that asks for ever."""
+    """Raised when a host sends requests without end."""
 
 
 @dataclass
 class Script:
-    """What a liar does: lies in its STATEs from one on, or one field of some answers."""
+    """Which values a `Liar` falsifies: its STATEs from one sample on, or one field of some replies."""
 
     after: int  # STATEs of the session, before it begins
     lie: Lie | None = None
@@ -157,11 +156,11 @@ class Script:
     session: int = 0  # added to that of each frame
     sequence: int = 0
     late: tuple[FrameFault, ...] = ()  # what the link holds back
-    looks: bool = True  # at the age of a command
+    checks_age: bool = True  # the device rejects old commands
 
 
 class Liar(SimulatedDevice):
-    """An honest device but for what it says."""
+    """A simulated device that behaves correctly but sends false values."""
 
     def __init__(self, script: Script, chance: random.Random) -> None:
         super().__init__(MODEL, initial_position=START)
@@ -174,8 +173,8 @@ class Liar(SimulatedDevice):
             self._lies = 1
 
     @property
-    def lied(self) -> int:
-        """Lies so far."""
+    def lie_count(self) -> int:
+        """The number of false messages sent so far."""
         return self._lies
 
     def tick(self) -> bytes:
@@ -186,7 +185,7 @@ class Liar(SimulatedDevice):
         script = self._script
         if self._seen <= script.after or self._lies >= script.lasts:
             return sent
-        return self._frames(sent, self._lied)
+        return self._frames(sent, self._apply_lie)
 
     def receive(self, data: bytes, *, received_at: int | None = None) -> bytes:
         sent = super().receive(data, received_at=received_at)
@@ -196,7 +195,7 @@ class Liar(SimulatedDevice):
         return self._frames(sent, self._handle_answer) if sent and self._script.answer else sent
 
     def _command(self, command: m.Command, sequence: int) -> None:
-        if not self._script.looks:
+        if not self._script.checks_age:
             newest = (self.connection.sequence_to_send(m.State) - 1) & U16
             command = replace(command, state_sequence=newest)
         super()._command(command, sequence)
@@ -211,7 +210,7 @@ class Liar(SimulatedDevice):
         session, sequence = (session + script.session) & 0xFF, (sequence + script.sequence) & U16
         return encode_frame(HEADER.pack(major, type_id, flags, session, sequence) + layout.pack(message))
 
-    def _lied(self, message: Message) -> Message:
+    def _apply_lie(self, message: Message) -> Message:
         if not isinstance(message, m.State) or self._script.lie is None:
             return message
         changed = self._script.lie(message, self._lies, self._chance)
@@ -223,10 +222,10 @@ class Liar(SimulatedDevice):
         if type(message) is not script.answer or self._chance.random() > script.share:
             return message
         self._lies += 1
-        return replace(message, **{script.field: _other(message, script.field, self._chance)})  # type: ignore[type-var]
+        return replace(message, **{script.field: _false_value(message, script.field, self._chance)})  # type: ignore[type-var]
 
 
-def _other(message: Message, name: str, chance: random.Random) -> Any:
+def _false_value(message: Message, name: str, chance: random.Random) -> Any:
     ctype = wire_fields(type(message))[name].ctype
     if ctype != "bytes":
         return any_value(chance, ctype)
@@ -245,28 +244,28 @@ ANSWERS = [
 
 
 class Liars:
-    """A case is one hit on one liar: the contradictions one after the other, and lies that are drawn."""
+    """The area "liars": each case is one hit on one `Liar`; contradictions and drawn lies alternate."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
         self._numbers = 0
-        kind, reasons, _ = self._hit(Script(after=1 << 30), random.Random(0))
+        kind, reasons, _ = self._run_hit(Script(after=1 << 30), random.Random(0))
         require(kind == Verdict.STABLE, "an honest device: ", kind, reasons)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """One lie."""
-        name, script = self._drawn(case, chance)
-        kind, reasons, lied = self._hit(script, chance)
-        figures = Counter({"runs": 1, "lies": lied, f"ended: {kind}": 1})
+        """Run a hit on one `Liar` and check its verdict."""
+        name, script = self._draw_case(case, chance)
+        kind, reasons, lie_count = self._run_hit(script, chance)
+        figures = Counter({"runs": 1, "lies": lie_count, f"ended: {kind}": 1})
         require(kind == Verdict.STABLE or reasons, name, "ended without a reason:", kind)
-        if name in CONTRADICTIONS and kind == Verdict.STABLE and lied > 0:
+        if name in CONTRADICTIONS and kind == Verdict.STABLE and lie_count > 0:
             if name in KNOWN:
                 return Outcome(figures, Counter({f"{name}: {KNOWN[name]}": 1}))
             require(False, name, f"after {script.after} STATEs: a stable wall")
         require(kind != Verdict.STABLE or not script.late, name, "a stable wall")
         return Outcome(figures)
 
-    def _drawn(self, case: int, chance: random.Random) -> tuple[str, Script]:
+    def _draw_case(self, case: int, chance: random.Random) -> tuple[str, Script]:
         after = chance.randrange(TICKS)
         if case % 2 == 0:
             name = list(CONTRADICTIONS)[case // 2 % len(CONTRADICTIONS)]
@@ -276,7 +275,7 @@ class Liars:
             chosen = chance.sample(state_fields, chance.randrange(1, 4))
 
             def anything(state: m.State, lies: int, chance: random.Random) -> m.State:
-                return replace(state, **{name: _other(state, name, chance) for name in chosen})
+                return replace(state, **{name: _false_value(state, name, chance) for name in chosen})
 
             return f"STATE {chosen}", Script(
                 after=after, lie=anything, lasts=chance.choice((1, 2, 10, 1 << 30))
@@ -289,27 +288,26 @@ class Liars:
             honest: Lie = lambda state, lies, chance: state  # noqa: E731
             return "header", Script(after=after, lie=honest, session=session, sequence=sequence)
         if chance.random() < 0.2:
-            return self._delayed(chance)
+            return self._draw_delayed_link(chance)
         cls, field = chance.choice(ANSWERS)
         return f"{cls.__name__}.{field}", Script(
             after, answer=cls, field=field, share=chance.choice((1.0, 0.3, 0.05))
         )
 
-    def _delayed(self, chance: random.Random) -> tuple[str, Script]:
-        """A link that delivers one frame each tick, from some in mid-run on each as late as the others."""
-        ticks, looks = chance.randrange(LIFETIME + 1, LONGEST + 1), chance.random() < 0.5
+    def _draw_delayed_link(self, chance: random.Random) -> tuple[str, Script]:
+        """Draw a link that delivers one frame per tick and, from mid-run on, each of them late by the same time."""
+        ticks, checks_age = chance.randrange(LIFETIME + 1, LONGEST + 1), chance.random() < 0.5
         direction, first = chance.choice(tuple(Direction)), chance.randrange(TICKS // 3, TICKS // 2)
         late = tuple(
             FrameFault(kind=FaultKind.DELAY, direction=direction, frame=frame, ticks=ticks)
             for frame in range(first, 2 * TICKS)
         )
-        name = (
-            f"link: {direction.value} {ticks} ticks late, the device {'looks' if looks else 'does not look'}"
-        )
-        return name, Script(after=1 << 30, late=late, looks=looks)
+        check = "checks" if checks_age else "ignores"
+        name = f"link: {direction.value} {ticks} ticks late, the device {check} the age"
+        return name, Script(after=1 << 30, late=late, checks_age=checks_age)
 
-    def _hit(self, script: Script, chance: random.Random) -> tuple[str, tuple[str, ...], int]:
-        """How a hit ends on a liar: verdict or error, reasons, lies; always without effort."""
+    def _run_hit(self, script: Script, chance: random.Random) -> tuple[str, tuple[str, ...], int]:
+        """Run a hit on a `Liar` and require zero effort; return verdict or error, reasons, number of lies."""
         self._numbers += 1
         framed._dictionaries.clear()
         liar = Liar(script, chance)
@@ -328,4 +326,4 @@ class Liars:
         require(liar.current == 0, "still", liar.current, "quanta after", kind, reasons)
         link.elapse(IDLE_LIFETIME_S)
         require(liar.connection.state not in (State.ARMED, State.RUNNING), "still armed after", kind, reasons)
-        return kind, reasons, liar.lied
+        return kind, reasons, liar.lie_count

@@ -1,4 +1,4 @@
-"""Any value for any option of any command: an exit code that is documented, no traceback, nothing left elsewhere.
+"""Pass any value to any option of any command: documented exit code, no traceback, no file left elsewhere.
 
 The commands are click's own list. Values are garbage, empty, huge, negative, no numbers, wrong files, directories.
 """
@@ -47,7 +47,7 @@ FILES = (
 
 
 class Options:
-    """Each case is one command line."""
+    """The area "options": each case is one command line."""
 
     def __init__(self, place: Path) -> None:
         preload()
@@ -63,7 +63,7 @@ class Options:
         _write_files(self._model)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """One command with some of its options, most of them wrong."""
+        """Run one command with some of its options, most of them with a wrong value."""
         directory = self._place / "here"
         shutil.copytree(self._model, directory, symlinks=True)
         (directory / "locked").chmod(0)
@@ -124,7 +124,7 @@ class Options:
 
 
 def _value(parameter: click.Parameter, chance: random.Random) -> str:
-    """A value that has a chance to be read: numbers for numbers, files for files, and anything else."""
+    """Draw a value that may be accepted (a number for a number, a file for a file), or any other."""
     kind: Any = parameter.type
     if isinstance(kind, click.Choice) and chance.random() < 0.5:
         return str(chance.choice(list(kind.choices)))
@@ -136,7 +136,7 @@ def _value(parameter: click.Parameter, chance: random.Random) -> str:
 
 
 def _write_files(place: Path) -> None:
-    """Files that are not what they are called."""
+    """Write the files that options name: valid, damaged and mislabelled ones."""
     made = run(["hit", "--no-plot", "--duration", "0.5", "-o", "made"], place, 600.0)
     require(made.code == 0, "no recording to begin with:", made.err)
     (recording,) = (place / "made").glob("*.parquet")

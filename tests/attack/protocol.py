@@ -1,4 +1,4 @@
-"""Both roles of the protocol over a line that lies, and the compiled codec beside the readable one."""
+"""Run host and device of the protocol over a faulty line, and compare the compiled codec with the Python one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _DECODERS: dict[type[Message], Callable[..., int]] = {
 
 
 class Talk(Pair):
-    """A host and a device that converse over a line that mangles both ways."""
+    """A host and a device connected by a line that mangles frames in both directions."""
 
     def __init__(self, chance: random.Random) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class Talk(Pair):
         self.sent_to_host = bytearray()
 
     def over_the_line(self, frames: bytes, sent: bytearray) -> bytes:
-        """What comes out at the other end; strangers speak between the frames."""
+        """Return what arrives at the other end; messages of strangers are inserted between the frames."""
         chance, out = self.chance, b""
         for piece in frames.split(b"\0")[:-1]:
             out += mangled(chance, piece + b"\0") if piece else b"\0"
@@ -63,7 +63,7 @@ class Talk(Pair):
         return out
 
     def step(self) -> None:
-        """Say one thing of the host, answer, and unasked things of the device."""
+        """Send one message of the host, the device's replies, and messages that the device sends unrequested."""
         host, device, chance = self.host, self.device, self.chance
         frame = b""
         likely = host.state >= State.ARMED and chance.random() < SHARE_OF_COMMANDS
@@ -82,7 +82,7 @@ class Talk(Pair):
         self.deliver(self.over_the_line(answers, self.sent_to_host))
 
     def answers_of(self, frame: bytes) -> bytes:
-        """Return what the device answers to a damaged frame; it may move only by what arrived."""
+        """Return the device's reply to a damaged frame, and require that only a received ARM arms it."""
         before = self.device.state
         came = self.over_the_line(frame, self.sent)
         status = Status.OK if self.chance.random() < 0.9 else Status.OUT_OF_RANGE
@@ -96,7 +96,7 @@ class Talk(Pair):
         return answers
 
     def deliver(self, data: bytes) -> None:
-        """Let the host hear it: events, or the peer's blame."""
+        """Deliver bytes to the host and read all its events."""
         host = self.host
         host.receive_data(data)
         while True:
@@ -109,7 +109,7 @@ class Talk(Pair):
             require(isinstance(event, Received), "a host is asked nothing:", event)
 
     def check_bounds(self) -> None:
-        """Memory is bounded whatever came."""
+        """Require that the queues of both ends are bounded, whatever arrived."""
         for end in (self.host, self.device):
             _check_bounds(end)
 
@@ -120,7 +120,7 @@ def _check_bounds(end: Connection) -> None:
 
 
 def raw_frames(data: bytes | bytearray) -> list[bytes]:
-    """Header and payload of the frames in these bytes that have a right CRC."""
+    """Return header and payload of each frame with a valid CRC in these bytes."""
     found = []
     for piece in bytes(data).split(b"\0"):
         with suppress(FrameError):
@@ -134,7 +134,7 @@ def _armed_by(data: bytes | bytearray, session: int) -> bool:
 
 
 class Protocol:
-    """Conversations over a bad line; their bytes are decoded once more by both codecs."""
+    """The area "protocol": each case is one conversation; both codecs decode its bytes once more."""
 
     def __init__(self, place: Path) -> None:
         self._raw = np.zeros(codec.RAW_BYTES, np.uint8)
@@ -143,7 +143,7 @@ class Protocol:
         self._samples = np.zeros((codec.MOST_SAMPLES, len(codec.SAMPLE)), np.int64)
 
     def attack(self, case: int, chance: random.Random) -> Outcome:
-        """One conversation of `STEPS` steps."""
+        """Run one conversation of `STEPS` steps."""
         talk, armed = Talk(chance), 0
         talk.bring_to(chance.choice(list(State)))
         for _ in range(STEPS):
@@ -158,7 +158,7 @@ class Protocol:
         return Outcome(figures)
 
     def _compare(self, encoded: bytes) -> None:
-        """The compiled codec reads what the readable one reads."""
+        """Require that the compiled codec decodes a frame as the Python codec does."""
         buffer = np.frombuffer(encoded, np.uint8).copy()
         length = codec.decode_frame(buffer, 0, len(buffer), self._raw)
         try:
@@ -199,7 +199,7 @@ class Protocol:
 
 
 def _expected(cls: type[Message], raw: bytes) -> Any:
-    """The message, or the code of the compiled decoders for its refusal."""
+    """Return the decoded message, or the error code that the compiled decoder must return."""
     if raw[0] != MAJOR:
         return codec.FOREIGN_MAJOR
     if raw[1] != LAYOUT_OF[cls].type_id:

@@ -1,4 +1,4 @@
-"""What an attack found, area by area, for people and for machines."""
+"""The report of an attack: sums and failures of each area, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SHOWN = 2000  # characters of a failure
 
 @dataclass
 class AreaReport:
-    """Sums of one area, and each failure with what repeats it."""
+    """The sums of one area, and each failure with the command that repeats it."""
 
     tries: int = 0
     seconds: float = 0.0
@@ -21,7 +21,7 @@ class AreaReport:
     failures: dict[int, str] = field(default_factory=dict)  # case → what
 
     def add(self, answer: dict[str, Any]) -> None:
-        """Take the answer to a case."""
+        """Add the result of a case."""
         self.tries += 1
         for kind in ("figures", "known", "skipped"):
             getattr(self, kind).update(answer.get(kind, {}))
@@ -29,7 +29,7 @@ class AreaReport:
             self.failures[answer["case"]] = answer["failure"]
 
     def shares(self) -> dict[str, float]:
-        """What is worth a quotient."""
+        """Return the ratios of the figures: the share of time armed, and bytes per second."""
         found = {}
         for unit in ("ticks", "steps"):
             if self.figures[unit] and f"{unit}_armed" in self.figures:
@@ -39,14 +39,14 @@ class AreaReport:
         return found
 
     def as_mapping(self) -> dict[str, Any]:
-        """As plain data."""
+        """Return the report as plain data for JSON."""
         named = {
             one.name: getattr(self, one.name) for one in fields(self)
         }  # asdict() breaks a Counter's names
         return {**named, "shares": self.shares()}
 
     def lines(self, name: str, seed: int) -> list[str]:
-        """For a person."""
+        """Return the report as lines of text."""
         sums = ", ".join(
             f"{value:,} {what.replace('_', ' ')}" for what, value in sorted(self.figures.items())
         )

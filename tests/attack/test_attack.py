@@ -1,4 +1,4 @@
-"""A little of the attack in every run of the tests, from one seed, in virtual time; `python -m tests.attack` has more.
+"""Run a few cases of each attack area from one seed, in virtual time; `python -m tests.attack` runs more.
 
 The core is fuzzed by `tests/firmware/test_core_fuzz.py`; kills and environments take longer than a test may.
 """

@@ -1,4 +1,4 @@
-"""One area in a process of its own: reads the number of a case, runs it, answers in one line of JSON.
+"""Run one attack area in its own process: read the number of a case, run it, reply with one line of JSON.
 
     python -m tests.attack.worker AREA SEED DIRECTORY
 
@@ -31,14 +31,14 @@ AREAS = {
 
 
 def area_of(name: str, place: Path) -> Area:
-    """Make an area in a directory."""
+    """Return a new area that works in a directory."""
     module, _, attribute = AREAS[name].partition(":")
     made: Area = getattr(importlib.import_module(module), attribute)(place)
     return made
 
 
 def answer(area: Area, name: str, seed: int, case: int) -> dict[str, object]:
-    """Run a case; what it found, as plain data."""
+    """Run a case and return its result as plain data."""
     try:
         outcome = area.attack(case, chance_of(seed, name, case))
     except Exception as error:
@@ -48,7 +48,7 @@ def answer(area: Area, name: str, seed: int, case: int) -> dict[str, object]:
 
 
 def main() -> None:
-    """Serve cases: their numbers come on standard input."""
+    """Run the cases whose numbers arrive on standard input."""
     die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the one that reports
     name, seed = sys.argv[1], int(sys.argv[2])

@@ -1,4 +1,4 @@
-"""What a console costs a loop, and how long STOP takes through it: nothing that a loop would notice, and a blink.
+"""Measure how much a console delays a real-time loop, and how long STOP takes through it.
 
     python -m tests.benchmarks.console                       10 pairs of hits each: a device at 10 kHz, a host at 4
     python -m tests.benchmarks.console --minutes 30          as many pairs as half an hour has room for
@@ -51,7 +51,7 @@ CONCLUSIONS = {
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=10)
     parser.add_argument("--minutes", type=float, help="in place of --pairs, for both loops together")
@@ -60,7 +60,7 @@ def arguments() -> argparse.Namespace:
 
 
 def look(line: Any, place: str, pid: int) -> None:
-    """Serve a console and its pages in a process of their own, on request; return the rows unseen."""
+    """Serve a console and its pages in a separate process, on request; return the rows that it missed."""
     from tests.conformance.console import served  # noqa: PLC0415
 
     async def once() -> None:
@@ -84,7 +84,7 @@ def look(line: Any, place: str, pid: int) -> None:
 
 @contextmanager
 def pages_beside(line: Any, found: dict[str, Any]) -> Iterator[None]:
-    """With a console and its pages; afterwards `found` has what they saw."""
+    """Run a console and its pages meanwhile; afterwards `found` contains what they received."""
     line.send("look")
     line.recv()
     yield
@@ -93,7 +93,7 @@ def pages_beside(line: Any, found: dict[str, Any]) -> Iterator[None]:
 
 
 def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float]:
-    """One hit in real time: what it lost, and how late its ticks were (µs, 99.9th percentile)."""
+    """Run one hit in real time; return its losses and the lateness of its ticks (µs, 99.9th percentile)."""
     from rig.config import presets  # noqa: PLC0415
     from rig.experiments.hits.admission import admit  # noqa: PLC0415
     from rig.experiments.hits.hit import HitRequest  # noqa: PLC0415
@@ -111,7 +111,7 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
 def pair(
     changes: dict[str, Any], seconds: float, place: Path, line: Any, *, console_first: bool
 ) -> dict[str, Any]:
-    """One hit without a console, one with."""
+    """Run one hit with a console and one without."""
     results: dict[str, Any] = {}
     for beside in (console_first, not console_first):
         with pages_beside(line, results) if beside else nullcontext():
@@ -120,7 +120,7 @@ def pair(
 
 
 def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
-    """So many pairs, or as many as there is time for."""
+    """Run the requested number of pairs, or as many as the time permits."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=look, args=(there, str(place), os.getpid()), daemon=True)
@@ -136,14 +136,14 @@ def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) 
 
 
 def of_median(values: list[float]) -> tuple[float, float]:
-    """Interval of a median: values drawn anew, 95 %."""
+    """Return the 95 % bootstrap interval of a median."""
     drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values)))
     low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
     return float(low), float(high)
 
 
 def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
-    """What some pairs show."""
+    """Summarise the pairs: losses, lateness, and the effect that this number of pairs can detect."""
     without = [one["without"]["late_us"] for one in pairs]
     differences = [one["with"]["late_us"] - one["without"]["late_us"] for one in pairs]
     low, high = of_median(differences)
@@ -166,7 +166,7 @@ def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 async def stops(place: Path) -> list[float]:
-    """Times from the word of a page to the stop word of a loop that leaves 10,000 rows a second (ms)."""
+    """Return the times from a page's STOP to the stop word of a loop with 10,000 rows a second (ms)."""
     from rig.realtime import control_words  # noqa: PLC0415
     from tests.conformance.console import served  # noqa: PLC0415
     from tests.conformance.lsl_loop import HandTurnedLoop  # noqa: PLC0415
@@ -189,7 +189,7 @@ async def stops(place: Path) -> list[float]:
 
 
 def main() -> int:
-    """Measure, and tell."""
+    """Run the measurement and print it."""
     options = arguments()
     results: dict[str, Any] = {"pages": PAGES, "load": os.getloadavg()[0]}
     with tempfile.TemporaryDirectory() as directory:

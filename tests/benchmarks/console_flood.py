@@ -1,4 +1,4 @@
-"""How long STOP takes through a console while another process without a token floods it.
+"""Measure how long STOP takes through a console while a process without a token floods it with connections.
 
     python -m tests.benchmarks.console_flood [--seconds 5] [--rate 3000]
 
@@ -47,7 +47,7 @@ LOADS = {  # what a connection sends at once, and what it sends ever after
 
 
 def serve(line: Any, place: str) -> None:
-    """Serve a console until the line says so, with the collector of garbage set as `rig console` does."""
+    """Serve a console until the pipe requests its end, with the garbage collector set as `rig console` does."""
     from rig.core import program  # noqa: PLC0415
     from tests.conformance.console import served  # noqa: PLC0415
 
@@ -67,7 +67,7 @@ def serve(line: Any, place: str) -> None:
 
 
 def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: float, line: Any) -> None:
-    """Open connections at a rate, at normal priority, and have each send; reset the oldest of `KEPT`."""
+    """Open connections at a rate and normal priority, and send the load on each; reset the oldest of `KEPT`."""
     os.nice(-os.nice(0))
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     upgrades, first, ever = load
@@ -102,7 +102,7 @@ def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: f
 
 
 async def stops(address: str, token: str, seconds: float, begin: Callable[[], None]) -> list[float]:
-    """Times from STOP to its reply (ms), of a page that was there before the flood begins."""
+    """Return the times from STOP to its reply (ms), for a page that was connected before the flood."""
     from tests.conformance.console import Served  # noqa: PLC0415
 
     took = []
@@ -120,7 +120,7 @@ async def stops(address: str, token: str, seconds: float, begin: Callable[[], No
 
 
 def measured(load: Any, options: argparse.Namespace, place: str) -> dict[str, float]:
-    """STOP under one load, of a console of its own."""
+    """Measure STOP under one load, with a new console."""
     ours, theirs = multiprocessing.Pipe()
     console = multiprocessing.Process(target=serve, args=(theirs, place), daemon=True)
     console.start()
@@ -146,7 +146,7 @@ def measured(load: Any, options: argparse.Namespace, place: str) -> dict[str, fl
 
 
 def main() -> int:
-    """Measure, and tell."""
+    """Run the measurement and print it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=5.0, help="of each load")
     parser.add_argument("--rate", type=float, default=3000.0, help="connections a second")

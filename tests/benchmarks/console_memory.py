@@ -1,4 +1,4 @@
-"""Ten hours of a console that stays open, in minutes: the memory of its server and of a page in a browser.
+"""Measure the memory of a console's server and of its page in a browser over ten simulated hours.
 
     python -m tests.benchmarks.console_memory                        ten hours at 1 kHz in twelve minutes
     python -m tests.benchmarks.console_memory --hours 2 --minutes 2
@@ -70,7 +70,7 @@ UNCHAINED = ("--disable-frame-rate-limit", "--disable-gpu-vsync")
 
 @dataclass(frozen=True)
 class Look:
-    """Memory at a time of the simulated day (MB; nodes are counted)."""
+    """The memory at one time of the simulated day (MB), and the number of nodes of the page."""
 
     hours: float
     server: float
@@ -79,7 +79,7 @@ class Look:
 
 
 class Day:
-    """Runs of a loop, one after the other, so many times as fast as they would be."""
+    """Consecutive runs of a simulated loop, faster than real time by a factor."""
 
     def __init__(self, speed: float, hand: SharedHand, rate_hz: int = RATE_HZ, run_s: float = RUN_S) -> None:
         self._rate_hz, self._speed, self._hand, self._run_s = rate_hz, speed, hand, run_s
@@ -97,7 +97,7 @@ class Day:
         self._began = time.monotonic()
 
     def continue_run(self) -> None:
-        """Leave the rows that are due."""
+        """Write the rows that are due."""
         due = int((time.monotonic() - self._began) * self._speed * self._rate_hz)
         while self.done < due:
             if self.ring is None or self._left >= self._run_s * self._rate_hz:
@@ -109,7 +109,7 @@ class Day:
             self.done += count
 
     def begin(self) -> Ring:
-        """Begin another run."""
+        """Begin a new run and return its ring."""
         self.close()
         preset = {"name": "koul-compliant", "motion": "rotary", "limits": {"effort": 1.0, "speed": 10.0}}
         wall = {"stiffness": 60.0 + self.runs % 7, "damping": 0.2, "position": 0.0, "side": 1}
@@ -141,7 +141,7 @@ class Day:
 
 
 class Visits:
-    """A user who visits the page's views, where something has come each time."""
+    """A simulated user who opens the views of the page, after new files were added."""
 
     def __init__(self, page: Any, place: Path) -> None:
         self._page, self._recordings, self._maps = page, place / "recordings", place / "maps"
@@ -153,7 +153,7 @@ class Visits:
             self._make()
 
     def _make(self) -> None:
-        """Leave one more recording and map, and take the oldest away, the first ones apart."""
+        """Add one recording and one map, and delete the oldest; the first of each is never deleted."""
         self.made += 1
         for place, name, ending in ((self._recordings, "hit", ".parquet"), (self._maps, "map", "")):
             old = place / f"{name}-{max(1, self.made - KEPT)}{ending}"
@@ -163,7 +163,7 @@ class Visits:
             copy(place / f"{name}-0{ending}", place / f"{name}-{self.made}{ending}")
 
     async def go_through(self) -> None:
-        """All views, and back to the scope."""
+        """Open all views, then return to the scope."""
         page = self._page
         self._make()
         await self._show("Recordings")
@@ -188,7 +188,7 @@ class Visits:
 
 @contextmanager
 def served(place: Path, faster: int = FASTER) -> Iterator[tuple[int, str, Path]]:
-    """A console in a process of its own, which looks so much more often: its number, URL, and hand."""
+    """Serve a console in a separate process with a faster polling rate; yield its process number, URL and hand."""
     temporary = place / "tmp"
     temporary.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(temporary)}
@@ -206,7 +206,7 @@ def served(place: Path, faster: int = FASTER) -> Iterator[tuple[int, str, Path]]
 
 
 def resident_mb(pid: int) -> float:
-    """Of a process and its children."""
+    """Return the resident memory of a process and its children (MB)."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     status = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     return int(status["VmRSS"].split()[0]) / 1024 + sum(resident_mb(int(child)) for child in children)
@@ -214,7 +214,7 @@ def resident_mb(pid: int) -> float:
 
 @asynccontextmanager
 async def opened(url: str, *arguments: str) -> AsyncIterator[Any]:
-    """The page of a console in a browser."""
+    """Open the page of a console in a browser."""
     from playwright.async_api import async_playwright  # noqa: PLC0415
 
     async with async_playwright() as playwright:
@@ -230,7 +230,7 @@ async def opened(url: str, *arguments: str) -> AsyncIterator[Any]:
 
 
 async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], dict[str, int]]:
-    """Let the day pass, and look at the memory."""
+    """Simulate the day and measure the memory regularly."""
     looks: list[Look] = []
     speed = 60.0 * options.hours / options.minutes
     with served(place) as (pid, url, hand):
@@ -260,7 +260,7 @@ async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], d
 
 
 async def look(glass: Any, pid: int, hours: float) -> Look:
-    """Read both, after the page has collected its garbage."""
+    """Measure the memory of server and page, after the page has collected its garbage."""
     await glass.send("HeapProfiler.collectGarbage")
     heap = await glass.send("Runtime.getHeapUsage")
     counted = await glass.send("Memory.getDOMCounters")
@@ -269,7 +269,7 @@ async def look(glass: Any, pid: int, hours: float) -> Look:
 
 
 def main() -> int:
-    """Measure, and tell."""
+    """Run the measurement and print it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--hours", type=float, default=10.0)
     parser.add_argument("--minutes", type=float, default=12.0)

@@ -1,4 +1,4 @@
-"""From a row in the ring to pixels, and from STOP's key to the stop word, through a page in a real browser.
+"""Measure in a real browser the delay from a row in the ring to its pixels, and from the STOP key to the stop word.
 
     python -m tests.benchmarks.console_page                    half a minute at 20 kHz, 40 stops
     python -m tests.benchmarks.console_page --seconds 120
@@ -55,7 +55,7 @@ addEventListener("keydown", press, true);
 
 
 async def turn(day: Any, seconds: float) -> None:
-    """Leave rows for so long."""
+    """Write the rows of a simulated loop for some seconds."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         day.continue_run()
@@ -63,7 +63,7 @@ async def turn(day: Any, seconds: float) -> None:
 
 
 async def stop(page: Any, day: Any) -> float:
-    """Press Escape while a loop runs: how long it took to reach the loop (ms)."""
+    """Press Escape while a loop runs; return the time until the loop received STOP (ms)."""
     await turn(day, SETTLE_S)
     ring = day.begin()
     await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
@@ -78,7 +78,7 @@ async def stop(page: Any, day: Any) -> float:
 
 
 async def measured(seconds: float, place: Path) -> tuple[list[float], list[float], int]:
-    """Ages of rows (ms), times of STOP (ms), and how many frames there were."""
+    """Return the ages of rows (ms), the times of STOP (ms) and the number of frames."""
     with served(place, faster=1) as (_, url, hand):
         async with opened(url) as page:
             day = Day(1.0, SharedHand.open(hand), RATE_HZ, run_s=math.inf)
@@ -94,7 +94,7 @@ async def measured(seconds: float, place: Path) -> tuple[list[float], list[float
 
 
 def main() -> int:
-    """Measure, and tell."""
+    """Run the measurement and print it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=30.0)
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""False alarms and power of the comparison of measured and active current (`rig.control.current`).
+"""False alarms and power of the check that compares measured and active current (`rig.control.current`).
 
     python -m tests.benchmarks.currents                # the table; about an hour
     python -m tests.benchmarks.currents --preset hapkit --noise 0.003
@@ -76,7 +76,7 @@ BROKEN: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """A rig, its drive, its loop's rate and how noisy its sensor is."""
+    """A rig with its drive, its loop rate and the noise of its current sensor."""
 
     preset: str
     drive: str
@@ -85,7 +85,7 @@ class Case:
     delay_s: float
 
     def experiment(self, stiffness: float) -> Any:
-        """The hit, against a wall of a share of the preset's own stiffness."""
+        """Return the hit on a wall whose stiffness is a share of the preset's."""
         x = presets.load(self.preset)
         peak_a = x.rig.amplifier.effort_limit / x.rig.amplifier.effort_per_ampere
         return config.override(
@@ -105,7 +105,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Found:
-    """What became of one trial."""
+    """The result of one trial."""
 
     alarm: bool  # the currents were reported to disagree
     over: bool  # over-current
@@ -115,7 +115,7 @@ class Found:
 
 
 def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | None, at: int) -> Found:
-    """Run one hit; `share` of its lag and delay is described, and `at` is the tick in which the motor breaks."""
+    """Run one hit; the description has `share` of the true lag and delay, and the motor breaks at tick `at`."""
     model = config.rig_model(experiment)
     device = SimulatedDevice(model, seed=seed, initial_position=model.simulation.initial_position or 0.0)
     amplifier = model.amplifier
@@ -151,7 +151,7 @@ def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | N
 
 
 def seen_for(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at: int) -> float | None:
-    """How long before the end the currents differed by more than the rule's threshold, however windows fell (s)."""
+    """Return for how long before the end the currents differed by more than the threshold in every window (s)."""
     ticks, sensor = round(rate * WINDOW_S), current_sensor(model)
     moved = np.diff(rows["count"], prepend=rows["count"][:1]) * model.encoder.sign
     later = rows["sample_index"] >= at
@@ -196,7 +196,7 @@ def seen_for(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at
 
 
 def cases() -> Iterator[Case]:
-    """All that differ: without back-EMF a drive is like the other, and a rate may be the preset's own."""
+    """Yield all distinct cases: without back-EMF both drives are the same, and a rate may equal the preset's."""
     for preset, drive, rate, noise, delay_s in itertools.product(
         presets.names(), DRIVES, RATES, NOISES, DELAYS_S
     ):

@@ -1,4 +1,4 @@
-"""Walls of a moteus by its own law and by one behind its bridge: ``python -m tests.benchmarks.drive_walls``.
+"""Compare walls of a moteus by its own law and by a bridge's: ``python -m tests.benchmarks.drive_walls``.
 
 The preset moteus-knob with its friction, a simulated drive and a bridge with 80 µs of bus each way at 1 kHz, all in
 virtual time, so that the load of this computer does not matter: the hits, searches and verdicts are those of
@@ -33,7 +33,7 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
 
 
 def largest(changes: dict[str, Any], settings: dict[str, str], ratio: float) -> dict[float, str]:
-    """Largest K (N·m/rad) by damping whose hits and those below pass; "≥" where the search ended first."""
+    """Return the largest passing K (N·m/rad) by damping; "≥" where the search reached its end first."""
     keys = {"wall.pull": "allow", "trial.duration_s": 0.6, **changes}
     x = config.override(presets.load_named("moteus-knob"), keys, "the benchmark")
     search = StiffnessSearch(lowest=0.5, highest=30.0, ratio=ratio)
@@ -48,7 +48,7 @@ def largest(changes: dict[str, Any], settings: dict[str, str], ratio: float) -> 
 
 
 def main() -> None:
-    """Measure, and print a table."""
+    """Run the searches and print a table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

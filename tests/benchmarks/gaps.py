@@ -1,4 +1,4 @@
-"""What lost and late samples do to a verdict: the study from which the limits of `[verdict]` for them come.
+"""Measure how lost and late samples change a verdict; the limits for them in `[verdict]` follow from this study.
 
     flock -s LOCK python -m tests.benchmarks.gaps          # the tables; some minutes on two cores
     python -m tests.benchmarks.gaps --series 8             # fewer of each case
@@ -97,7 +97,7 @@ NO_DELAYS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class Case:
-    """A rig under a scheme at one damping, hit by itself or held by a hand."""
+    """A rig under a scheme at one damping; the handle is free or held by a hand."""
 
     preset: str
     scheme: str
@@ -107,12 +107,12 @@ class Case:
 
     @property
     def text(self) -> str:
-        """What a table calls it."""
+        """The name of the case in a table."""
         return f"{self.preset} {self.scheme} B={self.damping:g}{' held' if self.held else ''}"
 
     @property
     def rate(self) -> int:
-        """Of the position (Hz)."""
+        """The rate of the position loop (Hz)."""
         return Scheme.parse(self.scheme).position_rate
 
 
@@ -153,7 +153,7 @@ CONTROL = Pattern("control", "", 0.0)
 
 
 def patterns(longest: int) -> Iterator[Pattern]:
-    """All that a device allows whose commands live `longest` ticks."""
+    """Yield all patterns that a device permits whose commands live `longest` ticks."""
     yield CONTROL
     for place in PLACES:
         yield from (Pattern("gap", place, n) for n in GAPS if n + 1 <= longest)
@@ -165,7 +165,7 @@ def patterns(longest: int) -> Iterator[Pattern]:
 
 @dataclass(frozen=True)
 class Span:
-    """Ticks of a run, from the law's first sample on, at which the parts of a hit begin; `end` is that of the push."""
+    """The ticks, counted from the law's first sample, at which the parts of a hit begin; `end` ends the push."""
 
     begin: int
     contact: int
@@ -174,11 +174,11 @@ class Span:
     tick_s: float
 
     def ticks(self, seconds: float) -> int:
-        """Whole ticks in a time."""
+        """Return the number of whole ticks in a time."""
         return round(seconds / self.tick_s)
 
     def delays(self, pattern: Pattern, drawn: np.random.Generator) -> Ints:
-        """Draw what a pattern does to each sample."""
+        """Draw the delay that a pattern gives to each sample."""
         delays = np.zeros(self.end, np.int64)
         if pattern.kind in ("gap", "late"):
             amount = int(pattern.amount)
@@ -209,7 +209,7 @@ class Span:
 
 
 class SeriesRig:
-    """One rig at one encoder offset with one seed: hit with and without losses, measured as recorded and as true."""
+    """One rig at one encoder offset with one seed, hit with and without losses; measured as recorded and as true."""
 
     def __init__(self, case: Case, offset: float, seed: int) -> None:
         changes: dict[str, Any] = {
@@ -241,7 +241,7 @@ class SeriesRig:
         self.trace = Trace.empty(round(longest_s / self.tick_s) + 2, self.plant)
 
     def hit(self, stiffness: float, delays: Ints, *, judged: bool = False) -> tuple[Measured, Measured]:
-        """Hit a wall: what is recorded, and the whole truth; gaps and late ticks spoil neither unless judged."""
+        """Hit a wall; return what is recorded and the truth. Losses invalidate neither unless `judged`."""
         wall = asdict(replace(self.wall, stiffness=stiffness))
         law, plant, trace = self.template.fresh(wall), self.plant, self.trace
         late = ages(delays) if len(delays) else NO_DELAYS
@@ -274,7 +274,7 @@ class SeriesRig:
         return Measured(recorded, limits, thrown_out), Measured(true, limits, thrown_out)
 
     def span(self, stiffness: float) -> Span | None:
-        """Where the parts of a hit begin; None when the wall is never reached, or the run ends early."""
+        """Return where the parts of a hit begin; None if the wall is never reached or the run ends early."""
         recorded, _ = self.hit(stiffness, NO_DELAYS)
         phases = self.trace.phases
         trial = np.flatnonzero(phases == TRIAL)
@@ -292,7 +292,7 @@ _plant = lru_cache(maxsize=64)(DiscretePlant.build)
 
 @dataclass(frozen=True)
 class Changes:
-    """What one pattern did to one series: rungs that its limit moved by, hits, and how many of them hid something."""
+    """The effect of one pattern on one series: shift of the limit in rungs, hits, and hits that hid an instability."""
 
     case: Case
     pattern: Pattern
@@ -302,7 +302,7 @@ class Changes:
 
 
 def series(case: Case, number: int, middle: float) -> list[Changes]:
-    """One series under every pattern; nothing for a case without a stable wall."""
+    """Run one series under every pattern; return nothing for a case without a stable wall."""
     if middle == 0.0:
         return []
     offset = (number % OFFSETS + 0.5) / OFFSETS
@@ -325,7 +325,7 @@ def series(case: Case, number: int, middle: float) -> list[Changes]:
 
 
 def _ladder(rig: SeriesRig, rungs: Sequence[float], delays: Ints) -> tuple[int, int, int]:
-    """The rung of the limit (−1: none passes), how many walls were hit, and at how many what was recorded hid it."""
+    """Return the rung of the limit (−1: none passes), the number of hits, and how many of them hid an instability."""
     tried: dict[float, bool | None] = {}
     hidden = 0
     for stiffness in rungs:
@@ -339,7 +339,7 @@ def _ladder(rig: SeriesRig, rungs: Sequence[float], delays: Ints) -> tuple[int, 
 
 
 def middle(case: Case) -> float:
-    """K_max of a case: the median over a few series of what a wide search finds."""
+    """Return K_max of a case: the median over a few series of a wide search."""
     lowest, highest = LADDERS[case.preset.split("-")[0]]
     search = StiffnessSearch(way="bisection", lowest=lowest, highest=highest, ratio=RUNG)
     limits = []
@@ -360,12 +360,12 @@ Group = dict[tuple[Case, Pattern], list[Changes]]
 
 
 def changed(found: Sequence[Changes]) -> tuple[int, int]:
-    """How many series moved by more than a rung, of how many."""
+    """Return how many series moved by more than one rung, and how many there are."""
     return sum(abs(one.shift) > 1 for one in found), len(found)
 
 
 def excess(found: Group, pattern: Pattern) -> tuple[float, float, float, str, int]:
-    """Share above that of the control over the same cases, its upper bound, the worst case's, which, and series."""
+    """Return the share above the control's, its upper bound, the worst case's share and name, and the series."""
     cases = [case for case, one in found if one == pattern]
     if not cases:
         return math.nan, math.nan, math.nan, "", 0
@@ -384,7 +384,7 @@ def excess(found: Group, pattern: Pattern) -> tuple[float, float, float, str, in
 
 
 def hides(found: Group, pattern: Pattern) -> float:
-    """Share of hits that hide something, above that of the control over the same cases."""
+    """Return the share of hits that hide an instability, above the control's share over the same cases."""
     cases = [case for case, one in found if one == pattern]
 
     def share(of: Pattern) -> float:

@@ -1,4 +1,4 @@
-"""Do the 95 % intervals of `rig identify` hold the true values? Random rigs, each identified once in simulation.
+"""Check that the 95 % intervals of `rig identify` contain the true values, on random simulated rigs.
 
     python -m tests.benchmarks.identified_intervals              # 100 rigs and the table; some ten minutes
     python -m tests.benchmarks.identified_intervals --rigs 20 --first 30000

@@ -1,4 +1,4 @@
-"""A whole session in real time at the console, by a script that presses the keys: how many of its trials are invalid?
+"""Run a whole session in real time with a script that presses the keys, and count its invalid trials.
 
     python -m tests.benchmarks.keyboard_session                          template first-steps, 20 trials
     python -m tests.benchmarks.keyboard_session --scheme uniform:500     on a machine that does not keep 1 kHz
@@ -40,7 +40,7 @@ ANSWERS = {"item, then enter:": "4\r", "[g] go": "g"}  # what is printed, and th
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--template", default="first-steps")
     parser.add_argument("--scheme", help="of all conditions, in place of the template's")
@@ -51,7 +51,7 @@ def arguments() -> argparse.Namespace:
 
 
 def protocol(options: argparse.Namespace, directory: Path) -> Path:
-    """The template, with as many trials as wanted and no practice."""
+    """Write the template with the requested number of trials and no practice; return its path."""
     text = template_text(options.template).replace("[stop]\n", f"[stop]\ntrials = {options.trials}\n")
     text = re.sub(r"\[practice\]\nstiffness = \[.*?\]", "[practice]\nstiffness = []", text)
     if options.scheme is not None:
@@ -62,7 +62,7 @@ def protocol(options: argparse.Namespace, directory: Path) -> Path:
 
 
 class Participant:
-    """Who reads the lines and presses keys."""
+    """A scripted operator and participant who reads the printed lines and presses keys."""
 
     def __init__(self, terminal: Any, log: Path, reaction_s: float) -> None:
         self.terminal, self.log, self.reaction_s = terminal, log, reaction_s
@@ -70,7 +70,7 @@ class Participant:
         self.pressed_s: dict[str, float] = {}
 
     def look(self) -> None:
-        """Do what is asked for; raises `TimeoutError` where it asks for nothing new for long."""
+        """Press the key that the program requests; raise `TimeoutError` if it prints nothing new for long."""
         printed = self.terminal.fresh
         if printed != self.seen:
             self.seen, self.since = printed, time.monotonic()
@@ -92,12 +92,12 @@ class Participant:
 
     @property
     def trials(self) -> list[Any]:
-        """Those in the log so far."""
+        """Return the trials in the log so far."""
         return [event.content for event in read(self.log) if event.kind == "trial"]
 
 
 def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, list[Any]]:
-    """Run it; exit code, what it wrote to standard error, and its trials."""
+    """Run the session; return its exit code, its standard error and its trials."""
     command = ["-m", "rig", "session", "run", str(protocol(options, directory)), "P01", "--hand", "keyboard"]
     with Terminal() as terminal:
         participant = Participant(terminal, directory / "study" / "P01" / "session.log", options.reaction)
@@ -113,7 +113,7 @@ def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, lis
 
 
 def main() -> int:
-    """Run, print every invalid trial with its reasons, and say whether they were few enough."""
+    """Run the session, print every invalid trial with its reasons; exit code 0 if they are few enough."""
     options = arguments()
     before = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:

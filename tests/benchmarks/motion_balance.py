@@ -24,7 +24,7 @@ PLACES = ("halfway", "contact", "rest")
 
 
 def drawn(preset: str, draw: random.Random, stiffer: tuple[float, ...], damped: tuple[float, ...]) -> Any:
-    """A wall of a preset."""
+    """Draw a wall of a preset, with its encoder offset, noise seed and rest."""
     x = presets.load(preset)
     changes = {
         "wall.stiffness": x.wall.stiffness * draw.choice(stiffer),
@@ -37,7 +37,7 @@ def drawn(preset: str, draw: random.Random, stiffer: tuple[float, ...], damped: 
 
 
 def tick_of(place: str, rows: Any, rate: int) -> int:
-    """Tick at which the scale changes."""
+    """Return the tick at which the scale changes."""
     released, contact = int(rows["sample_index"][rows["phase"] == Phase.TRIAL][0]), contact_of(rows)
     return {"halfway": (released + contact) // 2, "contact": contact, "rest": contact + round(0.15 * rate)}[
         place

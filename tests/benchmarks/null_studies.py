@@ -1,4 +1,4 @@
-"""How often the mixed model finds a difference that does not exist, by its exact likelihood in a balanced study.
+"""Measure how often the mixed model finds a difference that does not exist, with its exact likelihood.
 
     python -m tests.benchmarks.null_studies            # what `rig/session/README.md` says of likelihood ratios
     python -m tests.benchmarks.null_studies 8          # with so many participants alone
@@ -54,7 +54,7 @@ def study(people: int, drawn: np.random.Generator) -> Floats:
 
 
 def in_strata(means: Floats) -> dict[Stratum, Floats]:
-    """Values in orthonormal contrasts, shape (people, contrasts) for each stratum."""
+    """Return the values in orthonormal contrasts, with shape (people, contrasts) for each stratum."""
     turned = np.einsum("pcb,ic,jb->pij", means, _contrasts(CONDITIONS), _contrasts(DAMPINGS))
     parts = {False: slice(0, 1), True: slice(1, None)}
     return {
@@ -64,13 +64,13 @@ def in_strata(means: Floats) -> dict[Stratum, Floats]:
 
 
 def _contrasts(count: int) -> Floats:
-    """Orthonormal rows, the first one the mean."""
+    """Return an orthonormal matrix whose first row is the mean."""
     rows = np.linalg.qr(np.column_stack([np.ones(count), np.eye(count)[:, : count - 1]]))[0].T
     return np.asarray(rows)
 
 
 def fit(values: dict[Stratum, Floats], without: Sequence[Stratum] = (), *, reml: bool = False) -> Fit:
-    """Largest likelihood of variances of which no one is below zero, with means in all strata but some."""
+    """Maximise the likelihood over non-negative variances; strata in `without` have no mean."""
     squares, sizes = np.zeros(4), np.zeros(4)
     for place, stratum in enumerate(STRATA):
         of = values[stratum]

@@ -1,4 +1,4 @@
-"""What each search rule makes of observers whose limit is known, as data that a test and the guide read.
+"""Measure what each search rule estimates for observers with a known limit; a test and the guide read the table.
 
     python -m tests.benchmarks.observers            # all sessions anew, table and guide (minutes)
     python -m tests.benchmarks.observers --guide    # the guide alone, from the committed table
@@ -56,17 +56,17 @@ Row = dict[str, Any]
 
 
 def cases() -> list[tuple[str, float, float]]:
-    """Rule, lapse rate and spread of every row."""
+    """Return rule, lapse rate and spread of every row."""
     return list(product(RULES, LAPSE_RATES, SPREADS))
 
 
 def gradual_cases() -> list[tuple[str, float, float]]:
-    """The same for gradual observers."""
+    """Return rule, lapse rate and spread of every row for gradual observers."""
     return list(product(RULES, LAPSE_RATES, GRADUAL))
 
 
 def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
-    """Return one row of the table, measured."""
+    """Measure one row of the table."""
     name, lapse_rate, spread = case
     rule, settings = RULES[name]
     make = partial(_made, rule, settings)
@@ -87,7 +87,7 @@ def _made(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
 
 
 def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int = SEED) -> Row:
-    """Return one row about an observer whose K50 lies beyond the levels: the share of sessions that say so."""
+    """Measure one row for an observer whose K50 is above all levels: the share of sessions that report this."""
     name, lapse_rate, spread = case
     rule, settings = RULES[name]
     make = partial(_made, rule, settings)
@@ -104,7 +104,7 @@ PARTS: dict[str, tuple[Callable[..., Row], Callable[[], list[tuple[str, float, f
 
 
 def make_table() -> dict[str, Any]:
-    """Measure everything anew, on all processors."""
+    """Measure all rows anew, on all processors."""
     made: dict[str, list[Row]] = {part: [] for part in PARTS}
     with ProcessPoolExecutor() as pool:
         for part, (measure, of) in PARTS.items():
@@ -132,34 +132,34 @@ def write_table(table: dict[str, Any]) -> None:
 
 
 def errors() -> str:
-    """Bias and scatter of each rule, for each observer."""
+    """Return the Markdown table of bias and scatter of each rule, for each observer."""
     return _by_observer(lambda row: f"{_signed(row['bias'])} ± {row['scatter']:.0f}")
 
 
 def intervals() -> str:
-    """Share of intervals that hold the limit, and their median width."""
+    """Return the table of the share of intervals that contain the limit, and their median width."""
     return _by_observer(
         lambda row: "–" if row["width"] is None else f"{100 * row['covered']:.0f} % ({row['width']:.0f})"
     )
 
 
 def hits() -> str:
-    """Verdicts that a session costs."""
+    """Return the table of the number of verdicts per session."""
     return _by_observer(lambda row: f"{row['hits']:.0f}")
 
 
 def censored() -> str:
-    """Share of sessions that put the limit beyond the levels."""
+    """Return the table of the share of sessions that report a limit beyond the levels."""
     return _by_observer(lambda row: f"{100 * row['censored']:.1f} %" if row["censored"] else "0")
 
 
 def beyond() -> str:
-    """Share of sessions that put a limit beyond the levels there."""
+    """Return the table of the share of sessions that correctly report a limit beyond the levels."""
     return _by_observer(lambda row: f"{100 * row['marked']:.0f} %", "beyond")
 
 
 def gradual() -> str:
-    """Bias, scatter, and share of intervals that hold the limit, of gradual observers."""
+    """Return the table of bias, scatter and interval coverage for gradual observers."""
     return _by_observer(
         lambda row: (
             f"{_signed(row['bias'])} ± {row['scatter']:.0f}, "
@@ -181,7 +181,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and write table and guide; ``--guide`` writes the guide alone, ``--check`` only looks at it."""
+    """Measure and write table and guide; ``--guide`` writes only the guide, ``--check`` only compares it."""
     options = set(sys.argv[1:] if arguments is None else arguments)
     if not options:
         write_table(make_table())

@@ -1,4 +1,4 @@
-"""Does a hit do what its plan says? Random rigs that a lab might build, each planned and then hit in simulation.
+"""Check that a hit does what its plan promises, on random rigs that a lab might build, in simulation.
 
     python -m tests.benchmarks.plausible_rigs              # 400 rigs and the table; some minutes
     python -m tests.benchmarks.plausible_rigs --rigs 50 --first 1000
@@ -57,7 +57,7 @@ PLANS = 3
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one rig: the names of the checks that refused at first, and what happened in the end."""
+    """The result of one rig: the checks that refused at first, and how the hit ended."""
 
     refused: tuple[str, ...]
     unnamed: bool  # a check refused and named no change
@@ -66,7 +66,7 @@ class Outcome:
 
 
 def described(seed: int) -> tuple[str, dict[str, Any]]:
-    """Return a preset and the keys of a random rig over it."""
+    """Draw a random rig; return its preset and the keys that change it."""
     random = np.random.default_rng(seed)
 
     def log(low: float, high: float) -> float:
@@ -130,12 +130,12 @@ def experiment_of(seed: int) -> Experiment:
 
 
 def named_changes(checks: tuple[Check, ...]) -> dict[str, Any]:
-    """Return all changes that the refusing checks name."""
+    """Return all changes that the failed checks recommend."""
     return {key: value for check in checks for key, value in check.changes.items()}
 
 
 def reaches(experiment: Experiment, seed: int) -> tuple[bool, str]:
-    """Hit the wall in virtual time over the byte link; whether it was touched, and what ended the hit early."""
+    """Hit the wall in virtual time over the byte link; return whether it was touched, and an early end's message."""
     seeded = config.override(experiment, {"trial.seed": seed})
     with TemporaryDirectory() as directory:
         message = ""
@@ -154,7 +154,7 @@ def reaches(experiment: Experiment, seed: int) -> tuple[bool, str]:
 
 
 def outcome(seed: int) -> Outcome:
-    """Plan a random rig, change what is refused, and hit it."""
+    """Plan a random rig, apply the recommended changes, and hit the wall."""
     try:
         experiment = experiment_of(seed)
     except ConfigError as error:
@@ -181,7 +181,7 @@ def outcome(seed: int) -> Outcome:
 
 
 def table(outcomes: Mapping[int, Outcome]) -> str:
-    """Return the table: planned ok, refused in all, and by the check that refused."""
+    """Return the table of rigs that reached the wall: planned ok, refused in all, and by the check that refused."""
     lines = ["| plan | rigs | reached the wall |", "|---|---|---|"]
     groups = {
         "ok": [each for each in outcomes.values() if not each.refused],

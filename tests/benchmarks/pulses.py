@@ -43,7 +43,7 @@ Change = Callable[[RigModel], RigModel]
 
 
 class Counting(Hardware):
-    """An encoder whose count is what `counts` makes of the true one."""
+    """Hardware whose encoder count is the function `counts` of the true count."""
 
     counts: Callable[[int], int] = staticmethod(lambda true: true)
 
@@ -54,7 +54,7 @@ class Counting(Hardware):
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a rig, and the check that must say so; None: it is sound."""
+    """A fault of a rig, and the check that must report it (None for a sound rig)."""
 
     named: str | None
     model: Change = lambda model: model
@@ -101,7 +101,7 @@ FAULTS = {
 
 
 class TickByTick(FirmwareDevice):
-    """The firmware by its parts: a compiled run of ticks would pass an encoder by that is not the true one."""
+    """The firmware run tick by tick, because a compiled run of ticks would bypass the false encoder."""
 
     def run(self, until_ns: int, most: int, *, enough: int = 1) -> tuple[bytes, int]:
         named, ticks = b"", 0
@@ -111,14 +111,14 @@ class TickByTick(FirmwareDevice):
         return named, ticks
 
     def stand_before(self, hardware: Hardware) -> None:
-        """Have another rig than the one that it was built for."""
+        """Connect the firmware to other hardware than it was built for."""
         self.hardware = hardware
         self._truth = None
         self._pass_measurements()
 
 
 def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
-    """The rig of an experiment with a fault that its device knows nothing of, which runs the law where it is to."""
+    """Return a device with an undescribed fault; it runs the law itself if the experiment says so."""
     sound, script = config.rig_model(still(experiment)), None
     counts = "counts" in dict(fault.hardware)
     if experiment.controller.loop == "device":
@@ -139,13 +139,13 @@ def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
 
 
 def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> Pulse:
-    """Send a pulse to such a rig."""
+    """Send a torque pulse to a rig with a fault."""
     with faulty(experiment, fault, at) as framed:
         return pulse(framed, experiment, recording=recording, verified=True, reference_count=0)
 
 
 def says(experiment: Experiment, fault: Fault, at: float, recording: Path) -> tuple[str, float]:
-    """What a pulse says of a fault: the names of the checks that refuse, and the scale."""
+    """Return the names of the checks that fail for a fault, and the measured scale."""
     try:
         found = pulsed(experiment, fault, at, recording)
     except RigError as error:

@@ -1,4 +1,4 @@
-"""The loop for as long as one likes, with its recorder, and every minute what it lost and how late it was.
+"""Run the loop with its recorder for a long time, and report losses and lateness every minute.
 
     python -m tests.benchmarks.soak --minutes 10                          2 kHz over a pseudo-terminal
     python -m tests.benchmarks.soak --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
@@ -63,7 +63,7 @@ COLUMNS = (
 
 
 def arguments() -> argparse.Namespace:
-    """What the command line says."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument(
@@ -99,7 +99,7 @@ def arguments() -> argparse.Namespace:
 
 
 class Disk:
-    """Lets the recorder's writes wait: stands in for write and fdatasync before any compiled code is linked to them."""
+    """A disk that can stall: replaces write and fdatasync before any compiled code is linked to them."""
 
     def __init__(self, directory: Path) -> None:
         import llvmlite.binding  # noqa: PLC0415
@@ -113,7 +113,7 @@ class Disk:
             llvmlite.binding.add_symbol(name, address)
 
     def stall(self, descriptor: int, seconds: float) -> None:
-        """Hold what is written to a descriptor from now on for some time."""
+        """Delay all writes to a descriptor from now on for some seconds."""
         ctypes.c_int64.in_dll(self._library, "stall_descriptor").value = descriptor
         ctypes.c_int64.in_dll(self._library, "stall_until").value = time.monotonic_ns() + round(seconds * 1e9)
 
@@ -123,7 +123,7 @@ class Disk:
 
 @dataclass
 class Watch:
-    """Reads ring and process while the loop runs, and says once a minute what it saw."""
+    """A monitor that reads ring and process while the loop runs, and prints a line every minute."""
 
     late: list[np.ndarray] = field(default_factory=list)
     all_late: np.ndarray = field(
@@ -140,7 +140,7 @@ class Watch:
     minute_at: float = field(default_factory=time.monotonic)
 
     def look(self, ring: Any, *, last: bool = False) -> None:
-        """Take the lateness of the rows since the last look; print a line when a minute is over, or at the end."""
+        """Read the lateness of the new rows; print a line after each minute and at the end."""
         head = ring.get(control_words.HEAD)
         backlog = head - ring.get(control_words.TAIL)
         self.fullest = max(self.fullest, backlog)
@@ -177,7 +177,7 @@ class Watch:
         self.late, self.before, self.cpu, self.minute_at, self.fullest = [], counters, cpu, now, 0
 
     def _summary(self, ring: Any) -> dict[str, Any]:
-        """The whole run in numbers."""
+        """Return the figures of the whole run."""
         total = np.cumsum(self.all_late)
         places = np.searchsorted(total, np.array([0.5, 0.99, 0.999]) * total[-1])
         return {
@@ -193,7 +193,7 @@ class Watch:
 
 
 def resident_mb() -> float:
-    """Memory of this process that is in RAM (MB)."""
+    """Return the resident memory of this process (MB)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
@@ -203,7 +203,7 @@ def resident_mb() -> float:
 
 @contextlib.contextmanager
 def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
-    """The C far end on a pseudo-terminal, opened as rig opens ports."""
+    """Start the C far end on a pseudo-terminal, and open it as rig opens ports."""
     program = workbench.compile_c(directory, "far_end")
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -227,7 +227,7 @@ def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
 
 
 def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
-    """The loop over a far end of the benchmarks."""
+    """Run the loop against a far end of the benchmarks."""
     rate = options.rate or (10_000 if options.far_end == "near" else 2000)
     host_paced = options.pacing == "host" or options.far_end == "near"
     settings = {"host_paced": host_paced, "spin_ns": round(options.spin_us * 1e3)}
@@ -267,7 +267,7 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
 
 
 def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
-    """One long hit on a device, simulated in real time or real."""
+    """Run one long hit on a device, simulated in real time or real."""
     changes: dict[str, Any] = {
         "trial.duration_s": options.minutes * MINUTE_S,
         "host.pacing": options.pacing,
@@ -327,7 +327,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
 
 def own_ring() -> Any:
-    """The block that the trial of this process shares with others."""
+    """Return the ring that the trial of this process shares with others."""
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
             if os.readlink(entry) == LINK:
@@ -336,7 +336,7 @@ def own_ring() -> Any:
 
 
 def give_up_rights() -> None:
-    """Begin again as a program that may neither schedule in real time nor lock its memory."""
+    """Restart this program without the rights to real-time scheduling and locked memory."""
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 16, 1 << 16))
     if Rights.here().has(CAP_SYS_NICE):
@@ -345,7 +345,7 @@ def give_up_rights() -> None:
 
 
 def beside_the_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
-    """What was lost of a device's samples, and what may be."""
+    """Return a text that compares the lost samples of a device with the permitted share."""
     granted = Rights.here().may_schedule(options.priority)
     lost, ticks = totals["lost"] + totals["skipped"], totals["ticks"]
     share = lost / max(1, lost + ticks)
@@ -356,7 +356,7 @@ def beside_the_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    """Run, print, and say whether nothing was lost."""
+    """Run, print, and return exit code 0 if nothing was lost."""
     options = arguments()
     if options.without_rights:
         give_up_rights()

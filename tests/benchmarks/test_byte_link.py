@@ -1,4 +1,4 @@
-"""What a tick of a hit in virtual time costs over the byte link: the firmware, and the readable device in Python.
+"""Measure the cost of a tick of a hit in virtual time over the byte link, for the C firmware and the Python device.
 
 pytest tests/benchmarks/test_byte_link.py -o addopts="" -s
 """
@@ -20,7 +20,7 @@ EXPERIMENT = config.override(presets.load("koul-compliant"), {"trial.duration_s"
 
 
 def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
-    """CPU time of the loop's thread for one tick (µs), recorder and sealing apart: the least of three hits."""
+    """Return the loop thread's CPU time per tick (µs), without recorder and sealing: the least of three hits."""
     found = []
     run = LoopThread._run
 

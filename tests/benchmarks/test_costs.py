@@ -1,4 +1,4 @@
-"""What a tick costs where, as ratios measured side by side in one run; absolute times are printed."""
+"""Measure the cost of a tick by its parts, as ratios within one run; absolute times are printed."""
 
 import time
 import zlib
@@ -25,7 +25,7 @@ from sim_backend.mechanics.plant import DiscretePlant
 
 
 def per_call(function: Any, calls: Any, repeats: int = 5) -> Any:
-    """Shortest time of a call (s) over some batches."""
+    """Return the shortest mean time of a call (s) over some batches."""
     best = np.inf
     for _ in range(repeats):
         started = time.perf_counter()

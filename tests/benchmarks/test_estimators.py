@@ -1,4 +1,4 @@
-"""What a velocity sample costs: beside the same algorithm in C, and beside what one would write with a library.
+"""Compare the cost of a velocity sample with the same algorithm in C and with the usual library functions.
 
 The C functions are compiled with -O3 in this run and put into the same plug point of the same compiled loop, so that
 one call through a function type is part of either cost. Measured side by side in CPU time of the thread; the median of
@@ -70,14 +70,14 @@ def in_c(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def counts() -> Any:
-    """Hits to and fro, as an encoder of 1 µm sees them at 20 kHz."""
+    """Return the counts of an encoder of 1 µm at 20 kHz during repeated hits."""
     hit = SIGNALS["wall-bounce"]
     once = quantise(hit(np.arange(0.0, hit.end_s, 1.0 / RATE)).position, DELTA)
     return np.resize(np.concatenate([once, once[::-1]]), SAMPLES)
 
 
 def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: Any, out: Any) -> Any:
-    """A run from a fresh memory through the plug type, as a function without arguments."""
+    """Return a function that runs an estimator over all counts in the compiled loop, from fresh memory."""
     ages, elapsed, efforts, windows = (
         np.zeros(len(counts)),
         np.ones(len(counts), np.int64),
@@ -94,13 +94,13 @@ def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts
 
 
 def ours(prepared: Any, counts: Any, out: Any) -> Any:
-    """Our estimator in the loop."""
+    """Return a run of our estimator in the loop."""
     p = prepared
     return in_the_loop(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
 
 
 def theirs(library: Any, function: Any, parameters: Any, counts: Any, out: Any) -> Any:
-    """The C function in the same loop, and in one of its own."""
+    """Return a run of the C function in the same loop, and one in its own C loop."""
     f, i = np.zeros(16), np.zeros(512, np.int64)
     address = ctypes.cast(getattr(library, f"plug_{function}"), ctypes.c_void_p).value
     plugged = NativeFunction(address, ESTIMATOR_SIGNATURE, keep=library)

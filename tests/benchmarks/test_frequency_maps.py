@@ -1,4 +1,4 @@
-"""What a map in the frequency domain costs. The goal, printed and not asserted, is 30 s of CPU.
+"""Measure the cost of a map in the frequency domain. The goal, printed and not asserted, is 30 s of CPU.
 
 Asserted is what does not depend on the machine: that a wall costs little more than its simulation, and that a map of
 many columns needs no more memory than one of a few.
@@ -25,7 +25,7 @@ ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations"
 
 
 def test_the_papers_map_with_one_realisation(capsys: pytest.CaptureFixture[str]) -> None:
-    """60 × 16 walls, four estimators: every ninth of their 64 columns, and the whole in proportion."""
+    """Run every ninth of the 64 columns (60 × 16 walls, four estimators), and extrapolate to the whole."""
     plan = frequency_plan(ONCE)
     tasks = plan.tasks
     run_column({**tasks[0].payload, "stiffnesses": [1e3]})  # warm

@@ -1,4 +1,4 @@
-"""What a measurement of an impedance costs: a run beside the same run in C and beside a general physics engine.
+"""Compare the cost of an impedance measurement with the same run in C and with a general physics engine.
 
 As in test_trial.py: in turns in one process, CPU time of the thread, median of the ratios. The goal, which is printed
 and not asserted: five seconds simulated, with inner steps at 16 kHz or more, in 5 ms for the cheap estimators.
@@ -121,7 +121,7 @@ def test_an_inner_step_is_far_quicker_than_one_of_mujoco() -> None:
 
 
 def test_cost_of_each_estimator_and_of_the_estimate() -> None:
-    """Printed, not asserted: CPU of one realisation of 6 s, of its estimate, and the goal for 5 s."""
+    """Print the CPU time of one realisation of 6 s, of its estimate, and the goal for 5 s."""
     for name in ESTIMATORS:
         bench = ExcitedRig(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))
         records = [bench.excite(10e3, 40.0, n).record for n in range(4)]

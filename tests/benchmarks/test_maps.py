@@ -1,4 +1,4 @@
-"""What a map costs: CPU of Fig. 6, the share that Python takes, and memory over the number of hits.
+"""Measure the cost of a map: CPU time of Fig. 6, the share of Python, and memory over the number of hits.
 
 pytest tests/benchmarks/test_maps.py -o addopts="" -s
 """
@@ -27,14 +27,14 @@ HELD = config.override(presets.load("koul-compliant"), {"trial.kind": "human", "
 
 @pytest.fixture(scope="module")
 def figure_6() -> Any:
-    """17 dampings, three schemes, a ladder of 6 %, two offsets, one repeat: 102 series."""
+    """Return the plan of 17 dampings, three schemes, a ladder of 6 %, two offsets and one repeat: 102 series."""
     schemes = theory.default_schemes(HELD)
     dampings = ranges.dampings_for(HELD, schemes)
     return MapPlan(experiment=HELD, schemes=schemes, dampings=dampings, search=ranges.search_for(HELD))
 
 
 def test_the_whole_map_of_figure_6(figure_6: Any) -> None:
-    """Every fourth damping, first and last among them, and the whole in proportion."""
+    """Run every fourth damping, first and last included, and extrapolate to the whole."""
     started = time.process_time()
     tasks = figure_6.tasks
     planned_s = time.process_time() - started

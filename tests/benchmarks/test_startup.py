@@ -1,4 +1,4 @@
-"""Start-up, as ratios measured side by side in one run; absolute times are printed.
+"""Measure start-up times as ratios within one run; absolute times are printed.
 
 pytest tests/benchmarks -o addopts="" -s
 """
@@ -21,7 +21,7 @@ from tests.benchmarks.realtime.workbench import FULL
 
 
 def best_of(count: Any, command: Any, **options: Any) -> Any:
-    """Shortest wall time of a command (s)."""
+    """Return the shortest wall time of a command (s)."""
     times = []
     for _ in range(count):
         started = time.perf_counter()
@@ -78,7 +78,7 @@ finally:
 
 
 def phases_s(*arguments: str, **options: Any) -> list[float]:
-    """CPU time of a command (s): imports, kernels compiled, C compiler, the rest, all; and how many kernels."""
+    """Return a command's CPU time (s) for imports, kernels, C compiler, rest and all, and the number of kernels."""
     done = subprocess.run(
         [sys.executable, "-c", PHASES, *arguments],
         check=True,
@@ -92,7 +92,7 @@ def phases_s(*arguments: str, **options: Any) -> list[float]:
 
 @pytest.fixture(scope="module")
 def private(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Where commands run, with a cache of their own, warm; and what its first hit cost."""
+    """Return the options of commands that run with their own warm cache, and the cost of its first hit."""
     place = tmp_path_factory.mktemp("private")
     kept = {"HAPTIC_RIG_CACHE": str(place / "cache"), "PYTHONPYCACHEPREFIX": str(place / "bytecode")}
     env = {**os.environ, **kept}
@@ -117,7 +117,7 @@ def test_the_first_hit_compiles_and_the_second_does_not(private: Any) -> None:
 
 
 def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any) -> None:
-    """Warm; the goal is one second each, on any machine at most some imports of numba."""
+    """The goal with a warm cache is one second each; on any machine it is at most some imports of numba."""
     options, _ = private
     run = [sys.executable, "-m", "rig"]
     subprocess.run([*run, "session", "new", "study.toml"], check=True, capture_output=True, **options)
@@ -140,7 +140,7 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
 
 
 def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> None:
-    """koul-fig6 at 20 kHz: the goal is 6 minutes of CPU for 504 trials."""
+    """The goal for koul-fig6 at 20 kHz is 6 minutes of CPU for 504 trials."""
     options, _ = private
     place = Path(options["cwd"])
     run = [sys.executable, "-m", "rig", "session"]
@@ -149,7 +149,7 @@ def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> Non
     )
 
     def rehearsed(seconds: float) -> tuple[int, float]:
-        """Trials, and CPU seconds, of a rehearsal that is interrupted after so long."""
+        """Return the trials and CPU seconds of a rehearsal that is interrupted after `seconds`."""
         with subprocess.Popen(
             [*run, "run", "fig6.toml", "P01", "--rehearse", "--study", str(place / f"after-{seconds:g}")],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **options,
@@ -169,7 +169,7 @@ def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> Non
 
 
 def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> None:
-    """From the exec to the stop word; the goal on an idle machine is 50 ms, on any 2.5 × a bare interpreter."""
+    """From exec to the stop word: 50 ms on an idle machine is the goal, 2.5 × a bare interpreter on any."""
     program = Path(sys.executable).with_name("rig")
     bare, stop = [], []
     with Ring.allocate(1, info={}, shared=True) as ring:

@@ -1,4 +1,4 @@
-"""What a tick of a whole simulated trial costs: beside the same trial in C, and beside a general physics engine.
+"""Compare the cost of a tick of a simulated trial with the same trial in C and with a general physics engine.
 
 Contestants run in turns in one process, in CPU time of the thread; the median of the ratios counts. The C of `trial.c`
 is written for one rig, one estimator and one law, gives the same trajectory to the last bit, and leaves out
@@ -60,7 +60,7 @@ PLACES = {
 
 
 def header() -> str:
-    """records.h: the record of what is wanted, and the places and codes of the Python modules."""
+    """Return the content of records.h: the control record and the indices and codes of the Python modules."""
     fields = [f"    {'double' if kind == '<f8' else 'int64_t'} {name};" for name, kind in step.CONTROL.descr]
     return "\n".join(
         [*(f"#define {name} {value}" for name, value in PLACES.items()), "struct control {", *fields, "};\n"]
@@ -92,13 +92,13 @@ def build_c(directory: Any, *options: Any) -> Any:
 
 
 def in_numba(law: Any, plant: Any, trace: Any) -> Any:
-    """One trial without bytes from rest; returns its number of ticks."""
+    """Run one trial without a byte link from rest; return its number of ticks."""
     arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, OperatorScript.silent())
     return run_ticks(*arguments, trace)
 
 
 def the_rig(name: Any, **changes: Any) -> Any:
-    """A preset's model, its plant, and a way to fresh controllers."""
+    """Return a preset's model, its plant, and a factory of fresh controllers."""
     experiment = config.override(presets.load(name), changes)
     model = config.rig_model(experiment)
     plant = DiscretePlant.build(model, 1.0 / experiment.controller.position_rate)
@@ -133,7 +133,7 @@ def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
 
 
 def in_mujoco(mujoco: Any, model: Any, options: Any) -> Any:
-    """The rigid rig as one hinge: model and data."""
+    """Return the rigid rig as one hinge in MuJoCo: model and data."""
     mechanics = model.mechanics
     inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
     xml = f"""
@@ -153,7 +153,7 @@ def in_mujoco(mujoco: Any, model: Any, options: Any) -> Any:
 
 @kernel(types.int64(PLANT_TYPE, types.float64, types.int64), cache=False)
 def push(plant: Any, effort: Any, ticks: Any) -> Any:
-    """Move a plant under a steady effort; returns the count."""
+    """Move a plant under a constant effort; return the final count."""
     count = 0
     for _ in range(ticks):
         count = advance(plant, effort, 0.0)

@@ -1,4 +1,4 @@
-"""What a verdict costs: the compiled measuring beside the same filters and median from scipy and numpy, in one run.
+"""Compare the cost of a verdict with the same filters and median from scipy and numpy, in one run.
 
 pytest tests/benchmarks/test_verdict.py -o addopts="" -s
 """
@@ -26,7 +26,7 @@ GOAL_US = 250.0
 
 
 def hits() -> Any:
-    """A hit of 1 s that rings and continues to buzz: columns of the states of a sweep, and counts."""
+    """Return a hit of 1 s that rings and keeps buzzing: state columns as in a sweep, and counts."""
     states = np.zeros((RATE, 8))
     bounce = 1e-2 * np.exp(-TIME / 0.05) * np.sin(2 * np.pi * 60 * TIME)
     states[:, 2] = np.where(TIME < 0.03, -1e-2, 2e-3 + bounce) + 2e-4 * np.sin(2 * np.pi * 45 * TIME)
@@ -36,7 +36,7 @@ def hits() -> Any:
 
 
 def median_us(call: Any, repeats: int = 60) -> Any:
-    """Median CPU time of a call in this thread (µs)."""
+    """Return the median CPU time of a call in this thread (µs)."""
     call()
     times = []
     for _ in range(repeats):
@@ -47,7 +47,7 @@ def median_us(call: Any, repeats: int = 60) -> Any:
 
 
 def with_scipy(position: Any, effort: Any) -> Any:
-    """The numbers that need filters, over the whole trial, and nothing else."""
+    """Compute only the numbers that need filters, over the whole trial."""
     high = butter(2, 30.0, "highpass", fs=RATE, output="sos")
     band = butter(2, [30.0, 500.0], "bandpass", fs=RATE, output="sos")
     started = sosfilt_zi(high)

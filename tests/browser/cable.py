@@ -1,4 +1,4 @@
-"""A connection that can be cut as if a person tripped over it: both ends stay open and receive nothing."""
+"""A TCP connection that a test can interrupt like a pulled cable: both ends stay open and receive nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GIVE_UP_S = 5.0
 
 
 class Cable:
-    """Leads from a port of its own to another one of this computer.
+    """A relay from its own port to another port of this computer.
 
     Attributes
     ----------
@@ -30,12 +30,12 @@ class Cable:
         return self
 
     def lead_to(self, port: int) -> None:
-        """Pass on to a port what comes, from now on."""
+        """Relay all further connections to a port."""
         self._whole.set()
         threading.Thread(target=self._accept, args=(port,), daemon=True).start()
 
     def cut(self) -> None:
-        """Pass on nothing more, and close nothing."""
+        """Stop relaying, and close no connection."""
         self._whole.clear()
 
     def _accept(self, port: int) -> None:

@@ -1,4 +1,4 @@
-"""Pages in Debian's Chromium, driven by playwright; without either the tests here skip, by the package's name."""
+"""Fixtures for pages in Chromium, driven by playwright; tests skip where either is missing, and name the package."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PATIENCE_MS = 60_000  # a first run compiles
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """A browser, without a window."""
+    """A headless browser."""
     if CHROMIUM is None:
         pytest.skip("no browser: install chromium")
     api = pytest.importorskip(
@@ -40,7 +40,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def started_console(place: Path, *options: str, **streams: Any) -> Iterator[Any]:
-    """A console as a process, which writes into the directory ``recordings`` of a place; its URL is `url`."""
+    """Start a console process that writes into the directory ``recordings`` of a place; its URL is `url`."""
     command = (
         *(sys.executable, "-P", "-m", "rig", "console", "--own", "--json", "-o", place / "recordings"),
         *options,
@@ -57,14 +57,14 @@ def started_console(place: Path, *options: str, **streams: Any) -> Iterator[Any]
 
 @pytest.fixture
 def console(tmp_path: Path) -> Iterator[Any]:
-    """A console in no terminal."""
+    """A console process without a terminal."""
     with started_console(tmp_path) as process:
         yield process
 
 
 @pytest.fixture
 def cable(tmp_path: Path) -> Iterator[Any]:
-    """A console at the far end of a cable: `url` is that of its near end, `cut` cuts it."""
+    """A console behind a `Cable`: `url` leads through the cable, and `cut` interrupts it."""
     with Cable() as cable, started_console(tmp_path, "--allow-host", cable.name) as process:
         far = process.url.removeprefix("http://").partition("/")[0]
         cable.lead_to(int(far.rpartition(":")[2]))
@@ -74,7 +74,7 @@ def cable(tmp_path: Path) -> Iterator[Any]:
 
 @pytest.fixture
 def terminal(tmp_path: Path) -> Iterator[tuple[Any, int]]:
-    """A console in a terminal, and the descriptor into which its person types."""
+    """A console in a terminal, and the descriptor to which the operator's input is written."""
     person, ours = pty.openpty()
     try:
         with started_console(tmp_path, stdin=ours) as process:
@@ -86,7 +86,7 @@ def terminal(tmp_path: Path) -> Iterator[tuple[Any, int]]:
 
 @pytest.fixture
 def open_page(chromium: Any) -> Iterator[Any]:
-    """Open a page at a URL; what it finds wrong with itself fails the test."""
+    """A function that opens a page at a URL; an error in the page's scripts fails the test."""
     contexts, wrong = [], []
 
     def opened(url: str, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The live view in a browser: first click to a wall, a judged hit, the scope, and STOP whatever happens to the page."""
+"""The live view in a browser: first click to a wall, a judged hit, the scope, and STOP under every page fault."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def recorded(place: Path) -> Recording:
 
 
 def until(page: Any, expression: str) -> None:
-    """Wait for something in the page; its policy forbids what playwright would evaluate there."""
+    """Wait until an expression in the page is true; the page's policy blocks playwright's own function for this."""
     deadline = time.monotonic() + 60.0
     while not page.evaluate(expression):
         assert time.monotonic() < deadline, f"never: {expression}"
@@ -47,7 +47,7 @@ def state(page: Any, text: str) -> None:
 
 
 def begun(page: Any) -> None:
-    """Wait until the run that was started is in its trial."""
+    """Wait until the started run is in its trial."""
     ended = page.locator("[data-kind]", has_text="The play ended")
     page.locator("#state", has_text="trial").or_(ended).first.wait_for()
     if ended.count():
@@ -74,7 +74,7 @@ def drag(page: Any, to: float = 0.6) -> None:
 
 
 def check_stopped(place: Path, since_ns: int | None = None, within_s: float = 0.0) -> None:
-    """The loop was stopped in the trial, its last sample of the device not later than so long after a time."""
+    """Require that the loop was stopped in the trial, with no sample later than `within_s` after `since_ns`."""
     recording = recorded(place)
     assert reason_of(recording) == "stopped"
     assert recording.rows["phase"][-1] == Phase.TRIAL
@@ -197,7 +197,7 @@ def hang_the_page(page: Any, console: Any) -> None:
 
 
 def freeze_the_page(page: Any, console: Any) -> None:
-    """With its worker: both are of one process."""
+    """Send SIGSTOP to the page and its worker, which share one process."""
     browser = page.context.browser.new_browser_cdp_session()
     found = browser.send("SystemInfo.getProcessInfo")["processInfo"]
     console.frozen = [int(one["id"]) for one in found if one["type"] == "renderer"]
@@ -234,7 +234,7 @@ def test_whatever_ends_the_page_ends_what_it_moves(
 def test_a_connection_that_is_cut_ends_what_its_page_moves(
     cable: Any, open_page: Any, tmp_path: Path
 ) -> None:
-    """Neither end is notified: the page still shows the newest state, and its STOP goes nowhere."""
+    """Neither end is notified: the page still shows the newest state, and its STOP is lost."""
     page = open_page(cable.url)
     drag(page)
     since_ns = time.monotonic_ns()

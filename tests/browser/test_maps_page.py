@@ -1,4 +1,4 @@
-"""A map in a real browser: started, filled in, walked through by keys, and a hit of it opened by a click."""
+"""A map in a real browser: start it, watch it fill, move by keys, and open one of its hits by a click."""
 
 import re
 from typing import Any

@@ -1,4 +1,4 @@
-"""The page without sight, without a mouse and with little contrast: names, spoken text, keys, colours."""
+"""Accessibility of the page: names, spoken text, operation by keys, and contrast of colours."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def view(page: Any, name: str) -> None:
 
 
 def check_readable(page: Any) -> None:
-    """Every text stands out from its ground, and every control says its name."""
+    """Require sufficient contrast of every text, and an accessible name of every control."""
     assert page.evaluate(FAINT) == []
     snapshot = page.locator("body").aria_snapshot()
     assert UNNAMED.findall(snapshot) == [], snapshot
 
 
 def tab_to(page: Any, element: Any) -> None:
-    """Press Tab until something has the focus, which shows that it can."""
+    """Press Tab until an element has the focus."""
     for _ in range(FAR):
         if element.evaluate("(one) => one === document.activeElement"):
             return

@@ -1,4 +1,4 @@
-"""Recordings in a real browser: hostile names stay text; one is opened, replayed, drawn, exported, thrown away."""
+"""Recordings in a real browser: hostile names stay text; one is opened, replayed, drawn, exported and deleted."""
 
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ NAME = "<img src=x onerror=alert(1)>.parquet"
 
 @pytest.fixture
 def recordings(tmp_path: Path) -> Path:
-    """A hit, and a file with a name that would be markup."""
+    """A directory with a hit and a file whose name would be markup."""
     place = tmp_path / "recordings"
     list(hit(HitRequest(experiment=presets.load("koul-compliant"), output=place, name="one"), admit))
     (place / NAME).write_bytes(b"no recording")
@@ -73,7 +73,7 @@ def test_a_recording_is_found_opened_replayed_drawn_exported_and_kept_in_the_tra
 
 
 def test_a_bucket_pairs_the_deepest_penetration_with_the_strongest_effort(console_page: Any) -> None:
-    """Of a spring that is drawn from least and greatest values every point lies on its line, whichever its side."""
+    """Every point of a spring, drawn from minima and maxima, lies on its line for a wall on either side."""
     for side in (1, -1):
         depth, stiffness = [0.1, 0.4, 0.2, 0.5], 10.0  # least and greatest of two buckets
         effort = [-side * stiffness * one for one in depth]

@@ -1,4 +1,4 @@
-"""A short blind session in a browser, by keys: operator's desk and participant's screen, STOP, a reload, to its end."""
+"""A short blind session in a browser, operated by keys: desk, participant's screen, STOP, reload, to its end."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def offers(page: Any, *names: str) -> bool:
 
 
 def press_the_wall(page: Any) -> None:
-    """Say go, and reach into the wall when the cue comes, or come back to what is asked instead."""
+    """Start a trial and press into the wall at the cue; return early if the page asks something else."""
     before = question(page)
     page.wait_for_timeout(1e3 * RELEASED_S)  # the same key sooner would be one that is held
     page.keyboard.press("g")

@@ -1,4 +1,4 @@
-"""A tablet, upright and across: everything is within reach of a finger, which drags, slides and stops."""
+"""The page on a tablet in both orientations: every control is reachable by a finger, which drags, slides and stops."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ VIEWS = ["Live", "Sessions", "Maps", "Recordings", "Devices"]
 
 
 class Finger:
-    """One finger on the glass, moved as a person does."""
+    """One finger on the touch screen, which moves in small steps."""
 
     def __init__(self, page: Any) -> None:
         self._page = page
@@ -29,7 +29,7 @@ class Finger:
 
     @contextmanager
     def drags(self, element: Any, start: float, end: float) -> Iterator[None]:
-        """Drag along an element, from one share of its width to another; lifted when the block is left."""
+        """Drag along an element, from one share of its width to another; lift the finger at the end of the block."""
         element.scroll_into_view_if_needed()
         box = element.bounding_box()
         x, y = (lambda share: box["x"] + share * box["width"]), box["y"] + box["height"] / 2

@@ -1,4 +1,4 @@
-"""A far end that plays given counts as a device with a law of its own would send them: BATCH, and STATE now and then.
+"""A device that sends given counts as if its own law ran: BATCH frames, and a STATE now and then.
 
 It has a script instead of a plant and a list of currents instead of a law, so that a test knows what must arrive. What
 leaves it can be mangled frame by frame.
@@ -24,7 +24,7 @@ Mangle = Callable[[int, bytes], Sequence[bytes]]  # number of a BATCH, its bytes
 
 
 class BatchDevice:
-    """One device in virtual time.
+    """A scripted device in virtual time.
 
     Parameters
     ----------
@@ -228,13 +228,13 @@ class BatchDevice:
         self._arrive(encode_frame(pack(message, session=self.session)))
 
     def commands(self) -> list[m.Command]:
-        """COMMANDs received, in order."""
+        """The COMMANDs received, in order."""
         return [message for _, message in self.received if isinstance(message, m.Command)]
 
     def failure(self) -> None:
-        """Nothing breaks in here."""
+        """Implement `rig.devices.device.Link.failure`: this link never fails."""
 
     def port(self) -> LoopPort:
-        """Plug functions of the loop."""
+        """Return the loop's port onto this device."""
         plugs = callback_plugs(read=self._read, write=self._write, wait=self._wait)
         return LoopPort.on(self.clock, **plugs._asdict())

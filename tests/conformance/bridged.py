@@ -1,4 +1,4 @@
-"""A bridge in virtual time: a simulated drive behind a line that takes its time, a host at the other end.
+"""A bridge in virtual time: a simulated drive behind a line with a transfer time, and a host at the other end.
 
 `Bridged` is a `rig.devices.device.Link`, so that a host of the tests and `FramedDevice` talk to it. What goes wrong is
 sent with the number of a line, to the drive or from it.
@@ -55,14 +55,14 @@ Strike = Callable[[bytes], bytes]
 
 
 def bridged_rig(**changed: Any) -> RigModel:
-    """`rotary_rig` on the encoder of a drive, geared 1:2, with the lag of its current loop and its coarse sensor."""
+    """Return `rotary_rig` with a drive's encoder, geared 1:2, its current loop's lag and its coarse current sensor."""
     model = rotary_rig(lag_s=1e-3, current_noise_a=0.005, **changed)
     encoder = Encoder(counts_per_revolution=4096, ratio=2.0, sign=model.encoder.sign, offset=0.0)
     return replace(model, encoder=encoder)
 
 
 class MemoryBus:
-    """`rig.extras.drives.bus.Bus` with a simulated drive on it, which answers at once."""
+    """A `rig.extras.drives.bus.Bus` with a simulated drive that replies at once."""
 
     place, descriptor, checksum, is_socket, messages = "memory", -1, True, False, ()
 
@@ -85,17 +85,17 @@ class MemoryBus:
 
 
 def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> FittedDrive:
-    """What a bridge finds of a moteus before it runs."""
+    """Return what a bridge reads from a moteus before it runs."""
     return moteus.fit(moteus.find(moteus.MoteusConversation(MemoryBus(drive), number), number), model)
 
 
 def endpoints(firmware: tuple[int, int, int] = (0, 6, 11)) -> odrive.Endpoints:
-    """The simulated ODrive's own."""
+    """Return the endpoint numbers of the simulated ODrive."""
     return odrive.Endpoints.of("flat_endpoints.json", SimulatedOdrive.flat_endpoints(firmware))
 
 
 def write_endpoints(place: Path) -> Path:
-    """As the maker's file."""
+    """Write the endpoint numbers in the file format of the manufacturer."""
     place.write_text(json.dumps(SimulatedOdrive.flat_endpoints()), encoding="utf-8")
     return place
 
@@ -103,13 +103,13 @@ def write_endpoints(place: Path) -> Path:
 def found_odrive(
     drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
 ) -> FittedDrive:
-    """What a bridge finds of an ODrive before it runs."""
+    """Return what a bridge reads from an ODrive before it runs."""
     talk = odrive.OdriveConversation(MemoryBus(drive), node, numbers or endpoints())
     return odrive.fit(odrive.find(talk), model)
 
 
 class Moteus:
-    """A moteus under a bridge: its modes at rest and when it gives torque, and what it does behind everybody's back."""
+    """A moteus behind a bridge: the modes at rest, with torque and after its timeout, and its true values."""
 
     name, texts = "moteus", TEXTS["moteus"]
     rest, on, expired = 0, 10, 11
@@ -120,33 +120,33 @@ class Moteus:
         self.found = replace(found(self.drive, model), switches=moteus.switches_of(switches))
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
-        """Of its line."""
+        """Return the adapter of the line: CAN-FD or UART."""
         return SocketCan(fd=True, padding=NOP) if socket else Uart()
 
     def register(self, number: int) -> float:
-        """A register (float)."""
+        """Return a register, read as float."""
         (answer,) = self.drive.receive(Frame(0xFF00 | 1, bytes((0x1D, number))))
         (value,) = struct.unpack_from("<f", answer.data, 2)
         return float(value)
 
     @property
     def mode(self) -> int:
-        """Of the drive."""
+        """The mode of the drive."""
         return round(self.register(0x000))
 
     @property
     def torque(self) -> float:
-        """That it wants to give now (N·m at its output)."""
+        """The torque that the drive commands now (N·m at its output)."""
         return self.register(0x03A) if self.mode in (self.on, self.within) else 0.0
 
     @property
     def measured(self) -> float:
-        """That it measures (N·m at its output)."""
+        """The torque that the drive measures (N·m at its output)."""
         return self.register(0x003)
 
 
 class Odrive:
-    """An ODrive under a bridge; see `Moteus`."""
+    """An ODrive behind a bridge; see `Moteus`."""
 
     name, texts = "odrive", TEXTS["odrive"]
     rest, on, expired = 1, 8, 1
@@ -157,27 +157,27 @@ class Odrive:
         self.found = found_odrive(self.drive, model)
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
-        """Of its line: a CAN bus."""
+        """Return the adapter of the line: a CAN bus."""
         return SocketCan()
 
     def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
-        """Fields of a message."""
+        """Request a message and return its fields."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
 
     @property
     def mode(self) -> int:
-        """Of the axis."""
+        """The state of the axis."""
         return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
     def torque(self) -> float:
-        """That it wants to give now (N·m)."""
+        """The torque that the drive commands now (N·m)."""
         return float(self.ask(CanSimpleCommand.GET_TORQUES, "ff")[0])
 
     @property
     def measured(self) -> float:
-        """That it measures (N·m)."""
+        """The torque that the drive measures (N·m)."""
         return float(self.ask(CanSimpleCommand.GET_TORQUES, "ff")[1])
 
 
@@ -241,7 +241,7 @@ class Bridged:
     # ------------------------------------------------------------------ a link
 
     def read(self, timeout_s: float) -> bytes:
-        """Let time pass until the bridge has sent something."""
+        """Advance time until the bridge has sent something or the timeout has passed."""
         end_ns = self.clock.now_ns() + round(timeout_s * 1e9)
         sent, self._sent = self._sent, b""
         while not (sent := sent + self.bridge.to_host()) and self.clock.now_ns() < end_ns:
@@ -249,14 +249,14 @@ class Bridged:
         return sent
 
     def write(self, data: bytes) -> None:
-        """Hand it in, now: the host may have let time pass by its clock alone."""
+        """Deliver bytes of the host now; its clock may have advanced without this object."""
         while self._at_ns < self.clock.now_ns():
             self.step(self.clock.now_ns())
         if self.alive:
             self._to_drive(self.bridge.receive_host(data, self._now))
 
     def port(self) -> LoopPort:
-        """Plug functions that come back into this object."""
+        """Return the loop's port with callbacks into this object."""
         plugs = callback_plugs(read=self._read_now, write=self.write, wait=self._wait, failed=self._failed)
         return LoopPort.on(self.clock, **plugs._asdict())
 
@@ -290,13 +290,13 @@ class Bridged:
         return self._at_ns * 2 // UNIT_TWICE_NS
 
     def run(self, seconds: float) -> None:
-        """Let time pass; what the bridge says waits."""
+        """Advance time; what the bridge sends is read later."""
         end_ns = self.clock.now_ns() + round(seconds * 1e9)
         while self.clock.now_ns() < end_ns:
             self.step(end_ns)
 
     def sleep(self, seconds: float) -> None:
-        """Let the bridge's computer stand still; what came meanwhile is received afterwards."""
+        """Suspend the bridge's computer; it receives afterwards what arrived meanwhile."""
         self.alive = False
         self.run(seconds)
         self.alive = True
@@ -305,7 +305,7 @@ class Bridged:
         self._undelivered.clear()
 
     def step(self, end_ns: int) -> None:
-        """Go to what happens next, and let it."""
+        """Advance to the next event and process it."""
         times = [end_ns, self._events[0][0] if self._events else end_ns, self._speaks_ns(end_ns)]
         if self.alive:
             times.append(-(-self.bridge.due * UNIT_TWICE_NS // 2))
@@ -326,7 +326,7 @@ class Bridged:
             self._to_drive(self.bridge.tick(self._now))
 
     def _speaks_ns(self, otherwise_ns: int) -> int:
-        """When the drive will say something by itself."""
+        """Return when the drive will send something without a request."""
         due = getattr(self.drive, "next_due", None)
         if due is None:
             return otherwise_ns
@@ -359,24 +359,24 @@ class Bridged:
             self._from_drive(self.drive.receive(frame))
 
     def happen(self, name: str, value: float = 0.0) -> None:
-        """Let the world do something to the drive (its `happen`)."""
+        """Apply an event of the environment to the drive (its `happen`)."""
         self._from_drive(self.drive.happen(name, value))
 
     # ------------------------------------------------------------------ what is true
 
     @property
     def mode(self) -> int:
-        """Of the drive."""
+        """The mode of the drive."""
         return self.far.mode
 
     @property
     def torque(self) -> float:
-        """That the drive wants to give now (N·m at its output)."""
+        """The torque that the drive commands now (N·m at its output)."""
         return self.far.torque
 
 
 def plain_drive() -> FittedDrive:
-    """A drive that has not been asked for."""
+    """Return a fitted drive that was not read from a device."""
     return FittedDrive(
         kind="moteus",
         firmware="moteus",
@@ -389,7 +389,7 @@ def plain_drive() -> FittedDrive:
 
 
 def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
-    """A bridge with a host that has armed it."""
+    """Return a bridge and a host that has armed it."""
     world = world or Bridged()
     host = Host(world)
     host.begin(**values)
@@ -397,7 +397,7 @@ def armed(world: Bridged | None = None, **values: int) -> tuple[Bridged, Host]:
 
 
 def push(host: Host, ticks: int, current: int = CURRENT) -> None:
-    """Answer so many STATEs with a current."""
+    """Reply to this many STATEs with a current."""
     for _ in range(ticks):
         host.next_state()
         host.command(current)

@@ -1,4 +1,4 @@
-"""What a process holds of the machine, before and after: threads, descriptors, children, memory, scheduling, signals.
+"""The resources of a process before and after a test: threads, descriptors, children, memory, scheduling, signals.
 
 A run may use all of it, and must leave none of it changed. `Census.of_self` looks at this process; `marked` finds
 the processes that a command started, by a mark in their environment, also when their parent has died.
@@ -25,7 +25,7 @@ SHARED_MEMORY = ("/dev/shm/", "/memfd:", "/SYSV")
 
 @dataclass(frozen=True, slots=True)
 class Census:
-    """One look at this process."""
+    """The resources of this process at one time."""
 
     threads: tuple[str, ...]  # of Python, by name
     tasks: int  # of the kernel, Python's and all others
@@ -47,7 +47,7 @@ class Census:
 
     @classmethod
     def of_self(cls) -> Census:
-        """Take it."""
+        """Read the resources of this process."""
         import resource  # noqa: PLC0415
 
         return cls(
@@ -76,13 +76,13 @@ class Census:
         )
 
     def changes(self, after: Census) -> dict[str, tuple[Any, Any]]:
-        """Return what is not the same, before and after."""
+        """Return the resources that changed, as (before, after)."""
         old, new = asdict(self), asdict(after)
         return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 
 def _settled() -> Census:
-    """A look that the next one confirms: a thread that was joined may not have left the kernel yet."""
+    """Return a census that a second one confirms, because a joined thread may still be in the kernel."""
     deadline = time.monotonic() + SETTLED_S
     seen = Census.of_self()
     while time.monotonic() < deadline:
@@ -96,7 +96,7 @@ def _settled() -> Census:
 
 @contextmanager
 def nothing_left() -> Iterator[None]:
-    """Check that this process holds after the block what it held before."""
+    """Check that this process has the same resources after the block as before."""
     gc.collect()  # what earlier tests dropped goes before, not meanwhile
     before = _settled()
     yield
@@ -108,7 +108,7 @@ def nothing_left() -> Iterator[None]:
 
 
 def marked(mark: str, variable: str = MARK) -> dict[int, str]:
-    """Return the processes with this mark in their environment: number → command line, and the test it is of."""
+    """Return the processes with this mark in their environment: number → command line and name of the test."""
     found = {}
     for name in _listed("/proc"):
         if not name.isdecimal():
@@ -140,7 +140,7 @@ def _descriptors() -> tuple[str, ...]:
 
 
 def children() -> tuple[int, ...]:
-    """Return the processes that this one started and that it has not seen end."""
+    """Return the children of this process that it has not waited for."""
     found: list[int] = []
     for task in _listed("/proc/self/task"):
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Simulated devices that claim to be real ones, which people must have verified before they move."""
+"""Simulated devices that report to be real ones, which an operator must verify before they move."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim_backend.board.configuration import describe
 
 
 def claim_to_be_real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let every simulated device that is made from now on say so."""
+    """Let every simulated device that is created from now on report that it is real."""
 
     def claimed(*arguments: Any) -> Any:
         return replace(describe(*arguments), simulated=False)

@@ -1,4 +1,4 @@
-"""The commands of ``rig`` as click has them: all of them, or the one that some words mean."""
+"""The commands of ``rig`` as click defines them: all of them, or the one that a command line calls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Words = tuple[str, ...]
 
 
 def commands(group: click.Command = rig.cli.rig, above: Words = ()) -> Iterator[tuple[Words, click.Command]]:
-    """Each command with the words that call it."""
+    """Yield each command with the words that call it."""
     if not isinstance(group, click.Group):
         yield above, group
         return
@@ -35,6 +35,6 @@ def resolve(words: Sequence[str]) -> tuple[click.Context, Words]:
 
 
 def parse_line(words: Sequence[str]) -> None:
-    """Raise for a command or an option that does not exist; values are not converted."""
+    """Parse a line; raise for an unknown command or option. Values are not converted."""
     context, rest = resolve(words)
     context.command.make_parser(context).parse_args(list(rest))

@@ -1,4 +1,4 @@
-"""A console that a test serves in its own event loop, and pages that are no browsers."""
+"""A console that a test serves in its own event loop, and clients that stand in for browser pages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATIENCE_S = 60.0  # machine code may have to be made first, beside other work
 
 
 class Page:
-    """The socket of a page or a participant's screen, and the messages that it has received."""
+    """The socket of a page or of a participant's screen, with the messages that it has received."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
@@ -53,7 +53,7 @@ class Page:
             self._news.set()
 
     async def until(self, found: Callable[[Page], Any]) -> Any:
-        """Wait until a message has been received."""
+        """Wait until a condition on the received messages is true, and return its value."""
         async with asyncio.timeout(PATIENCE_S):
             while not (result := found(self)):
                 if self.closed is not None:
@@ -63,11 +63,11 @@ class Page:
             return result
 
     async def say(self, do: str, **content: Any) -> None:
-        """Ask for something that has no answer."""
+        """Send a request that has no reply."""
         await self.socket.send(json.dumps({"do": do, **content}))
 
     async def ask(self, do: str, **content: Any) -> dict[str, Any]:
-        """Ask, and wait for the answer: `result` or `error`."""
+        """Send a request and return its reply, which contains `result` or `error`."""
         self._number += 1
         number = self._number
         await self.say(do, number=number, **content)
@@ -75,16 +75,16 @@ class Page:
         return answer
 
     def answer(self, number: int) -> dict[str, Any] | None:
-        """The answer to a request, once it is there."""
+        """Return the reply to a request; None before it has arrived."""
         return next((one for one in self.messages if one["say"] == "answer" and one["to"] == number), None)
 
     def newest(self, say: str) -> dict[str, Any] | None:
-        """Return the last message of a kind, None without one."""
+        """Return the last message of a kind, or None."""
         return next((one for one in reversed(self.messages) if one["say"] == say), None)
 
 
 class Served:
-    """A console that is served."""
+    """A running console: its address, its token, and connections to it."""
 
     def __init__(self, url: str) -> None:
         self.address, self.token = url.removeprefix("http://").split("/#")
@@ -99,7 +99,7 @@ class Served:
         origin: str | None = None,
         host: str | None = None,
     ) -> Any:
-        """A connection as a page opens it, or as another program does."""
+        """Open a connection as a page does, or, with other arguments, as an intruder does."""
         return connect(
             f"ws://{host or self.address}{path}{'&' if '?' in path else '?'}client={client}",
             origin=origin or f"http://{self.address}",  # type: ignore[arg-type]
@@ -109,7 +109,7 @@ class Served:
 
     @asynccontextmanager
     async def page(self, name: str = "the-first-page") -> AsyncIterator[Page]:
-        """A page that has shown the token."""
+        """Connect a page that has sent the token."""
         async with self.socket(client=name) as socket:
             page = Page(socket)
             await page.until(lambda page: page.newest("hello"))
@@ -117,7 +117,7 @@ class Served:
 
     @asynccontextmanager
     async def screen(self, token: str) -> AsyncIterator[Page]:
-        """A participant's screen that has shown its token."""
+        """Connect a participant's screen that has sent its token."""
         async with self.socket("/participant", token=token, client="a-participant") as socket:
             page = Page(socket)
             await page.until(lambda page: page.newest("participant"))
@@ -125,13 +125,13 @@ class Served:
 
     @asynccontextmanager
     async def hold(self, name: str = "the-first-page") -> AsyncIterator[ClientConnection]:
-        """The socket of a page's worker."""
+        """Open the socket of a page's worker."""
         async with self.socket("/hold", client=name) as socket:
             yield socket
 
 
 def processes_of_this_test() -> list[int]:
-    """This process and those that it started."""
+    """Return the numbers of this process and of its descendants."""
     found, left = [], [os.getpid()]
     while left:
         found.append(left.pop())
@@ -145,19 +145,19 @@ def processes_of_this_test() -> list[int]:
 
 
 def stop_of_this_test() -> list[LoopMemory]:
-    """Set the stop words of this test's loops: other tests, and people, run some beside it."""
+    """Set the stop words of this test's loops only; other tests and users may run loops beside it."""
     return [memory for pid in processes_of_this_test() for memory in ask_to_stop(pid)]
 
 
 def loops_of_this_test() -> list[RunningLoop]:
-    """Loops that a console of this test may look at, and whose stop word it then sets."""
+    """Return the running loops of this test, the only ones that its console may show and stop."""
     mine = processes_of_this_test()
     return [loop for loop in running() if loop.pid in mine]
 
 
 @asynccontextmanager
 async def served(place: Path, terminal: Terminal | None = None, **settings: Any) -> AsyncIterator[Served]:
-    """Serve a console; it has ended, and what it started, when the block is left. STOP is that of this test."""
+    """Serve a console until the block ends, with all that it started; its STOP reaches only loops of this test."""
     ended, urls = asyncio.Event(), asyncio.Queue[str]()
     made = ConsoleSettings(output=place, announce=urls.put_nowait, **settings)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))

@@ -1,4 +1,4 @@
-"""What every device must do: the conformance suite of the far end, over its link.
+"""The conformance suite of a device, tested over its link.
 
 `check_device` asks through a real link and knows the far end by its answers alone. The twin, its process, the
 firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
@@ -26,7 +26,7 @@ MakeLink = Callable[[], Link]
 
 
 def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = True) -> None:
-    """Run all checks; each asks `make_device_connection()` for a link to a device that is not armed.
+    """Run all checks; each calls `make_device_connection()` for a link to a device that is not armed.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def _stops_at_once(host: Host) -> None:
 
 
 def _ramps_down_when_the_host_falls_silent(host: Host) -> None:
-    """Zero within lifetime + 10 ms, never rising; then latched, and left by an explicit clear alone."""
+    """The current is zero within lifetime + 10 ms and never rises; the fault is latched until cleared explicitly."""
     host.begin(_unused_session())
     _drive(host, lifetime_us=10_000)
     seen = [host.states[-1]]
@@ -176,7 +176,7 @@ def _ramps_down_when_the_host_falls_silent(host: Host) -> None:
 
 
 def _shows_on_its_pins_what_commands_say(host: Host) -> None:
-    """With the command's current, and never longer than the command lives."""
+    """The sync pins change with the command's current, and reset when the command's lifetime ends."""
     host.begin(_unused_session())
     trial, inside, both = int(m.Sync.TRIAL), int(m.Sync.INSIDE), int(m.Sync.TRIAL | m.Sync.INSIDE)
     _shows(host, trial, Input.SYNC_TRIAL)
@@ -194,7 +194,7 @@ def _shows_on_its_pins_what_commands_say(host: Host) -> None:
 
 
 def _shows(host: Host, flags: int, wanted: int, mode: int = m.Mode.CURRENT) -> None:
-    """Command until the pins are as wanted; what stalls for longer than a command lives begins anew."""
+    """Send commands until the pins are as wanted; begin a new session if a delay exceeded the command's lifetime."""
     for _ in range(40):
         host.command(0, mode=mode, flags=flags)
         state = host.next_state()
@@ -234,7 +234,7 @@ def _survives_noise(host: Host) -> None:
 
 
 def _executes_once(host: Host) -> None:
-    """The answer to ARM was lost: the repeat gets the same answer, and no second session begins."""
+    """When the reply to ARM was lost, the repeated ARM gets the same reply and begins no second session."""
     host.identify()
     crc = host.configure(**RUN_PARAMETERS).crc
     first = host.arm(_unused_session(), crc)
@@ -256,7 +256,7 @@ def _check_time(host: Host) -> None:
 
 
 def _drive(host: Host, lifetime_us: int = 20_000) -> None:
-    """Command until the current flows; the newest STATE shows it."""
+    """Send commands until the newest STATE reports the current."""
     for _ in range(10):
         host.command(PROBE_CURRENT, lifetime_us=lifetime_us)
         if host.next_state().current_commanded == PROBE_CURRENT:
@@ -268,5 +268,5 @@ _sessions = itertools.count(time.time_ns())
 
 
 def _unused_session() -> int:
-    """A session number that differs from the one before, and hardly is the last one of another process."""
+    """Return a session number that this process has not used last."""
     return 1 + next(_sessions) % 255

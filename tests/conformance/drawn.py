@@ -1,4 +1,4 @@
-"""A plug-in of pytest that notes what property tests draw: ``python -m pytest -p tests.conformance.drawn``.
+"""A pytest plug-in that records the examples of property tests: ``python -m pytest -p tests.conformance.drawn``.
 
 Each test that ran adds a line to the file that `FILE` names in the environment: its name, the number of its examples
 and a digest of all choices that hypothesis made for them.
@@ -31,7 +31,7 @@ core.StateForActualGivenExecution._execute_once_for_engine = _noted
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Note what one test drew."""
+    """Record what hypothesis drew for one test."""
     _choices.clear()
     done = yield
     if _choices:

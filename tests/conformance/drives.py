@@ -1,4 +1,4 @@
-"""A simulated drive under test: frames by hand, and a line in memory whose time passes only when the drive waits."""
+"""Simulated drives under test: single frames, and a line in memory whose time advances only when the drive waits."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ NAN = float("nan")
 
 
 def drive_rig(**changed: Any) -> RigModel:
-    """The round numbers of `rotary_rig`, on the 14-bit encoder of a drive."""
+    """Return `rotary_rig` with the 14-bit encoder of a drive."""
     model = rotary_rig(inertia=changed.pop("inertia", INERTIA), **changed)
     encoder = Encoder(counts_per_revolution=4096, ratio=RATIO, sign=model.encoder.sign, offset=0.0)
     return replace(model, encoder=encoder)
 
 
 class Moteus:
-    """A moteus and what a host says to it; registers are read as floats unless a form is named."""
+    """A moteus and a host that sends it single frames; registers are read as floats unless another form is named."""
 
     def __init__(
         self, model: RigModel | None = None, settings: Mapping[str, str] | None = None, **options: Any
@@ -43,16 +43,16 @@ class Moteus:
         self.drive = SimulatedMoteus(model or drive_rig(), MoteusOptions(settings=settings or {}, **options))
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the drive's time."""
         self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, data: bytes, identifier: int = 0x8001) -> bytes | None:
-        """Send a frame; the data of its answer."""
+        """Send a frame and return the data of its reply."""
         answers = self.drive.receive(Frame(identifier, data))
         return answers[0].data if answers else None
 
     def read(self, register: int, form: str = "f") -> float:
-        """Read a register as float, or as ``b``, ``h`` or ``i``, as it stands in the frame."""
+        """Read a register as float, or as the integer type of the code ``b``, ``h`` or ``i``."""
         kind = "bhif".index(form)
         answer = self.send(bytes((0x11 | kind << 2, *_varuint(register))))
         assert answer is not None
@@ -68,21 +68,21 @@ class Moteus:
         return self.send(data)
 
     def torque(self, torque: float, **others: float) -> None:
-        """Feed-forward torque alone (N·m); `timeout` (s) if given."""
+        """Command only a feed-forward torque (N·m), with a `timeout` (s) if given."""
         registers = {0x020: NAN, 0x022: torque, 0x023: 0.0, 0x024: 0.0, 0x02B: 0.0}
         if "timeout" in others:
             registers[0x027] = others["timeout"]
         self.write(10, registers)
 
     def start(self, **others: float) -> None:
-        """Enable it, without torque, and wait until it is in position mode."""
+        """Enable the drive without torque, and wait until it is in position mode."""
         self.torque(0.0, timeout=NAN)
         self.wait(0.02)
         assert self.read(0) == 10
         self.torque(0.0, **others)
 
     def console(self, line: str) -> str:
-        """Say a line at the console; what it answers."""
+        """Send a line to the drive's console and return its output."""
         self.send(bytes((0x40, 1, len(line) + 1)) + line.encode() + b"\n", 0x0001)
         text = b""
         while (answer := self.send(bytes((0x42, 1, 60)))) is not None and answer[2]:
@@ -91,12 +91,12 @@ class Moteus:
 
     @property
     def command(self) -> float:
-        """Torque that reaches the shaft, behind the amplifier (N·m)."""
+        """The torque at the shaft, behind the amplifier (N·m)."""
         return self.drive.motor.torque
 
 
 class Odrive:
-    """An ODrive at node 0 and what a host says to it."""
+    """An ODrive at node 0 and a host that sends it single messages."""
 
     def __init__(
         self, model: RigModel | None = None, settings: Mapping[str, str] | None = None, **options: Any
@@ -104,38 +104,38 @@ class Odrive:
         self.drive = SimulatedOdrive(model or drive_rig(), OdriveOptions(settings=settings or {}, **options))
 
     def wait(self, seconds: float) -> list[Frame]:
-        """Let time pass; what it sent meanwhile."""
+        """Advance the drive's time; return the frames that it sent."""
         return self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, command: CanSimpleCommand, form: str = "", *values: float) -> list[Frame]:
-        """Send a message; the answers."""
+        """Send a message and return the replies."""
         return self.drive.receive(Frame(command, struct.pack("<" + form, *values)))
 
     def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
-        """Ask for a message by a remote frame; its fields."""
+        """Request a message by a remote frame and return its fields."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
 
     def start(self) -> None:
-        """Torque control, closed loop."""
+        """Select torque control and closed loop."""
         self.send(CanSimpleCommand.SET_CONTROLLER_MODE, "II", 1, 1)
         self.send(CanSimpleCommand.SET_AXIS_STATE, "I", 8)
         self.wait(0.001)
 
     @property
     def state(self) -> int:
-        """Of the axis."""
+        """The state of the axis."""
         return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
     def errors(self) -> tuple[int, int]:
-        """Active ones, and the reason for the last disarming."""
+        """The active errors, and the reason of the last disarming."""
         active, reason = self.ask(CanSimpleCommand.GET_ERROR, "II")
         return active, reason
 
 
 class Wire:
-    """A line in memory: units that come at given times, and a clock that the drive's waiting moves on.
+    """A line in memory: byte units with arrival times, and a clock that advances while the drive waits.
 
     Attributes
     ----------
@@ -152,11 +152,11 @@ class Wire:
         self._units = deque(units)
 
     def clock(self) -> int:
-        """The time (ns)."""
+        """Return the time (ns)."""
         return self.now
 
     def read(self, deadline_ns: int) -> bytes:
-        """Wait for the next unit."""
+        """Wait for the next unit until a deadline; return it, or b""."""
         at, unit = self._units[0] if self._units else (deadline_ns + 1, b"")
         if at > deadline_ns:
             self.now = max(self.now, deadline_ns)
@@ -166,11 +166,11 @@ class Wire:
         return unit
 
     def write(self, frames: bytes) -> None:
-        """Take what the drive says."""
+        """Record the frames that the drive sends."""
         self.sent.append((self.now, frames))
 
     def unplug(self) -> None:
-        """Be gone."""
+        """Mark the line as unplugged."""
         self.pulled = True
 
 
@@ -181,7 +181,7 @@ def served(
     script: DriveScript,
     duration_s: float,
 ) -> Wire:
-    """Serve a drive on a line in memory for a while; the line."""
+    """Serve a drive on a line in memory for `duration_s`, and return the line."""
     wire = Wire(units)
     Serving(drive, adapter, wire, script, threading.Event(), clock=wire.clock).run(duration_s)
     return wire

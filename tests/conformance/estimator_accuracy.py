@@ -1,4 +1,4 @@
-"""The accuracy table: how well each estimator does on reference motions, as data that a test and the guide read.
+"""The accuracy table of the estimators on reference motions, as data that a test and the guide read.
 
     python -m tests.conformance.estimator_accuracy            # measure, tune anew, write table and guide (minutes)
     python -m tests.conformance.estimator_accuracy --check    # does the guide show the table that is committed?
@@ -46,17 +46,17 @@ Row = dict[str, Any]
 
 @lru_cache(maxsize=1)
 def case_of(signal: str, rate_hz: float, resolution: float) -> Case:
-    """Return a case, made once for all estimators in a row that are scored on it."""
+    """Return a case; it is cached, because all estimators are scored on the same one."""
     return signal_case(SIGNALS[signal], rate_hz, resolution)
 
 
 def scored() -> list[str]:
-    """Return the estimators of counts alone: the motions of the table have no effort."""
+    """Return the names of the estimators that need only counts: the motions of the table have no effort."""
     return [name for name in estimators.names() if not estimators.get(name).uses_effort]
 
 
 def grid() -> list[tuple[str, int, float]]:
-    """Signal, rate and resolution of the cases: the hit everywhere, the other motions at two rates."""
+    """Return signal, rate and resolution of the cases: the hit at all rates, the other motions at two."""
     hits = [(HIT, rate, resolution) for resolution in RESOLUTIONS for rate in RATES]
     others = [(s, r, d) for s in SIGNALS if s != HIT for d in RESOLUTIONS for r in (2000, 20_000)]
     return hits + others
@@ -78,7 +78,7 @@ def row_of(found: Score, tuned: str | None) -> Row:
 
 
 def measure(name: str) -> list[Row]:
-    """Rows of one estimator: with default settings on every case, and tuned to each hit."""
+    """Measure the rows of one estimator: with default settings on every case, and tuned to each hit."""
     rows = []
     for key in grid():
         case = case_of(*key)
@@ -94,7 +94,7 @@ def measure(name: str) -> list[Row]:
 
 
 def make_table(names: Sequence[str]) -> dict[str, Any]:
-    """Measure everything anew."""
+    """Measure all rows anew."""
     case = case_of(HIT, COST_RATE, FINE)
     rows = []
     for name in names:
@@ -128,7 +128,7 @@ def write_table(table: dict[str, Any]) -> None:
 
 
 def tuned_hits(resolution: float) -> str:
-    """Least rms error on the hit, each estimator tuned to it at each rate, and the settings at 20 kHz."""
+    """Return the table of the least rms error on the hit, by rate, with the tuned settings."""
     table = read_table()
     lines = ["estimator", *(f"{rate // 1000} kHz" for rate in RATES), "settings at 2 kHz", "at 20 kHz"]
     rows = []
@@ -140,7 +140,7 @@ def tuned_hits(resolution: float) -> str:
 
 
 def noise_and_delay() -> str:
-    """What the tuned estimators of the section before cost in delay, and read at rest, at 2 and 20 kHz."""
+    """Return the table of delay and noise at rest of the tuned estimators, at 2 and 20 kHz."""
     table = read_table()
     columns = ("delay", "error without it", "toggling count")
     lines = ["estimator", *(f"{text}, {rate} kHz" for rate in (2, 20) for text in columns)]
@@ -160,7 +160,7 @@ def noise_and_delay() -> str:
 
 
 def default_motions() -> str:
-    """Raw rms error with default settings at 2 kHz on every reference motion."""
+    """Return the table of rms errors with default settings at 2 kHz on every reference motion."""
     table = read_table()
     motions = list(SIGNALS)
     lines = ["estimator", *(f"{m}, {_micrometres(d)}" for d in RESOLUTIONS for m in motions)]
@@ -177,7 +177,7 @@ def default_motions() -> str:
 
 
 def cost() -> str:
-    """Cost of one update with default settings."""
+    """Return the table of the cost of one update with default settings."""
     table = read_table()
     found = table["cost"]
     rows = [[f"`{name}`", f"{ns:.0f}"] for name, ns in found["ns_per_sample"].items()]
@@ -194,7 +194,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and write table and guide; ``--guide`` writes the guide alone, ``--check`` only looks at it.
+    """Measure and write table and guide; ``--guide`` writes only the guide, ``--check`` only compares it.
 
     Names of estimators after the options measure these alone and keep the other rows.
     """
@@ -208,7 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _merged(fresh: dict[str, Any]) -> dict[str, Any]:
-    """The committed table with the rows of `fresh` in the place of older ones, in the order of the family."""
+    """Return the committed table with the rows of `fresh` in place of older ones."""
     if not TABLE.exists():
         return fresh
     old = read_table()
@@ -234,7 +234,7 @@ def _select(table: dict[str, Any], name: str, case: str, resolution: float) -> l
 
 
 def _best(table: dict[str, Any], row: Row) -> bool:
-    """Whether a row is the tuned one of its case, or the only one."""
+    """Return True if a row is the tuned one of its case, or the only one."""
     if row.get("refused"):
         return False
     if row["tuned"]:

@@ -1,4 +1,4 @@
-"""A simulated device as a process of its own, with a line that breaks on command and a witness that outlives it.
+"""A simulated device in its own process, with a line that fails on command and a witness file that outlives it.
 
 The witness is a small file that the device writes at every tick and everybody can read: what current flows, whether
 the device has latched a fault, what it lost. It says what the device did when no frame can tell any more.
@@ -81,7 +81,7 @@ WITNESS = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """What goes wrong, `after` so many ticks of RUNNING; frames of a fault count from there, each way."""
+    """The faults of a run, from `after` ticks of RUNNING on; frames of a fault count from there in each direction."""
 
     after: int = 60
     frames: tuple[FrameFault, ...] = ()
@@ -94,7 +94,7 @@ class Script:
 
 
 class PatientClock:
-    """Device time that counts only while this process runs: a pause of it adds one step.
+    """A device clock that counts only while this process runs: a pause of the process adds one step.
 
     It stands for the module `time` in `sim_backend`, and for the two clock functions of a `LoopPort`.
     """
@@ -112,11 +112,11 @@ class PatientClock:
         return self._now_ns
 
     def stand_still(self) -> None:
-        """Leave out the time since the last look."""
+        """Exclude the time since the last reading."""
         self._seen_ns = time.monotonic_ns()
 
     def loop_port(self, **plugs: Any) -> LoopPort:
-        """Join what moves bytes with this clock, for compiled code."""
+        """Return a loop port with these byte functions and this clock, for compiled code."""
 
         def sleep_until_(handle: int, deadline_ns: int) -> int:
             sleep_until(deadline_ns)
@@ -131,7 +131,7 @@ class PatientClock:
 
 
 class Witness:
-    """What a device writes down of itself, and what the script does to it."""
+    """The record that a device writes about itself at each tick; it also injects the faults of the script."""
 
     def __init__(self, device: SimulatedDevice | FirmwareDevice, witness: np.ndarray, script: Script) -> None:
         self._device = device
@@ -142,7 +142,7 @@ class Witness:
         self._first_fault = Fault.NONE
 
     def see_tick(self, state: State, current: int, fault: Fault) -> None:
-        """Look at a tick that has passed, and strike when it is time."""
+        """Count a tick that has passed, and inject the fault when it is due."""
         self.ticks += 1
         self.running += state is State.RUNNING
         self.peak = max(self.peak, abs(current))
@@ -159,7 +159,7 @@ class Witness:
             device.inject_fault(script.fault)
 
     def write(self, state: State, current: int, fault: Fault, statistics: Any) -> None:
-        """Leave what is known now for everybody to read."""
+        """Write the present values to the shared record."""
         w = self._witness[0]
         w["running"], w["peak"], w["rises"] = self.running, self.peak, self.rises
         w["current"], w["state"], w["fault"], w["first_fault"] = current, state, fault, self._first_fault
@@ -170,7 +170,7 @@ class Witness:
 
 
 class WatchedDevice(SimulatedDevice):
-    """A device that keeps its witness."""
+    """A simulated device with a `Witness`."""
 
     def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
         super().__init__(model, **options)
@@ -187,7 +187,7 @@ class WatchedDevice(SimulatedDevice):
 
 
 class WatchedFirmware(FirmwareDevice):
-    """The firmware with its witness. (That a ramp only falls is not checked: the law behind it continues.)"""
+    """The firmware with a `Witness`. (A falling ramp is not checked, because the law behind it continues.)"""
 
     def __init__(self, model: RigModel, witness: np.ndarray, script: Script, **options: Any) -> None:
         super().__init__(model, **options)
@@ -202,7 +202,7 @@ class WatchedFirmware(FirmwareDevice):
 
 
 class FaultyPort:
-    """A port whose line follows a script; `unplug` is what pulling the plug means for that port."""
+    """A port whose line follows a script; `unplug` is the port's own way to lose the plug."""
 
     def __init__(
         self,
@@ -225,7 +225,7 @@ class FaultyPort:
         self._noise = np.random.default_rng(0)
 
     def read(self, deadline_ns: int) -> bytes:
-        """As `DevicePort.read`, behind the line."""
+        """Read as `DevicePort.read` does, through the faulty line."""
         if self._gone:
             sleep_until(deadline_ns)
             return b""
@@ -239,7 +239,7 @@ class FaultyPort:
         return self._line.receive(Direction.TO_DEVICE, tick)
 
     def _wait_for_the_host(self) -> bytes:
-        """Let device time pass `SLOWER` while the host owes a command. It does pass: a STATE may have been lost."""
+        """Slow device time by `SLOWER` while a command is due; never stop it, because a STATE may have been lost."""
         owed = self._device.state in (State.ARMED, State.RUNNING)
         if not owed or self._clock.monotonic_ns() - self._came_ns < OWED_NS:
             return b""
@@ -248,12 +248,12 @@ class FaultyPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """As `DevicePort.write`, before the line."""
+        """Write as `DevicePort.write` does, through the faulty line."""
         if not self._gone:
             self._port.write(self._passed(frames))
 
     def write_if_free(self, frame: bytes) -> None:
-        """As `DevicePort.write_if_free`, before the line."""
+        """Write as `DevicePort.write_if_free` does, through the faulty line."""
         if self._gone:
             return
         self._port.write_if_free(self._passed(frame))
@@ -283,7 +283,7 @@ class FaultyPort:
 
 
 class PluggedPort:
-    """Plug functions for compiled code that come back into a `DevicePort`."""
+    """Plug functions for compiled code that call a `DevicePort`."""
 
     def __init__(self, port: DevicePort, clock: PatientClock) -> None:
         self._port = port
@@ -291,7 +291,7 @@ class PluggedPort:
         self._received = b""
 
     def loop_port(self) -> LoopPort:
-        """Return them."""
+        """Return the loop port."""
         plugs = callback_plugs(read=self._read, write=self._port.write, wait=self._wait)
         return self._clock.loop_port(**plugs._asdict())
 
@@ -305,7 +305,7 @@ class PluggedPort:
 
 
 class _FromPython(NativeFunction):
-    """A plug function that Python calls, too."""
+    """A plug function that Python can call, too."""
 
     def __call__(self, *words: int) -> int:
         return self.function(*words)
@@ -314,7 +314,7 @@ class _FromPython(NativeFunction):
 
 
 def native(function: Callable[..., int], signature: Any, words: int) -> NativeFunction:
-    """Make a plug function of one in Python that takes so many words."""
+    """Return a plug function that calls a Python function with `words` arguments."""
     callback = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * words)(function)
     address = ctypes.cast(callback, ctypes.c_void_p).value
     assert address is not None
@@ -364,7 +364,7 @@ def _serve(model: RigModel, script: Script, witness_path: Path, rate: int, firmw
 
 @contextmanager
 def patient_host() -> Iterator[None]:
-    """Let a host in this process wait for samples and answers as long as a busy machine may need for them."""
+    """Give a host in this process longer timeouts for samples and replies, for a busy machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trial, "LOST_AFTER_S", PATIENCE_S)
         patch.setattr(transaction, "_FIRST_NS", round(ANSWER_S * 1e9))
@@ -372,7 +372,7 @@ def patient_host() -> Iterator[None]:
 
 
 def processes() -> Any:
-    """Context of child processes that start at once: they are forked from one that has imported everything."""
+    """Return a forkserver context whose children start at once, because its server has imported everything."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
         ["tests.conformance.forked_from", "rig.experiments.trials._trial", "rig.devices.serial"]
@@ -381,7 +381,7 @@ def processes() -> Any:
 
 
 class FarEnd:
-    """A device process, its URL and its witness."""
+    """A device process with its URL and its witness."""
 
     _numbers = itertools.count()
 
@@ -405,37 +405,37 @@ class FarEnd:
             self.url: str = receiver.recv()
 
     def __getitem__(self, name: str) -> int:
-        """Return what the device wrote down at its last tick."""
+        """Return a value that the device recorded at its last tick."""
         return int(self._witness[0][name])
 
     @contextmanager
     def open(self) -> Iterator[FramedDevice]:
-        """Open it as a host does that waits longer."""
+        """Open the device as a host with longer timeouts."""
         with patient_host(), open_device(self.url) as device:
             yield device
 
     def pause(self) -> None:
-        """Stop the process, as a debugger or a frozen computer does."""
+        """Stop the process (SIGSTOP), as a debugger or a frozen computer does."""
         os.kill(self.process.pid, signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let the process continue."""
+        """Continue the stopped process."""
         os.kill(self.process.pid, signal.SIGCONT)
 
     def kill(self) -> None:
-        """End it with no chance to say anything."""
+        """Kill the process (SIGKILL), so that it can send nothing more."""
         self.process.kill()
         self.process.join(WAIT_S)
 
     def wait_for(self, what: Callable[[FarEnd], bool], text: str) -> None:
-        """Wait until the witness says so."""
+        """Wait until the witness satisfies a condition."""
         deadline = time.monotonic() + WAIT_S
         while not what(self):
             assert time.monotonic() < deadline, f"{text}: {self._witness[0]}"
             time.sleep(0.005)
 
     def wait_for_rest(self) -> None:
-        """Wait until no current flows, none can, and a while more."""
+        """Wait until no current flows and the device is disarmed, and for 20 ticks more."""
         self.wait_for(
             lambda w: w["current"] == 0 and w["state"] not in (State.ARMED, State.RUNNING), "no rest"
         )
@@ -457,7 +457,7 @@ class FarEnd:
 
 
 class HostProcess:
-    """A host that runs one trial in a process of its own, to be killed, stopped and interrupted.
+    """A host that runs one trial in its own process, which a test can kill, stop and interrupt.
 
     Attributes
     ----------
@@ -475,12 +475,12 @@ class HostProcess:
         sender.close()
 
     def send(self, number: signal.Signals) -> None:
-        """Send a signal, unless the process has ended by itself."""
+        """Send a signal, unless the process has already ended."""
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process.pid, number)
 
     def ended(self) -> str:
-        """Wait for the end: the class of its error, "" without one, "killed" when it sent nothing."""
+        """Wait for the end; return the error's class name, "" without an error, "killed" without a report."""
         self.process.join(WAIT_S)
         assert not self.process.is_alive(), "the host does not end"
         try:
@@ -489,7 +489,7 @@ class HostProcess:
             return "killed"
 
     def close(self) -> None:
-        """End the process, if it still runs."""
+        """Kill the process if it still runs."""
         if self.process.is_alive():
             self.process.kill()
             self.process.join(WAIT_S)

@@ -1,4 +1,4 @@
-"""What a device does when something goes wrong: each fault once, for every far end that can have it.
+"""The fault suite of a device: each fault once, for every kind of device that can have it.
 
 `check_faults` injects a fault into a device that gives effort and checks what must follow, within which bound: the
 effort is zero and stays zero, the fault is latched and reported, and the next session needs what it should need.
@@ -31,7 +31,7 @@ _U16 = 0xFFFF
 
 
 class FarEnd(ABC):
-    """A device, the host at its link, and what the world can do to the device.
+    """A device with effort, the host at its link, and the faults that a test can cause.
 
     Attributes
     ----------
@@ -72,18 +72,18 @@ class FarEnd(ABC):
 
     @abstractmethod
     def effort(self) -> float:
-        """Return what the motor is given now (quanta); 0 exactly where it is given nothing."""
+        """Return the motor's present effort (quanta), exactly 0 without any."""
 
     def enabled(self) -> bool:
-        """Return True if the amplifier is on; False also where that cannot be seen."""
+        """Return True if the amplifier is on; False also where this cannot be observed."""
         return False
 
     def hold(self, held: bool) -> None:
-        """Hold the hold-to-run switch, or release it."""
+        """Press or release the hold-to-run switch."""
         raise NotImplementedError
 
     def parameters(self) -> dict[str, Value]:
-        """Return what this host configures."""
+        """Return the parameters that this host configures."""
         return {
             **RUN_PARAMETERS,
             "position_rate": self.rate,
@@ -92,7 +92,7 @@ class FarEnd(ABC):
         }
 
     def arm(self, **changes: Value) -> m.Ack:
-        """Configure and arm a new session; return the answer."""
+        """Configure and arm a new session; return the reply."""
         if self.host.connection.state > State.CONFIGURED:
             self.host.disarm(clear_fault=True)
         self.host.identify()
@@ -106,7 +106,7 @@ class FarEnd(ABC):
         return self.session
 
     def begin(self, **changes: Value) -> FarEnd:
-        """Bring the device to where it gives effort."""
+        """Arm the device and command it until it gives effort."""
         ack = self.arm(**changes)
         assert ack.status == Status.OK, ack
         self.host.next_state()
@@ -114,17 +114,17 @@ class FarEnd(ABC):
         return self
 
     def push(self) -> None:
-        """Command until there is effort."""
+        """Send commands until there is effort."""
         self.watch(3 * self.send_every + self.late, self.command)
         assert self.effort() != 0.0
 
     def command(self, mode: int | None = None) -> None:
-        """Send a good command."""
+        """Send a valid command."""
         mode = self.mode if mode is None else mode
         self.host.command(self.current, lifetime_us=self.lifetime_us, mode=mode)
 
     def watch(self, ticks: int, send: Callable[[], object] | None = None) -> list[float]:
-        """Return the effort behind each of so many ticks, in which the host sends something or nothing."""
+        """Return the effort after each of `ticks` ticks; call `send`, if given, in every `send_every`-th."""
         begin_ns, efforts = self.host.link.clock.now_ns(), []
         for tick in range(ticks):
             if send is not None and tick % self.send_every == 0:
@@ -139,7 +139,7 @@ class FarEnd(ABC):
                 self.received.append(event.message)
 
     def frame(self, *, session: int | None = None, behind: int | None = None, **changes: int) -> bytes:
-        """Return a command as the next one would be, but for some changes, or `behind` the newest one."""
+        """Return the next command with some changes, or with a sequence `behind` the newest one."""
         connection = self.host.connection
         self._sent += 1
         sequence = connection.sequence_to_send(m.Command) + (self._sent if behind is None else -1 - behind)
@@ -155,7 +155,7 @@ class FarEnd(ABC):
         return encode_frame(pack(m.Command(**fields), session=of, sequence=sequence & _U16))
 
     def ticks_of(self, us: int) -> int:
-        """Return a time in ticks."""
+        """Convert microseconds to ticks."""
         return round(us * 1e-6 * self.rate)
 
     @property
@@ -196,7 +196,7 @@ INEFFECTIVE: dict[str, tuple[Callable[[FarEnd], bytes], tuple[str, ...]]] = {
 
 
 def check_ineffective(make_far_end: MakeFarEnd, name: str) -> None:
-    """Without a command the effort is as with one for a lifetime, falls in the ramp, and is zero: LINK_LOST."""
+    """A frame that is no valid command must not extend the last one: its effort ramps down, then LINK_LOST."""
     make, counters = INEFFECTIVE[name]
     far = make_far_end().begin()
     before = far.host.ask(m.GetStatistics(far.host.nonce()))
@@ -217,7 +217,7 @@ def check_ineffective(make_far_end: MakeFarEnd, name: str) -> None:
 
 
 def check_ineffective_beside_commands(make_far_end: MakeFarEnd) -> None:
-    """Noise, frames of another session and repeated ones change nothing while good commands come."""
+    """Noise, frames of another session and repeated frames change nothing between valid commands."""
     far = make_far_end().begin()
     beside = [make for make, counters in INEFFECTIVE.values() if counters and counters[0] in NO_NEWS]
 
@@ -233,7 +233,7 @@ def check_ineffective_beside_commands(make_far_end: MakeFarEnd) -> None:
 
 
 def _undisturbed(make_far_end: MakeFarEnd, far: FarEnd, ticks: int) -> Any:
-    """Return the effort of a device that is commanded all the time; with the law on it that depends on the motion."""
+    """Return the effort of a device that receives every command; with a law on the device, of a twin."""
     if far.mode is Mode.CURRENT:
         return pytest.approx([far.current] * ticks, abs=far.grain)
     twin = make_far_end().begin()
@@ -245,7 +245,7 @@ def _undisturbed(make_far_end: MakeFarEnd, far: FarEnd, ticks: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What must follow of a fault.
+    """The required reaction to a fault.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ FOUND: dict[str, Found] = {
 
 
 def check_found(make_far_end: MakeFarEnd, name: str) -> None:
-    """The effort is zero in time and stays zero; the fault is reported, logged and left by a clear alone."""
+    """The effort is zero in time and stays zero; the fault is reported, logged and cleared only explicitly."""
     found = FOUND[name]
     far = make_far_end().begin()
     far.strikes[name]()
@@ -313,7 +313,7 @@ def check_found(make_far_end: MakeFarEnd, name: str) -> None:
 
 
 def _check_latched(far: FarEnd, faults: tuple[Fault, ...]) -> None:
-    """FAULT with one of these, whatever the host commands; its log has the ticks before it."""
+    """The fault stays latched whatever the host commands; its log has the ticks before it."""
     fault = far.state.fault
     assert (far.state.state, fault in faults) == (State.FAULT, True), far.state
     assert not far.enabled()
@@ -331,7 +331,7 @@ def _check_latched(far: FarEnd, faults: tuple[Fault, ...]) -> None:
 
 
 def check_stop(far: FarEnd) -> None:
-    """STOP is zero effort without a ramp, within the tick; a command afterwards is obeyed."""
+    """STOP sets zero effort within the tick, without a ramp; a later command is obeyed."""
     far.begin()
     far.command(Mode.STOP)
     assert not any(far.watch(5 + far.late)[far.late :])
@@ -341,7 +341,7 @@ def check_stop(far: FarEnd) -> None:
 
 
 def check_disarm(far: FarEnd) -> None:
-    """DISARM is zero effort at once."""
+    """DISARM sets zero effort at once."""
     far.begin()
     assert far.host.disarm().status == Status.OK
     assert not any(far.watch(5 + far.late)[far.late :])
@@ -349,7 +349,7 @@ def check_disarm(far: FarEnd) -> None:
 
 
 def check_hold_to_run(far: FarEnd) -> None:
-    """Only while the switch is held there is effort; a switch that is released is no fault."""
+    """There is effort only while the switch is held; releasing it is not a fault."""
     far.hold(False)
     assert far.arm(hold_to_run=1).status == Status.OK
     far.host.next_state()
@@ -367,7 +367,7 @@ def check_hold_to_run(far: FarEnd) -> None:
 
 
 def check_command_in_the_ramp(far: FarEnd) -> None:
-    """A host that comes back before the ramp has ended has the effort again."""
+    """A host that sends a command before the ramp has ended gets the effort back."""
     far.begin()
     far.command()
     far.watch(far.ticks_of(far.lifetime_us) + far.ticks_of(far.ramp_us) // 2)
@@ -387,14 +387,14 @@ BESIDE = "invalid frames beside commands"
 
 
 def faults_of(far_end: FarEnd) -> list[str]:
-    """Return the names of all that can happen to a far end."""
+    """Return the names of all faults that a device can have."""
     held = type(far_end).hold is not FarEnd.hold
     ends = [name for name in ENDS if held or name != "hold-to-run is released"]
     return [*INEFFECTIVE, BESIDE, *ends, *far_end.strikes]
 
 
 def check_fault(make_far_end: MakeFarEnd, name: str) -> None:
-    """Check one of `faults_of`."""
+    """Check one fault of `faults_of`."""
     if name in INEFFECTIVE:
         check_ineffective(make_far_end, name)
     elif name == BESIDE:
@@ -406,6 +406,6 @@ def check_fault(make_far_end: MakeFarEnd, name: str) -> None:
 
 
 def check_faults(make_far_end: MakeFarEnd) -> None:
-    """Check all that can happen to a far end, each from a session of its own."""
+    """Check all faults of a device, each in its own session."""
     for name in faults_of(make_far_end()):
         check_fault(make_far_end, name)

@@ -1,4 +1,4 @@
-"""Whether this machine can make the firmware's library, for tests that need it."""
+"""Skip or simulate: a machine without a C compiler for the firmware's library."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim_backend.board import firmware_library, make_device
 
 
 def need_compiler() -> None:
-    """Skip without a C compiler."""
+    """Skip the test without a C compiler."""
     try:
         firmware_library.FIRMWARE.compiler()
     except ConfigError:
@@ -18,7 +18,7 @@ def need_compiler() -> None:
 
 
 def hide_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Be a machine without a C compiler, whose library has not been opened before."""
+    """Simulate a machine without a C compiler and without a cached library."""
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(c_library, "COMPILERS", ())
     monkeypatch.setattr(c_library, "ZIG", "no compiler")

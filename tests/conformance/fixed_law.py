@@ -20,7 +20,7 @@ from rig.control.estimators._fdm_butterworth_fixed import biquad
 
 
 def rounded(value: Fraction, rounding: int) -> int:
-    """Return the integer that the named rounding makes of an exact value."""
+    """Round an exact value to an integer by the named rule."""
     name = ROUNDINGS[rounding]
     if name == "floor":
         return math.floor(value)
@@ -28,18 +28,18 @@ def rounded(value: Fraction, rounding: int) -> int:
 
 
 def clipped(value: int, word_bits: int) -> int:
-    """Return the nearest integer of a two's complement word."""
+    """Saturate a value to a two's complement word."""
     return sorted((-(2 ** (word_bits - 1)), value, 2 ** (word_bits - 1) - 1))[1]
 
 
 def difference(newer: int, older: int) -> int:
-    """Difference of two counts of a 32-bit counter, the shorter way round."""
+    """Return the difference of two counts of a 32-bit counter across its wrap."""
     d = (newer - older) % 2**32
     return d - 2**32 if d >= 2**31 else d
 
 
 class ExactFilter:
-    """Finite difference and biquad, one call for each velocity sample."""
+    """Finite difference and biquad in exact arithmetic, called once for each velocity sample."""
 
     def __init__(self, filter_: Biquad) -> None:
         self.filter = filter_
@@ -47,7 +47,7 @@ class ExactFilter:
         self.inputs, self.outputs = [0, 0], [0, 0]
 
     def velocity(self, count: int, elapsed: int = 1) -> int:
-        """Counts per period in LSB of the state."""
+        """Return the velocity in counts per period (LSB of the state)."""
         f = self.filter
         moved = 0 if self.count is None else difference(count, self.count)
         self.count = count
@@ -62,7 +62,7 @@ class ExactFilter:
 
 
 def exact_quanta(count: int, velocity: int, wall: FixedWall) -> int:
-    """Current of wall and constant effort, guarded (quanta)."""
+    """Return the guarded current of wall and constant effort (quanta)."""
     depth = wall.direction * difference(count, wall.reference) * 2**DEPTH.fraction_bits - wall.surface
     depth = clipped(depth, DEPTH.word_bits)
     reaction = 0
@@ -79,7 +79,7 @@ def exact_quanta(count: int, velocity: int, wall: FixedWall) -> int:
 
 @dataclass(frozen=True)
 class GoldenVectors:
-    """One trial of a device: its integers, the count of each tick, and what it must answer."""
+    """One trial: the parameters of the law, the count of each tick, and the required currents."""
 
     filter: Biquad
     wall: FixedWall
@@ -88,21 +88,21 @@ class GoldenVectors:
 
     @cached_property
     def velocities(self) -> tuple[int, ...]:
-        """Velocity held in each tick (LSB of the filter's state): one is taken in every so many."""
+        """The velocity held in each tick (LSB of the filter's state); one tick in `velocity_divider` has a new one."""
         exact, divider = ExactFilter(self.filter), self.velocity_divider
         taken = [exact.velocity(count) for count in self.counts[::divider]]
         return tuple(taken[tick // divider] for tick in range(len(self.counts)))
 
     @cached_property
     def quanta(self) -> tuple[int, ...]:
-        """Current for each count."""
+        """The required current for each count."""
         held = zip(self.counts, self.velocities, strict=True)
         return tuple(exact_quanta(count, velocity, self.wall) for count, velocity in held)
 
 
 @cache
 def golden_vectors(seed: int, ticks: int = 400) -> GoldenVectors:
-    """Make the vectors of a seed; the same for ever, for they rest on `Random.random` alone, which Python promises.
+    """Return the vectors of a seed; they never change, because `Random.random` is guaranteed by Python.
 
     The seed draws rates, filter, wall and options; the handle hits the wall, rings, jumps now and then, and in every
     fourth seed crosses the wrap of the counter.

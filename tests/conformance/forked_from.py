@@ -1,4 +1,4 @@
-"""What the process has that far ends and hosts are forked from: every import, and the kernels of a device.
+"""The imports and kernels of the process from which devices and hosts are forked.
 
 Each of them would load the same machine code again: a third of a second, where it then lives for a tenth.
 """

@@ -1,4 +1,4 @@
-"""A rig that counts as real, behind a link of a made-up delay: what arms a device must ask the gate and the pulse."""
+"""A device that counts as real, behind a link of a chosen delay: arming must pass the gate and the pulse first."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ REFUSED = "this wall must not be armed"
 
 
 class Started(Exception):  # noqa: N818  (it is no error)
-    """A hit that was allowed: its trial would begin."""
+    """Raised where a trial would begin: the hit was allowed."""
 
 
 def open_as_real(monkeypatch: pytest.MonkeyPatch, travel_s: float) -> None:
-    """Let each hit open such a rig whatever its URL; a trial that begins raises `Started`."""
+    """Let each hit open such a device whatever its URL; a trial that begins raises `Started`."""
     claim_to_be_real(monkeypatch)
 
     @contextmanager

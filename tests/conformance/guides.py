@@ -1,4 +1,4 @@
-"""Guides in Markdown: their examples, and the sections that a program writes, between two comments, from a table."""
+"""Guides in Markdown: their examples, and the sections between two comments that a program writes from a table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SECTION = re.compile(r"<!-- generated: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A block of code of a page: run where it stands, unless a comment before it says why not, or names its file."""
+    """A code block of a page; a comment before it can name the reason why it is not run, or its file."""
 
     language: str
     text: str
@@ -25,12 +25,12 @@ class Block:
     file: str = ""
 
     def commands(self) -> list[str]:
-        """Its lines of a shell."""
+        """Return the shell commands of the block."""
         return [line for line in self.text.splitlines() if line.strip()] if self.language == "sh" else []
 
 
 def blocks(page: Path) -> list[Block]:
-    """The blocks of a page, in order; ``<!-- none is run: … -->`` on it is a reason for all of its commands."""
+    """Return the blocks of a page in order; ``<!-- none is run: … -->`` gives the reason for all of its commands."""
     text = page.read_text(encoding="utf-8")
     for_all = _PAGE.search(text)
     found = []
@@ -43,7 +43,7 @@ def blocks(page: Path) -> list[Block]:
 
 
 def examples(guide: Path) -> list[str]:
-    """The examples of a guide in Python."""
+    """Return the Python examples of a guide."""
     return _EXAMPLE.findall(guide.read_text(encoding="utf-8"))
 
 
@@ -54,14 +54,14 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def render(text: str, sections: Mapping[str, Callable[[], str]]) -> str:
-    """Return the guide with every section between markers made anew; raises KeyError for an unknown section."""
+    """Return the guide with every generated section renewed; raise KeyError for an unknown section."""
     return _SECTION.sub(
         lambda match: f"<!-- generated: {match[1]} -->\n{sections[match[1]]()}\n<!-- end -->", text
     )
 
 
 def publish(guide: Path, sections: Mapping[str, Callable[[], str]], command: str, *, check: bool) -> int:
-    """Write the guide anew, or with `check` only say if it is stale; returns the exit status."""
+    """Write the guide anew, or with `check` only report if it is outdated; return the exit status."""
     old = guide.read_text(encoding="utf-8")
     new = render(old, sections)
     if not check:

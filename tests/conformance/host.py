@@ -1,4 +1,4 @@
-"""A host in twenty lines for the conformance suites: one transaction at a time over any link."""
+"""A minimal host for the conformance suites: one transaction at a time over any link."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RUN_PARAMETERS: dict[str, Value] = {
 
 
 class Host:
-    """Asks and answers over a link; STATE frames that come meanwhile lie in `states`."""
+    """A host that sends requests and reads replies; STATEs that arrive meanwhile are stored in `states`."""
 
     def __init__(self, link: Link, *, first_nonce: int = 1) -> None:
         self.link = link
@@ -45,12 +45,12 @@ class Host:
         return self._nonce
 
     def send(self, message: Message, session: int | None = None) -> None:
-        """Send, and wait for nothing."""
+        """Send a message without waiting for a reply."""
         self.sent = self.connection.send(message, session=session)
         self.link.write(self.sent)
 
     def events(self, timeout_s: float) -> Iterator[Received]:
-        """Read once and return what that completes."""
+        """Read once and yield the messages that this completes."""
         self.connection.receive_data(self.link.read(timeout_s))
         while (event := self.connection.next_event()) is not None:
             assert isinstance(event, Received)
@@ -60,12 +60,12 @@ class Host:
             yield event
 
     def ask(self, message: Message, session: int | None = None) -> Any:
-        """Send a request and return its answer."""
+        """Send a request and return its reply."""
         self.send(message, session)
         return self.answer(message.nonce)  # type: ignore[attr-defined]
 
     def answer(self, nonce: int) -> Any:
-        """Wait for the answer with a nonce."""
+        """Wait for the reply with a nonce."""
         deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
         while self.link.clock.now_ns() < deadline_ns:
             for event in self.events(0.01):
@@ -74,7 +74,7 @@ class Host:
         raise AssertionError(f"no answer within {ANSWER_S} s")
 
     def identify(self) -> dictionary.Dictionary:
-        """Ask who is there; read the dictionary unless this process has read the one with its `hash` before."""
+        """Identify the device; read its dictionary unless this process has already read the one with its `hash`."""
         page = self.ask(m.Identify(self.nonce(), 0))
         self.hash = page.dictionary_hash
         if self.hash not in _dictionaries:
@@ -82,7 +82,7 @@ class Host:
         return _dictionaries[self.hash]
 
     def read_dictionary(self) -> dictionary.Dictionary:
-        """Read the whole dictionary, page by page; its hash is in `hash` afterwards."""
+        """Read the whole dictionary by pages; its hash is in `hash` afterwards."""
         reader = transfer.PageReader(dictionary.COMPRESSED_LIMIT)
         while not reader.complete:
             page = self.ask(m.Identify(self.nonce(), reader.offset))
@@ -100,7 +100,7 @@ class Host:
         return reader.content
 
     def set_block(self, block: bytes) -> m.Ack:
-        """Send a block as it is; return the answer to COMMIT, or the first refusal."""
+        """Send a block unchanged; return the reply to COMMIT, or the first refusal."""
         for message in transfer.set_parameters(block, self.nonce()):
             ack: m.Ack = self.ask(message)
             if ack.status:
@@ -108,11 +108,11 @@ class Host:
         return ack
 
     def configure(self, **values: Value) -> m.Ack:
-        """Put active parameters."""
+        """Set parameters and activate them."""
         return self.set_block(encode_block(values))
 
     def arm(self, session: int, crc: int) -> m.Ack:
-        """ARM with this host's dictionary hash, again while the device is not ready."""
+        """Send ARM with this host's dictionary hash; repeat it while the device is not ready."""
         deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
         while True:
             ack: m.Ack = self.ask(m.Arm(self.nonce(), self.hash, crc), session)
@@ -122,16 +122,16 @@ class Host:
                 pass
 
     def disarm(self, clear_fault: bool = False) -> m.Ack:
-        """DISARM, with CLEAR_FAULT or without."""
+        """Send DISARM, with or without CLEAR_FAULT."""
         ack: m.Ack = self.ask(m.Disarm(self.nonce(), int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0))
         return ack
 
     def expect_state(self, state: State) -> None:
-        """Take the device to be in another state, as a host does that lost track."""
+        """Set the device state that the host assumes, as after a lost STATE."""
         self.connection.state = state
 
     def begin(self, session: int = 1, **values: Value) -> None:
-        """Identify, configure for a run, arm."""
+        """Identify, configure and arm the device."""
         self.identify()
         ack = self.configure(**{**RUN_PARAMETERS, **values})
         assert ack.status == 0, ack
@@ -141,7 +141,7 @@ class Host:
     def command(
         self, current: int = 0, *, lifetime_us: int = 20_000, mode: int = m.Mode.CURRENT, flags: int = 0
     ) -> None:
-        """Send a COMMAND that answers the newest STATE; a fault of the device does not deter this host."""
+        """Send a COMMAND that refers to the newest STATE, even after a fault of the device."""
         if self.connection.state is State.FAULT:
             self.expect_state(State.RUNNING)
         answers = self.sequences[-1] if self.sequences else 0

@@ -1,4 +1,4 @@
-"""Which sample is the newest that has reached the law: what a line with delays and losses makes of a run."""
+"""The age of the newest sample that has reached the law, on a line with delays and losses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ LOST = -1
 
 
 def ages(delays: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Ages of the newest sample in each tick, as `sim_backend.bare.trial.run_ticks` takes them.
+    """Return the age of the newest sample in each tick, as `sim_backend.bare.trial.run_ticks` takes them.
 
     Parameters
     ----------

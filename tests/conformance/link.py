@@ -1,4 +1,4 @@
-"""What every link must do: the conformance suite of `rig.devices.device.Link`, in virtual and in real time."""
+"""The conformance suite of `rig.devices.device.Link`, in virtual and in real time."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _carries_single_bytes(link: Link) -> None:
 
 
 def _serves_the_compiled_loop(link: Link) -> None:
-    """The same conversation through the plug points of the compiled loop."""
+    """The same conversation works through the plug functions of the compiled loop."""
     if not COMPILED:
         return
     host = Host(link)
@@ -140,13 +140,13 @@ _BYTES = types.uint8[::1]
 
 @kernel(types.int64(TRANSFER, types.int64, _BYTES))
 def give(write: Any, handle: Any, data: Any) -> Any:  # type: ignore[no-untyped-def]
-    """Write once, as the loop does: bytes taken, or negative errno."""
+    """Write once, as the loop does; return the bytes written or negative errno."""
     return write(handle, data.ctypes.data + 0, len(data))
 
 
 @kernel(types.int64(TRANSFER, WAIT, types.int64, _BYTES, types.int64))
 def listen(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> Any:  # type: ignore[no-untyped-def]
-    """Wait to a deadline and read: bytes, 0, or negative errno."""
+    """Wait until a deadline and read; return the number of bytes, 0, or negative errno."""
     ready = wait(handle, deadline_ns)
     if ready <= 0:
         return ready
@@ -165,7 +165,7 @@ def exchange(
     answer: Any,
     timeout_ns: Any,
 ) -> Any:  # type: ignore[no-untyped-def]
-    """Write a request and collect bytes up to the first delimiter: their number, or negative errno."""
+    """Write a request and collect bytes up to the first delimiter; return their number, or negative errno."""
     sent = write(handle, request.ctypes.data + 0, len(request))
     if sent != len(request):
         return min(sent, -1)

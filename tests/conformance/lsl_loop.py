@@ -1,4 +1,4 @@
-"""A loop that a test turns by hand, as others see it: rows in a ring, and two clocks that are compared now and then."""
+"""A loop that a test advances by hand, as other processes see it: rows in a ring, and two compared clocks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INFO = {
 
 
 class HandTurnedLoop:
-    """The ring of a loop that ticks each millisecond; `published` is all rows that it has left."""
+    """The ring of a loop that ticks each millisecond; `published` contains all rows written so far."""
 
     def __init__(
         self, capacity: int = 64, *, shared: bool = False, info: dict[str, Any] | None = None
@@ -32,7 +32,7 @@ class HandTurnedLoop:
         self.published = np.zeros(0, ROW)
 
     def leave(self, count: int, **columns: Any) -> None:
-        """Leave rows; columns are single values or one for each row."""
+        """Write rows; each column is a single value or one value per row."""
         rows = np.zeros(count, ROW)
         number = len(self.published) + np.arange(count)
         rows["tick"], rows["sample_index"] = number, 100 + number
@@ -49,7 +49,7 @@ class HandTurnedLoop:
         self.published = np.concatenate((self.published, rows))
 
     def compare_clocks(self, *, late_ns: int = 0) -> None:
-        """Do what `rig.loop._exchange` does with an answer that comes `late_ns` later than usual."""
+        """Store a clock comparison, as `rig.loop._exchange` does after a reply that is `late_ns` late."""
         done = self.ring.get(control_words.EXCHANGES)
         device = 1_000_000 * (100 + len(self.published))
         host = device + OFFSET_NS
@@ -58,6 +58,6 @@ class HandTurnedLoop:
         self.ring.put(control_words.EXCHANGES, done + 1)
 
     def end(self, reason: int = 1) -> None:
-        """Say that it has returned."""
+        """Set the end reason, as a loop that has returned."""
         self.ring.put(control_words.END_REASON, reason)
         self.ring.put(control_words.LOOP_DONE, 1)

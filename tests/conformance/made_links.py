@@ -1,4 +1,4 @@
-"""Measurements of links that are made up, for what is decided by one."""
+"""Made-up link measurements, for code that decides by one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def link(
     virtual: bool = False,
     drive: Any = None,
 ) -> Any:
-    """A link on which every trip takes the same time."""
+    """Return the measurement of a link on which every trip takes the same time."""
     times = Distribution.of(np.full(number, travel_s))
     return LinkMeasurement(
         url="made://up",

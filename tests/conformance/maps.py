@@ -1,4 +1,4 @@
-"""A small map, for tests of what becomes of maps."""
+"""A small map plan for tests that use a map."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHORT = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.02
 
 
 def short_map(*offsets: float) -> MapPlan:
-    """A plan of two dampings, at these places of zero in the encoder's cell (count)."""
+    """Return a plan of two dampings with these encoder offsets (fractions of a count)."""
     return MapPlan(
         experiment=config.override(presets.load("koul-compliant"), SHORT),
         schemes=(Scheme.parse("uniform:20k"),),

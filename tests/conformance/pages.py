@@ -1,4 +1,4 @@
-"""A page of a report as a test reads it: ids, sources, texts, tables, and that each element is closed."""
+"""A report's page as a test reads it: ids, sources, texts and tables; it checks that each element is closed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ParsedPage(HTMLParser):
 
     @property
     def flat_text(self) -> str:
-        """The text in one line."""
+        """The text of the page in one line."""
         return " ".join(self.text.split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:

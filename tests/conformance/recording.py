@@ -1,4 +1,4 @@
-"""What every format of a recording must keep, as a function of a factory.
+"""The conformance suite of recording formats, as a function of a writer and a reader.
 
 A new format begins by calling `check_recording_format` with a function that writes a recording somewhere and
 one that reads it back. What a format cannot do is listed in its `Limits`, not skipped.
@@ -24,7 +24,7 @@ AWKWARD = (0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, float("nan"), float
 
 @dataclass(frozen=True)
 class Limits:
-    """What a format cannot do.
+    """The features that a format lacks.
 
     `nan_bits`: keeps the payload of a NaN. `losses`: can say what its source had lost. `damage`: notices a
     changed byte.
@@ -40,7 +40,7 @@ Read = Callable[[Path], Recording]
 
 
 def example_header(**changes: Any) -> dict[str, Any]:
-    """Header with text beyond ASCII, integers beyond 2**53 and floats that are hard to spell."""
+    """Return a header with non-ASCII text, integers above 2**53 and floats that are hard to print exactly."""
     facts: dict[str, Any] = {
         "rig": "Prüfstand 力",
         "motion": "rotary",
@@ -55,7 +55,7 @@ def example_header(**changes: Any) -> dict[str, Any]:
 
 
 def example_rows(count: int, seed: int = 1, dtype: np.dtype[np.void] = ROW) -> NDArray[np.void]:
-    """Rows of random bits: every integer, every float, every kind of NaN."""
+    """Return rows of random bits: every integer, every float, every kind of NaN."""
     rows = np.frombuffer(np.random.default_rng(seed).bytes(count * dtype.itemsize), dtype).copy()
     floats = [name for name in dtype.names or () if dtype[name] == np.float64]
     for row, name in zip(range(count), floats, strict=False):
@@ -64,7 +64,7 @@ def example_rows(count: int, seed: int = 1, dtype: np.dtype[np.void] = ROW) -> N
 
 
 def example_truth(sample_index: NDArray[np.int64]) -> NDArray[np.void]:
-    """Truth for the samples, with values that name their sample."""
+    """Return simulated truth whose values encode their sample index."""
     truth = np.zeros(len(sample_index), TRUTH)
     truth["sample_index"] = sample_index
     for number, column in enumerate(TRUTH_COLUMNS):
@@ -73,7 +73,7 @@ def example_truth(sample_index: NDArray[np.int64]) -> NDArray[np.void]:
 
 
 def check_recording_format(write: Write, read: Read, limits: Limits) -> None:
-    """Run all checks over one format.
+    """Run all checks on one format.
 
     Parameters
     ----------
@@ -95,14 +95,14 @@ def check_recording_format(write: Write, read: Read, limits: Limits) -> None:
 
 
 def check_every_row_comes_back(write: Write, read: Read, limits: Limits) -> None:
-    """No row, one row, and numbers of rows around the size of a block: all bits of all columns."""
+    """Rows keep all bits of all columns, for row counts around the size of a block."""
     for count in (0, 1, 2, 999, 1000, 1001):
         recording = Recording(example_header(), example_rows(count, seed=count), {"reason": "finished"})
         _assert_equal_rows(read(write(recording)), recording, limits)
 
 
 def check_header_and_trailer_come_back(write: Write, read: Read) -> None:
-    """Header, trailer, units and descriptions; floats of the initial state with their bits."""
+    """Header, trailer, units and descriptions are kept; floats keep all their bits."""
     trailer = {"reason": "stopped — by a person", "statistics": {"p99_ns": 12345, "ripple": 0.1 + 0.2}}
     recording = Recording(example_header(), example_rows(3), trailer)
     found = read(write(recording))
@@ -118,7 +118,7 @@ def check_header_and_trailer_come_back(write: Write, read: Read) -> None:
 
 
 def check_any_columns_come_back(write: Write, read: Read, limits: Limits) -> None:
-    """Further columns behind those of every recording, of other types; and a linear rig."""
+    """Additional columns of other types are kept; so is a linear rig."""
     other = (
         Column("temperature_of_the_winding", "<f4", "K", "not known to this version"),
         Column("small", "|u1", "1", "one byte"),
@@ -134,7 +134,7 @@ def check_any_columns_come_back(write: Write, read: Read, limits: Limits) -> Non
 
 
 def check_an_unfinished_recording_stays_unfinished(write: Write, read: Read) -> None:
-    """A recording without an end never turns into one with an end."""
+    """A recording without a trailer never becomes a complete one."""
     found = read(write(Recording(example_header(), example_rows(5), None, complete=False)))
     assert not found.complete
     assert found.trailer is None
@@ -142,13 +142,13 @@ def check_an_unfinished_recording_stays_unfinished(write: Write, read: Read) -> 
 
 
 def check_losses_are_passed_on(write: Write, read: Read) -> None:
-    """What was missing in the source is missing in the copy, and the copy says so."""
+    """Losses of the source are reported by the copy."""
     lost = (Loss("damaged block", 4096, 2048, 10, 8), Loss("torn tail", 9000, 17, 30, None))
     assert read(write(Recording(example_header(), example_rows(5), {}, True, lost))).lost == lost
 
 
 def check_no_damage_is_silent(write: Write, read: Read) -> None:
-    """One byte changed anywhere: an error, a reported loss, or nothing that matters; never other content.
+    """A changed byte gives an error, a reported loss or no difference; never other content.
 
     What does not matter is, for example, padding, or statistics that no reader of recordings looks at.
     """

@@ -1,4 +1,4 @@
-"""Two small rigs for tests: round numbers, so that results can be computed by hand."""
+"""Small rigs with round numbers, so that results can be computed by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.core.model import Amplifier, Encoder, Mechanics, RigModel, Simulation
 def rotary_rig(
     *, inertia: float = 1e-3, damping: float = 0.0, coulomb: float = 0.0, **others: Any
 ) -> RigModel:
-    """A rigid link without friction unless asked: 0.1 N·m/A, 1 mA, 20 000 counts a revolution."""
+    """Return a rigid rig, frictionless by default: 0.1 N·m/A, 1 mA, 20 000 counts a revolution."""
     simulation = {
         key: others.pop(key) for key in ("initial_position", "computation_delay_ticks") if key in others
     }
@@ -34,12 +34,12 @@ def rotary_rig(
 
 
 def unmeasured(model: RigModel) -> RigModel:
-    """The rig without a current sensor: what a world of a test shows in its place need not follow the currents."""
+    """Return the rig without a current sensor, so that simulated currents need not match the commands."""
     return replace(model, amplifier=replace(model.amplifier, current_monitor=False))
 
 
 def linear_rig() -> RigModel:
-    """A sliding mass of 0.5 kg with 1 µm counts and 10 N/A."""
+    """Return a sliding mass of 0.5 kg with 1 µm counts and 10 N/A."""
     return RigModel(
         name="test-linear",
         motion="linear",

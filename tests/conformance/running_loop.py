@@ -1,4 +1,4 @@
-"""A process with a loop that does nothing but count, in shared memory: what other terminals look at and stop."""
+"""A process with a loop in shared memory that only counts; other processes can observe and stop it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ended.wait()
 
 @contextmanager
 def loop_process(info: dict[str, Any] | None = None, kind: str = "obey") -> Iterator[subprocess.Popen[str]]:
-    """Start it, yield it when its loop runs, and leave nothing of it behind."""
+    """Start the process, yield it when its loop runs, and kill it at the end of the block."""
     command = [sys.executable, "-c", PROGRAM, json.dumps(info or {}), kind]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with started(*command, cwd=ROOT, text=True, bufsize=1, **pipes) as process:

@@ -17,7 +17,7 @@ WAIT_S = 20.0
 
 @contextmanager
 def served_rig(model: RigModel | None = None, **options: Any) -> Iterator[str]:
-    """Serve a rig (`sim_backend.ends.pty.serve`), yield the path of its port, and raise what the server raised."""
+    """Serve a rig with `sim_backend.ends.pty.serve`; yield the path of its port; raise the server's error."""
     announced: Queue[str] = Queue()
     stop, errors = threading.Event(), []
 

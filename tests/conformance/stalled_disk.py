@@ -1,4 +1,4 @@
-"""A recorder between a loop that never waits and a disk that does: what arrives, what is counted as lost.
+"""A recorder between a loop that never waits and a disk that stalls: which rows arrive, which are counted as lost.
 
 The disk is a pipe whose reader, a process of its own, pauses on request, checks every block that it gets and keeps
 none; so ten minutes need no more room than ten seconds. The loop is a compiled producer on the grid of its rate, which
@@ -69,7 +69,7 @@ print(json.dumps(found), flush=True)
 
 @dataclass(frozen=True, slots=True)
 class DiskRun:
-    """What a run came to.
+    """The result of a run.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class DiskRun:
 
 @kernel(types.int64(types.uintp, ROWS_TYPE, types.int64, types.int64, types.uintp))
 def produce(control: Any, rows: Any, period_ns: Any, count: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
-    """A row each period, dropped and counted when the ring is full; fullest and latest go to the words at `found`."""
+    """Write a row each period; count it as dropped if the ring is full. Results go to the words at `found`."""
     start = monotonic_now(0) + period_ns
     fullest = latest = 0
     for n in range(count):
@@ -147,7 +147,7 @@ def record_on_a_pausing_disk(
     ring_s: float = 5.0,
     shared: bool = True,
 ) -> DiskRun:
-    """Run producer, recorder and disk, and Python holding its lock whenever the disk pauses.
+    """Run producer, recorder and disk; Python holds the GIL whenever the disk pauses.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _run(
 
 
 def _keep_python_busy(producer: threading.Thread, started: float, pauses: list[tuple[float, float]]) -> float:
-    """Hold Python's lock while the disk pauses, else make garbage; returns the longest hold (s)."""
+    """Hold the GIL while the disk pauses, else create garbage; return the longest hold (s)."""
     hold = ctypes.PyDLL(None).usleep  # unlike CDLL, a call through PyDLL keeps the lock
     longest_s = 0.0
     while producer.is_alive():
@@ -239,6 +239,6 @@ def _keep_python_busy(producer: threading.Thread, started: float, pauses: list[t
 
 
 def _resident_bytes() -> int:
-    """Memory of this process that is there (RSS)."""
+    """Return the resident memory of this process (bytes)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,4 +1,4 @@
-"""Processes that a test starts: none outlives it, whatever becomes of it, and none ignores the signals that it ignores.
+"""Child processes of tests: none outlives its test, and none inherits ignored signals.
 
 A test leaves `started` in any case when it ends by itself or by its timeout. Where it is killed with its whole
 process, the kernel kills what hangs on a leash.
@@ -19,7 +19,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @contextmanager
 def started(*command: object, **options: Any) -> Iterator[subprocess.Popen[Any]]:
-    """Start a program, with options of `subprocess.Popen`; it is killed when the block is left."""
+    """Start a program with options of `subprocess.Popen`, and kill it at the end of the block."""
     with subprocess.Popen([*LEASH, *map(str, command)], **options) as process:
         try:
             yield process
@@ -28,5 +28,5 @@ def started(*command: object, **options: Any) -> Iterator[subprocess.Popen[Any]]
 
 
 def die_with_parent() -> None:
-    """The same leash, for a process that was forked."""
+    """Let the kernel kill this forked process when its parent dies."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""A trial of the shipped host on a far end that something strikes, and what must hold however it ends."""
+"""A trial of the shipped host on a device with injected faults, and the claims that must hold however it ends."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from tests.conformance.trials import trial_on
 
 
 class Struck(Protocol):
-    """A far end with a script of faults."""
+    """A device with a script of faults."""
 
     def open(self) -> AbstractContextManager[FramedDevice]:
-        """Open it as a host does."""
+        """Open the device as a host does."""
         ...
 
     def wait_for_rest(self) -> None:
-        """Let time pass until no effort may be left, and check that it is zero then and later."""
+        """Advance time until no effort is permitted, and check that it is zero then and later."""
         ...
 
 
 class InMemory:
-    """A simulated device in virtual time. `rest_s` is the life of a command and the ramp behind it, and little more."""
+    """A simulated device in virtual time; `rest_s` is slightly more than a command's lifetime and its ramp."""
 
     def __init__(self, device: Any, faults: Faults | None = None, *, rest_s: float) -> None:
         self.device = device
@@ -56,7 +56,7 @@ class InMemory:
 
 
 class StruckTrial:
-    """One trial, brought to its end whatever that is.
+    """One trial, run to its end, and how it ended.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class StruckTrial:
             self.error, self.messages = error, tuple(error.messages)
 
     def check(self, *errors: type[RigError], replays: bool = True) -> Self:
-        """It ended with one of these errors, or finished where none is given; no effort; a recording that is whole."""
+        """Require one of these errors (none: the trial finished), zero effort and a complete recording."""
         assert isinstance(self.error, errors or type(None)), self.error
         assert self.error is None or self.error.remedy or isinstance(self.error, StoppedError)
         self.far_end.wait_for_rest()
@@ -104,15 +104,15 @@ class StruckTrial:
 
     @property
     def recording(self) -> Any:
-        """The recording, read anew."""
+        """The recording, read again."""
         return open_recording(self.path)
 
     @property
     def rows(self) -> Any:
-        """Its ticks."""
+        """The ticks of the recording."""
         return self.recording.rows
 
     @property
     def counters(self) -> Any:
-        """What the host counted."""
+        """The counters of the host."""
         return self.recording.trailer["counters"]

@@ -1,4 +1,4 @@
-"""Studies whose truth is known: logs as a session writes them, of simulated people, without any rig or recording."""
+"""Studies with known truth: logs of simulated people as a session writes them, without a rig or recordings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ VERSIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Person:
-    """A simulated person with known limits: K50 by condition and damping, and the automatic verdicts on the same walls.
+    """A simulated person with known limits: K50 by condition and damping, and the automatic verdicts on these walls.
 
     `drift` is added to K50 for each trial of the session. `invalid` is the share of hits that say nothing; `unsure`
     that of trials after which they cannot say. `automatic` shifts the automatic verdict's limit against the person's.
@@ -50,7 +50,7 @@ class Person:
 
 
 def protocol(**sections: Any) -> dict[str, Any]:
-    """A protocol of two conditions; sections change keys of it."""
+    """Return a protocol of two conditions; `sections` change its keys."""
     plain: dict[str, Any] = {
         "study": {"title": "A study", "preset": PRESET, "participants": 4, "seed": 7},
         "search": {"rule": "staircase", "lowest": 100.0, "highest": 900.0, "step": 25.0},
@@ -64,14 +64,14 @@ def protocol(**sections: Any) -> dict[str, Any]:
 
 @contextmanager
 def without_sync() -> Iterator[None]:
-    """Let logs be written without waiting for the disk: what is tested is what they say."""
+    """Write logs without waiting for the disk, because only their content is tested."""
     with patch.object(LineFile, "sync"):
         yield
 
 
 @dataclass
 class Sitting:
-    """A session being written; `step` does what comes next, as the engine would."""
+    """A simulated session; `step` does the next action, as the engine would."""
 
     directory: Path
     log: SessionLog
@@ -84,13 +84,13 @@ class Sitting:
     asked: list[int] = field(default_factory=list)
 
     def record(self, kind: str, /, **content: Any) -> int:
-        """Write an event and take it into the state; returns its number."""
+        """Write an event to the log, apply it to the state, and return its number."""
         event = self.log.append(kind, **content)
         self.state.apply(event)
         return event.number
 
     def step(self) -> bool:
-        """Do what comes next; False at the end."""
+        """Do the next action; return False at the end of the session."""
         match self.state.next():
             case DoEnd(reason):
                 if self.state.ended is None:
@@ -124,14 +124,14 @@ class Sitting:
         return True
 
     def run(self, trials: int = 10_000) -> None:
-        """Continue until the end, or until there are so many trials more, judged."""
+        """Continue until the end, or until `trials` more trials are judged."""
         most = len(self.state.trials) + trials
         while not (len(self.state.trials) >= most and not isinstance(self.state.next(), DoJudge)):
             if not self.step():
                 return
 
     def observer(self, condition: str, damping: float, trial: int, shift: float = 0.0) -> Observer:
-        """Who judges this trial."""
+        """Return the observer who judges this trial."""
         return Observer(
             threshold=self.person.threshold(condition, damping) + self.person.drift * trial + shift,
             spread=self.person.spread,
@@ -139,7 +139,7 @@ class Sitting:
         )
 
     def hit(self, wall: Presented) -> None:
-        """A hit as the rig would have seen it."""
+        """Log a hit as the rig would have measured it."""
         self.now[0] += 8.0
         invalid = self.drawn.random() < self.person.invalid
         observer = self.observer(wall.condition, wall.damping, wall.trial, self.person.automatic)
@@ -171,7 +171,7 @@ class Sitting:
         self.record("trial", **event_of(wall, hit))
 
     def verdict(self, trial: Any) -> str:
-        """What they say of a trial."""
+        """Return the person's verdict on a trial."""
         if self.state.protocol.study.judge == "automatic":
             return "stable" if trial.passes["any"] else "buzz"
         if self.drawn.random() < self.person.unsure:
@@ -194,7 +194,7 @@ def sitting(
     rehearsal: Mapping[str, Any] | None = None,
     versions: Mapping[str, Any] = VERSIONS,
 ) -> Iterator[Sitting]:
-    """Begin a session in its directory, to be gone on with by the test; recordings are made up, or copies of a file."""
+    """Begin a session in its directory; recordings are made up, or copies of a file. The test continues it."""
     (directory / "trials").mkdir(parents=True)
     now = [1e9]
     judge = mapping["study"]["judge"]
@@ -225,7 +225,7 @@ def sitting(
 def write_study(
     where: Path, mapping: Mapping[str, Any], people: Mapping[str, Person], **options: Any
 ) -> list[Path]:
-    """Whole sessions of these people, in this order; returns their directories."""
+    """Write complete sessions of these people, in this order; return their directories."""
     made = []
     with without_sync():
         for row, (code, person) in enumerate(people.items()):

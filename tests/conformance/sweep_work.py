@@ -1,4 +1,4 @@
-"""Work for sweeps: each kind of task that a sweep must survive. Imported where the tasks run."""
+"""Tasks for tests of sweeps, one of each kind that a sweep must survive; imported where the tasks run."""
 
 import json
 import math
@@ -22,7 +22,7 @@ Payload = dict[str, Any]
 
 
 def sines(payload: Payload) -> list[dict[str, Any]]:
-    """Floats of all sizes, from a seed, after a while that has nothing to do with the order of the tasks."""
+    """Return floats of all magnitudes from a seed, after a wait unrelated to the order of the tasks."""
     seed = payload["seed"]
     time.sleep(payload.get("wait_s", 0.0) * (seed * 7 % 5) / 4)
     values = np.random.default_rng(seed).normal(size=5) * 10.0 ** np.arange(-300, 301, 150)
@@ -30,7 +30,7 @@ def sines(payload: Payload) -> list[dict[str, Any]]:
 
 
 def odd_values(payload: Payload) -> dict[str, Any]:
-    """What plain JSON does not hold, or holds in another type."""
+    """Return values that plain JSON cannot hold, or holds as another type."""
     return {
         "not a number": math.nan,
         "infinite": [math.inf, -math.inf],
@@ -46,7 +46,7 @@ def odd_values(payload: Payload) -> dict[str, Any]:
 
 
 def leave_a_mark(payload: Payload) -> str:
-    """Write down that this task was run."""
+    """Record in a file that this task was run."""
     with open(payload["log"], "a") as file:
         file.write(f"{payload['name']}\n")
     time.sleep(payload.get("wait_s", 0.0))
@@ -54,7 +54,7 @@ def leave_a_mark(payload: Payload) -> str:
 
 
 def raise_as_given(payload: Payload) -> int:
-    """Raise for some tasks, each its own way."""
+    """Raise an error for some tasks, of the requested kind."""
     time.sleep(payload.get("wait_s", 0.0))
     match payload.get("raises"):
         case "ours":
@@ -69,7 +69,7 @@ def raise_as_given(payload: Payload) -> int:
 
 
 def always_kill_the_worker(payload: Payload) -> None:
-    """No process survives this."""
+    """Kill the worker process."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -77,7 +77,7 @@ GATES: defaultdict[str, threading.Event] = defaultdict(threading.Event)
 
 
 def open_one_and_wait_for_another(payload: Payload) -> str:
-    """Open a gate and wait at another: for tasks that meet in one process."""
+    """Open a gate and wait at another, for tasks that must run at the same time in one process."""
     GATES[payload["opens"]].set()
     if not GATES[payload["waits_for"]].wait(20.0):
         raise TimeoutError(f"{payload['waits_for']} was not opened")
@@ -85,12 +85,12 @@ def open_one_and_wait_for_another(payload: Payload) -> str:
 
 
 def wait_for_ever(payload: Payload) -> None:
-    """This never gives a result."""
+    """Never return a result."""
     threading.Event().wait()
 
 
 def large(payload: Payload) -> str:
-    """As many letters as wanted."""
+    """Return a text of the requested length."""
     return "x" * int(payload["letters"])
 
 
@@ -98,21 +98,21 @@ def large(payload: Payload) -> str:
 
 
 def sines_of(number: int, **payload: Any) -> list[Task]:
-    """Tasks of `sines`."""
+    """Return tasks of `sines`."""
     return [Task(f"seed {seed}", sines, {"seed": seed, **payload}) for seed in range(number)]
 
 
 def text(results: Iterable[Any]) -> list[str]:
-    """Bits and types of results, NaN included."""
+    """Return results with all bits and types, NaN included."""
     return [as_json(result) for result in results]
 
 
 def lines_of(data: bytes) -> list[bytes]:
-    """Lines with their newline; the last one may lack it. Not bytes.splitlines, which has other ends as well."""
+    """Return lines with their newline, which the last may lack; `bytes.splitlines` splits at other characters too."""
     return re.findall(rb"[^\n]*\n|[^\n]+$", data)
 
 
 def keys_in(journal: Path) -> list[str]:
-    """Keys of the whole lines of a journal, in its order."""
+    """Return the keys of the complete lines of a journal, in its order."""
     whole = [line for line in lines_of(journal.read_bytes()) if line.endswith(b"\n")]
     return [json.loads(line.partition(b" ")[2])["key"] for line in whole[1:]]

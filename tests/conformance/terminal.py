@@ -1,4 +1,4 @@
-"""A terminal that a test holds: a pseudo-terminal whose printed lines can be read."""
+"""A pseudo-terminal for tests of interactive programs: keys can be typed, and printed lines can be read."""
 
 from __future__ import annotations
 
@@ -41,21 +41,21 @@ sys.exit(os.waitstatus_to_exitcode(status) & 255)
 
 @dataclass(frozen=True)
 class Program:
-    """A program in a terminal: its pid, and the shell that waits for it, and then for the end of a pipe."""
+    """A program in a terminal: its process number, and the shell that waits for it and then for the pipe's end."""
 
     shell: subprocess.Popen[str]
     pid: int
     leash: list[int]
 
     def wait(self, patience_s: float = PATIENCE_S) -> tuple[int, str]:
-        """Wait for its end; exit code and what it wrote to standard error."""
+        """Wait for the program's end; return its exit code and its standard error."""
         if self.leash:
             os.close(self.leash.pop())
         _, err = self.shell.communicate(timeout=patience_s)
         return self.shell.returncode, err
 
     def end(self) -> None:
-        """Leave nothing of it."""
+        """Kill the program if it still runs, and wait for it."""
         if self.shell.poll() is None:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
@@ -63,7 +63,7 @@ class Program:
 
 
 class Terminal:
-    """A pseudo-terminal: `path` for the program, keys and lines for the test. A thread reads: no output blocks."""
+    """A pseudo-terminal: `path` for the program, keys and lines for the test; a thread reads, so no output blocks."""
 
     def __init__(self) -> None:
         self.master, self.slave = os.openpty()
@@ -84,7 +84,7 @@ class Terminal:
         self.close()
 
     def close(self) -> None:
-        """Leave nothing open."""
+        """Close all descriptors."""
         if self._closed:
             return
         self._closed = True
@@ -94,7 +94,7 @@ class Terminal:
             os.close(descriptor)
 
     def run(self, *command: str, cwd: Path, env: Mapping[str, str] | None = None) -> Program:
-        """Start a program in a session of its own whose controlling terminal this is; its errors go to a pipe."""
+        """Start a program in a new session with this as its controlling terminal; its errors go to a pipe."""
         reader, writer = os.pipe()
         process = subprocess.Popen(
             [*LEASH, sys.executable, "-c", _LAUNCH, str(reader), *command],
@@ -112,26 +112,26 @@ class Terminal:
         return Program(process, int(process.stderr.readline()), [writer])
 
     def type(self, keys: str) -> None:
-        """Press keys."""
+        """Send keys to the program."""
         self._typed = len(self.printed)
         os.write(self.master, keys.encode())
 
     @property
     def fresh(self) -> str:
-        """All that was printed since keys were typed last."""
+        """The text printed since the last keys."""
         return self.printed[self._typed :]
 
     @property
     def bells(self) -> int:
-        """How often the bell rang."""
+        """The number of rings of the bell."""
         return self.printed.count("\a")
 
     def wait(self, *texts: str, patience_s: float = PATIENCE_S) -> str:
-        """Wait until all texts were printed since keys were typed last; returns what was."""
+        """Wait until all texts were printed since the last keys; return what was printed."""
         return self.until(lambda: all(text in self.fresh for text in texts), str(texts), patience_s)
 
     def until(self, condition: Callable[[], bool], what: str = "", patience_s: float = PATIENCE_S) -> str:
-        """Wait for something; returns what was printed since keys were typed last."""
+        """Wait until a condition is true; return what was printed since the last keys."""
         deadline = time.monotonic() + patience_s
         with self._changed:
             while not condition() and time.monotonic() < deadline:
@@ -141,7 +141,7 @@ class Terminal:
             return self.fresh
 
     def attributes_are_back(self) -> bool:
-        """Whether the terminal is set as it was."""
+        """Return True if the terminal has its original settings."""
         return termios.tcgetattr(self.slave) == self.before
 
     def _read(self) -> None:

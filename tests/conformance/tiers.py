@@ -1,4 +1,4 @@
-"""The two tiers: what a contributor waits for, and what repeats a claim on a further level or at every frame.
+"""The two tiers of tests: the default one, and the exhaustive one, which repeats claims on further cases.
 
 `pytest` runs the first one, `pytest -m exhaustive` the other, `pytest -m ""` both. Each test of the exhaustive tier
 names a smaller relative of the default tier, which fails when the same mechanism breaks (`tests/test_tiers.py`):
@@ -15,7 +15,7 @@ import pytest
 
 
 def first_by_default(values: Iterable[Any], number: int = 1) -> list[Any]:
-    """Return parameters, or tuples of them, of which the first run by default; they are relatives of the others."""
+    """Return parameters of which only the first `number` run by default, as relatives of the others."""
     rest = pytest.mark.exhaustive("the same test, by its first parameters")
     found = list(values)
     return found[:number] + [_marked(value, rest) for value in found[number:]]

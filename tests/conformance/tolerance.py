@@ -1,4 +1,4 @@
-"""What real-time tests tolerate on a busy machine: counted, and printed at the end of the run.
+"""What real-time tests tolerate on a busy machine; it is counted, and printed at the end of the run.
 
 A run that lost its link because the machine had no time for it is safe and recorded, but shows nothing else. The test
 reports that here instead of passing in silence, and the summary shows how much of a run was such.
@@ -23,18 +23,18 @@ _in_this_test: list[str] = []
 
 
 def tolerated(what: object) -> None:
-    """Note that the test in progress tolerates this: an error, or a sentence."""
+    """Record that the running test tolerates an error or an event that a sentence describes."""
     _in_this_test.append(f"{type(what).__name__}: {what}" if isinstance(what, Exception) else str(what))
 
 
 def too_busy(what: object) -> NoReturn:
-    """Skip the test in progress: the machine had no time for it to begin."""
+    """Skip the running test, because the machine was too busy for it to begin."""
     tolerated(what)
     pytest.skip(f"too busy: {what}")
 
 
 def reason_of(recording: Recording) -> str:
-    """Return why a run in real time ended; skip the test where it lost its device, which a busy machine does to any."""
+    """Return why a real-time run ended; skip the test if it lost its device, which any busy machine can cause."""
     reason = str(recording.trailer["reason"])
     if reason in ("link_silent", "device_fault"):
         too_busy(f"{recording.trailer['error']}; {_place_of_the_loss(recording)}")
@@ -42,7 +42,7 @@ def reason_of(recording: Recording) -> str:
 
 
 def _place_of_the_loss(recording: Recording) -> str:
-    """Where in the run its device was lost, and how far apart samples were: was the loop held up before, too?"""
+    """Return a text: where in the run the device was lost, and the longest gap between samples."""
     rows = recording.rows
     if len(rows) < 2:
         return f"after {len(rows)} rows"
@@ -52,14 +52,14 @@ def _place_of_the_loss(recording: Recording) -> str:
 
 
 def taken() -> list[tuple[str, str]]:
-    """Return what was noted since the last call, as properties of a report."""
+    """Return and clear what was recorded since the last call, as properties of a report."""
     found = [(PROPERTY, what) for what in _in_this_test]
     _in_this_test.clear()
     return found
 
 
 def summary(reports: Iterable[pytest.TestReport]) -> list[str]:
-    """Return a line for each test that tolerated something, most first; none when all showed what they are for."""
+    """Return a line for each test that tolerated something, most frequent first."""
     counts = Counter(
         (report.nodeid.partition("[")[0], what.partition(";")[0])
         for report in reports

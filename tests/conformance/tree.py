@@ -1,4 +1,4 @@
-"""The product's modules and what they import, read from the sources; nothing is imported or run."""
+"""The product's modules and their imports, read from the sources without importing anything."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ def modules() -> dict[str, Path]:
 
 
 def tree_of(module: str) -> ast.Module:
-    """Parse a module; not cached, since the trees of all take 160 MB of a worker."""
+    """Parse a module; not cached, because the trees of all modules take 160 MB per worker."""
     return ast.parse(modules()[module].read_text(encoding="utf-8"))
 
 
 def module_of(name: str) -> str:
-    """Return the module that a dotted name is, or is defined in; empty when it is not of this product."""
+    """Return the module that a dotted name is, or is defined in; empty if it is not in this product."""
     while name and name not in modules():
         name = name.rpartition(".")[0]
     return name
 
 
 def room_of(module: str) -> str:
-    """Return ``control`` for `rig.control.step`, ``extras.console`` for what is in that extra, else the package."""
+    """Return the package of a module: ``control`` for `rig.control.step`, ``extras.console`` inside that extra."""
     parts = module.split(".")
     if parts[0] != "rig":
         return parts[0]
@@ -43,7 +43,7 @@ def room_of(module: str) -> str:
 
 @cache
 def imports_of(module: str) -> frozenset[str]:
-    """Return the modules of this product that a module imports, anywhere in it."""
+    """Return the modules of this product that a module imports anywhere in its source."""
     names: list[str] = []
     for node in ast.walk(tree_of(module)):
         if isinstance(node, ast.Import):
@@ -54,7 +54,7 @@ def imports_of(module: str) -> frozenset[str]:
 
 
 def crossings() -> Iterator[tuple[str, str]]:
-    """Yield importing and imported module of each import between two rooms."""
+    """Yield the importing and the imported module of each import between two packages."""
     for module in modules():
         for other in sorted(imports_of(module)):
             if room_of(other) != room_of(module):
@@ -62,7 +62,7 @@ def crossings() -> Iterator[tuple[str, str]]:
 
 
 def closure_of(module: str) -> frozenset[str]:
-    """Return a module and all that it imports, directly or not: what a reader may have to open."""
+    """Return a module and all that it imports directly or indirectly, which a reader may have to open."""
     seen: set[str] = set()
     todo = [module]
     while todo:

@@ -1,4 +1,4 @@
-"""A trial on an open device, from an experiment: what most tests of one begin with."""
+"""A trial on an open device from an experiment, the usual start of a test."""
 
 from __future__ import annotations
 

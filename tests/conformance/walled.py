@@ -1,4 +1,4 @@
-"""A wall that the drive renders itself, in virtual time: a host that supervises, and the handle as it truly moves."""
+"""A wall that the drive renders itself, in virtual time, with a supervising host and the true motion of the handle."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FRICTIONLESS = {
 
 
 def walled(**changes: Any) -> Experiment:
-    """The knob on a moteus without friction, its wall on the drive; ``wall__stiffness = 1.0`` is a key."""
+    """Return the knob on a frictionless moteus with its wall on the drive; ``wall__stiffness = 1.0`` sets a key."""
     keys = {name.replace("__", "."): value for name, value in changes.items()}
     return config.override(presets.load_named("moteus-knob"), {**FRICTIONLESS, **keys}, "the test")
 
@@ -58,7 +58,7 @@ class Walled:
         inside: bool = False,
         **parameters: int | float,
     ) -> None:
-        """Arm; `inside`: the trial begins where the handle is, without homing."""
+        """Arm the drive; with `inside` the trial begins at the handle's position, without homing."""
         run = controller.prepare_controller(x)
         self.world = Bridged(rig_model(x), {**GAINS, **(settings or {})})
         self.host = Host(self.world)
@@ -76,7 +76,7 @@ class Walled:
         self._ticks = 0
 
     def run(self, seconds: float, *, supervised: bool = True) -> None:
-        """Let time pass, supervised or in silence; a fault ends it."""
+        """Advance time, supervised or without commands; a fault ends it."""
         for _ in range(round(seconds * 1e3)):
             if supervised and self._ticks % SUPERVISE_TICKS == 0:
                 self.host.command(mode=m.Mode.SUPERVISE, lifetime_us=LIFETIME_US)
@@ -95,7 +95,7 @@ class Walled:
 
 
 def within(**changes: Any) -> Walled:
-    """A handle that stands deep in the wall, in the trial."""
+    """Return a session whose handle rests deep in the wall, in the trial."""
     run = Walled(walled(**{**DEEP, **changes}), inside=True)
     run.run(0.012)
     assert run.world.mode == 13

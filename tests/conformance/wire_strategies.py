@@ -1,4 +1,4 @@
-"""Hypothesis strategies for everything that can stand in a frame, made from the tables themselves, once each."""
+"""Hypothesis strategies for everything that a frame can contain, derived from the tables of the protocol."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from firmware_protocol.wire import wire_fields
 
 @cache
 def integers_of(ctype: str) -> st.SearchStrategy[int]:
-    """Every value of a C integer type, the ends often."""
+    """Return a strategy for a C integer type, with frequent limits."""
     bits = int(ctype[1:])
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if ctype[0] == "i" else (0, (1 << bits) - 1)
     return st.integers(low, high) | st.sampled_from([low, high, 0])
@@ -23,7 +23,7 @@ def integers_of(ctype: str) -> st.SearchStrategy[int]:
 
 @cache
 def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
-    """Every message of a class."""
+    """Return a strategy for all messages of a class."""
     parts = {
         name: st.binary(max_size=data_limit(cls)) if wire.ctype == "bytes" else integers_of(wire.ctype)
         for name, wire in wire_fields(cls).items()
@@ -33,18 +33,18 @@ def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
 
 @cache
 def any_message() -> st.SearchStrategy[Message]:
-    """Every message."""
+    """Return a strategy for all messages."""
     return st.sampled_from(sorted(MESSAGES)).flatmap(lambda type_id: messages_of(MESSAGES[type_id]))
 
 
 def values_of(parameter: Parameter) -> st.SearchStrategy[int | float]:
-    """Every value that a parameter accepts."""
+    """Return a strategy for all values that a parameter accepts."""
     if parameter.ctype == "f32":
         return st.floats(parameter.minimum, parameter.maximum, width=32)
     return st.integers(int(parameter.minimum), int(parameter.maximum)).filter(parameter.accepts)
 
 
 def parameter_sets() -> st.SearchStrategy[dict[str, int | float]]:
-    """Any subset of the parameters with accepted values."""
+    """Return a strategy for any subset of the parameters with accepted values."""
     optional = {parameter.name: values_of(parameter) for parameter in PARAMETERS}
     return st.fixed_dictionaries({}, optional=optional)

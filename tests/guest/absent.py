@@ -1,5 +1,5 @@
-"""The reason why this machine cannot run a guest."""
+"""The error that this machine cannot run a guest."""
 
 
 class GuestAbsentError(Exception):
-    """No guest on this machine: a package, the network or the architecture is missing; the stage is skipped."""
+    """Raised if a package, the network or the architecture for a guest is missing; the stage is skipped."""

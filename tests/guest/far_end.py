@@ -1,4 +1,4 @@
-"""The simulated rig as a process behind any port, which reports its state at the end.
+"""The simulated rig as a process behind any port; it reports its state at its end.
 
 The process is forked, since in an emulated machine a new interpreter takes half a minute; it must be started before
 this process has threads.
@@ -27,7 +27,7 @@ WAIT_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """State of the device at its end: its current and the strongest one (quanta), its protocol state."""
+    """The state of the device at its end: last and largest current (quanta), protocol state, missed ticks."""
 
     current: int
     strongest: int

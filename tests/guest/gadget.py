@@ -1,4 +1,4 @@
-"""A USB serial port (CDC ACM) of the kernel on both ends: dummy_hcd as the bus, a configfs gadget as the device.
+"""A USB serial port (CDC ACM) of the kernel at both ends: dummy_hcd as the bus, a configfs gadget as the device.
 
 The host has ``/dev/ttyACM*``, as of any board, the device ``/dev/ttyGS0``: see the kernel's
 Documentation/usb/gadget_configfs.rst and gadget_serial.rst.
@@ -32,7 +32,7 @@ def is_here() -> bool:
 
 
 class AcmGadget:
-    """The device and its cable."""
+    """The gadget and its cable."""
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
@@ -42,7 +42,7 @@ class AcmGadget:
         (self._directory / "UDC").write_text(self._controller)
 
     def pull(self) -> None:
-        """Unplug it; may be called twice."""
+        """Unplug the gadget; may be called twice."""
         with contextlib.suppress(OSError):  # ENODEV: it is out
             (self._directory / "UDC").write_text("\n")
 
@@ -104,7 +104,7 @@ class GadgetPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Send replies, now or as the host fetches them; beyond some kilobytes they are dropped."""
+        """Send replies, at once or as the host reads them; drop them beyond `PENDING_BYTES`."""
         if self._descriptor < 0 or len(self._pending) + len(frames) > PENDING_BYTES:
             return
         self._pending += frames

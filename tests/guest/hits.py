@@ -1,4 +1,4 @@
-"""A short hit on a device in the guest with a fault in the middle, and what must hold at its end.
+"""A short hit on a device in the guest with a fault in the middle, and the claims that must hold at its end.
 
 An emulated machine keeps no time: a hit may also end by a lost link, a fault of the device or the guard, since replies
 are late. The same is asserted then.
@@ -61,7 +61,7 @@ def whole_hit(
     *,
     verified: bool = False,
 ) -> Ended:
-    """Run ``rig hit --url …``: the gate, the hit, its verdict, its sealed recording."""
+    """Run ``rig hit --url …`` with its gate, its verdict and its sealed recording."""
 
     def run() -> Path:
         more = {"output": output, "verified": verified, "arm_anyway": True}
@@ -93,7 +93,7 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
 
 
 def _ended(run: Callable[[], Path]) -> Ended:
-    """Run, and again while nothing began: a request times out after 0.1 s, which a busy emulator may need."""
+    """Run a hit; repeat it if it did not begin, because a busy emulator can exceed the request timeout of 0.1 s."""
     for _ in range(ATTEMPTS):
         started = time.monotonic()
         try:
@@ -120,7 +120,7 @@ def check_ended_safely(ended: Ended, far_end: FarEnd, *kinds: type[RigError]) ->
 
 
 def check_recorded(ended: Ended, *kinds: type[RigError]) -> None:
-    """The host's half of `check_ended_safely`."""
+    """Check the host's part of `check_ended_safely`."""
     assert ended.wall_s < BOUND_S
     assert ended.error is None or type(ended.error) in (*kinds, *TOO_SLOW), repr(ended.error)
     assert ended.error is None or ended.error.remedy

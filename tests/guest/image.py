@@ -1,4 +1,4 @@
-"""A disk for the guest: files of this machine, at their own paths, in a file system that the guest's kernel knows."""
+"""A disk for the guest: files of this machine at their own paths, in a file system that the guest's kernel supports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LARGE_BYTES = 8e6  # is read in large pieces, for which 9p does as well
 
 
 def make(image: Path, files: Iterable[Path]) -> None:
-    """Write an ext4 file system with these files and their times, but for the large ones."""
+    """Write an ext4 file system with these files and their times, without the large ones."""
     blocks = 0
     with tempfile.TemporaryDirectory(prefix="disk-") as place:
         for file in files:

@@ -1,4 +1,4 @@
-"""A Debian kernel: fetched as a package, unpacked, its modules in the order in which they load."""
+"""A Debian kernel: download the package, unpack it, and sort its modules in the order in which they load."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def unpacked_kernel(cache: Path) -> Kernel:
 
 
 def _newest_image() -> str:
-    """Name of the package that the meta package stands for."""
+    """Return the name of the package that the meta package depends on."""
     text = _run("apt-cache", "depends", META_PACKAGE)
     found = re.search(r"Depends: (linux-image-\S+)", text)
     if found is None:
@@ -93,6 +93,6 @@ def _built_in(kernel: Kernel) -> set[str]:
 
 
 def _depends(module: Path) -> Iterator[str]:
-    """Names in the ``depends=`` of a module's ``.modinfo``: zero-terminated text in an object file that has its own."""
+    """Yield the names in ``depends=`` of a module's ``.modinfo`` section, which is zero-terminated text."""
     for text in re.findall(rb"\0depends=([^\0]*)\0", module.read_bytes()):
         yield from (_plain(name) for name in text.decode().split(",") if name)

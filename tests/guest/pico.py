@@ -1,4 +1,4 @@
-"""The emulated Raspberry Pi Pico that a guest can plug in: a process outside of the guest, which is emulated too.
+"""The emulated Raspberry Pi Pico that a guest can plug in: a process outside of the guest.
 
 The bytes of USB/IP pass through a virtio serial port, the state of its pins through a file in the shared directory.
 """
@@ -49,13 +49,13 @@ START_S = 60.0
 
 
 def model() -> RigModel:
-    """The rig that the board is built for and that its motor moves."""
+    """Return the rig that the board is built for and that its motor moves."""
     return config.rig_model(presets.load(RIG))
 
 
 @contextlib.contextmanager
 def emulated_pico(share: Path) -> Iterator[Path]:
-    """Build the firmware, start the board, and give the socket of its USB/IP server."""
+    """Build the firmware, start the board, and yield the socket of its USB/IP server."""
     with tempfile.TemporaryDirectory(prefix="pico-") as scratch:
         place = Path(scratch)
         try:

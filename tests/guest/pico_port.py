@@ -1,4 +1,4 @@
-"""In the guest: the board at the end of a virtio port, plugged into vhci_hcd."""
+"""In the guest: the emulated board at the end of a virtio port, plugged into vhci_hcd."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class PluggedPico:
 
 
 def port() -> Path | None:
-    """The virtio port behind which a board is, or None."""
+    """Return the virtio port of a board, or None."""
     for place in PORTS.glob("*"):
         if (place / "name").read_text().strip() == PORT:
             return Path("/dev") / place.name
@@ -52,7 +52,7 @@ def port() -> Path | None:
 
 @contextlib.contextmanager
 def plugged_pico() -> Iterator[PluggedPico]:
-    """Plug the board in, for the length of a ``with``; once in the life of a guest."""
+    """Plug the board in until the block ends; possible once in the life of a guest."""
     facts = json.loads((SHARE / FACTS).read_text())
     path = port()
     assert path is not None
@@ -80,7 +80,7 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 def _carry(source: Any, target: Any) -> None:
-    """Carry bytes one way until either end is gone."""
+    """Copy bytes in one direction until either end is closed."""
     with contextlib.suppress(OSError):
         while data := source():
             target(data)

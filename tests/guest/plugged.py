@@ -1,4 +1,4 @@
-"""Devices on the virtual bus as context managers: a bare one that a test controls, and a simulated rig."""
+"""USB devices on the virtual bus as context managers: a bare one that a test controls, and a simulated rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.guest.usbip import Bus
 
 @dataclass(slots=True)
 class Plugged:
-    """A device on the bus: `bus` breaks it, `device` is the device's end of the two pipes."""
+    """A device on the bus: `bus` injects faults, `device` is the device's end of the two pipes."""
 
     serial: str
     bus: Bus
@@ -30,14 +30,14 @@ class Plugged:
         return f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/{self.serial}"
 
     def unplug(self) -> None:
-        """Pull the plug and wait until Linux and udev have seen it."""
+        """Unplug the device and wait until Linux and udev have handled it."""
         self.bus.unplug()
         vhci.wait_for_free(self.port)
         vhci.wait_for_no_device(self.serial)
 
 
 def pipes() -> tuple[socket.socket, socket.socket]:
-    """Return connected ends for packets: of the bus and of the device."""
+    """Return a connected pair of packet sockets, one for the bus and one for the device."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 

@@ -39,7 +39,7 @@ HIT_STATUSES = (0, 6, 7, 10)
 
 
 def main() -> None:
-    """Compile and print the files; exit with another status than 0 when the tests or a hit do not load here."""
+    """Compile and print the files; the exit status is not 0 if the tests or a hit cannot be loaded here."""
     with tempfile.TemporaryDirectory() as place, redirect_stdout(sys.stderr):
         for room in ("firmware_protocol", "rig", "sim_backend"):
             compileall.compile_dir(room, quiet=1)

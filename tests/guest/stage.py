@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def _run(cache: Path, kernels: Path, files: list[Path], arguments: list[str]) -> GuestEnd:
-    """Boot the guest with the emulated board, or without it and print why."""
+    """Boot the guest with the emulated board, or without it and print the reason."""
     watchdog_s = float(os.environ.get("HAPTIC_RIG_GUEST_WATCHDOG_S", WATCHDOG_S))
     with tempfile.TemporaryDirectory(prefix="guest-") as scratch, ExitStack() as board:
         share = Path(scratch, "share")

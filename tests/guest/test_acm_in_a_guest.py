@@ -1,4 +1,4 @@
-"""The kernel's cdc-acm driver and pyserial with a USB serial port that is unplugged and plugged in again."""
+"""The kernel's cdc-acm driver and pyserial on a USB serial port that is unplugged and plugged in again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""pyusb, libusb, Linux, USB/IP and the firmware's own USB registers with an emulated board; no time is asserted."""
+"""The firmware's own USB registers on an emulated board, with pyusb, libusb, Linux and USB/IP; no time is asserted."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def board() -> Iterator[Any]:
 
 @pytest.fixture
 def opened(board: Any) -> Iterator[Any]:
-    """The device through pyusb."""
+    """The emulated board, opened through pyusb."""
     device = usb.core.find(
         idVendor=USB_VENDOR,
         idProduct=USB_PRODUCT,
@@ -88,7 +88,7 @@ def test_rig_finds_it_and_reads_its_dictionary(board: Any) -> None:
 
 
 def supervised(host: Host, frames: int) -> list[m.Batch]:
-    """Supervise until so many BATCH frames are here."""
+    """Send SUPERVISE commands until this many BATCH frames have arrived, and return them."""
     batches: list[m.Batch] = []
     deadline = time.monotonic() + LONG_S
     while len(batches) < frames:
@@ -99,7 +99,7 @@ def supervised(host: Host, frames: int) -> list[m.Batch]:
 
 
 def check_at_rest(board: Any) -> None:
-    """No current at the pins of the board, amplifier off, as seen from outside of everything."""
+    """Require that the board's pins show no current and a disabled amplifier."""
     vhci.wait_until("the board is disabled", lambda: not board.status()["enabled"])
     status = board.status()
     assert status["current"] == 0
@@ -132,7 +132,7 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) ->
 def test_a_whole_hit_with_the_law_on_the_board(
     board: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``rig hit --loop device --url usb://…``: the board runs the wall, this kernel carries its ticks.
+    """Run ``rig hit --loop device --url usb://…``: the board runs the wall, and this kernel transfers its ticks.
 
     A second of the board takes many of ours, so the silence that ends a run is longer than on a real one.
     """

@@ -1,4 +1,4 @@
-"""pyusb, libusb, Linux and udev with a device that fails on command, and the errors of `rig`."""
+"""pyusb, libusb, Linux and udev with a device that fails on command, and the resulting errors of `rig`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STRIKE_AFTER_S = 0.3
 
 
 def find(serial: Any) -> Any:
-    """Find a device with a new backend, since pyusb caches those of an old one."""
+    """Find the device with a new backend, because pyusb caches the devices of an old one."""
     backend = libusb1.get_backend()
     return usb.core.find(
         idVendor=USB_VENDOR,
@@ -58,7 +58,7 @@ def bare() -> Iterator[Any]:
 
 @pytest.fixture
 def opened(bare: Any) -> Iterator[Any]:
-    """The device through pyusb, its pipes empty."""
+    """The bare device, opened through pyusb, with empty pipes."""
     device = find("bare")
     assert device is not None
     usb.util.claim_interface(device, 0)
@@ -148,7 +148,7 @@ def read_for(link: Any) -> None:
 
 
 def write_for(link: Any) -> None:
-    """Write repeatedly: a failure is reported by a later write, since none waits for its end."""
+    """Write repeatedly: a later write reports the failure, because no write waits for its end."""
     for _ in range(20):
         link.write(bytes(20))
         time.sleep(0.05)

@@ -37,7 +37,7 @@ class Shape(Protocol):
     packet: int
 
     def control(self, setup: bytes) -> bytes | None:
-        """Answer the eight bytes of a SETUP packet: the data stage, or None to stall."""
+        """Return the data stage of a control request (the 8 bytes of a SETUP packet), or None to stall."""
         ...
 
 
@@ -104,17 +104,17 @@ class Bus:
             endpoint.halted = True
 
     def silence(self, address: int) -> None:
-        """Let transfers of an endpoint wait, as a device does that answers NAK."""
+        """Keep the transfers of an endpoint pending, as a device that replies NAK does."""
         with self._changed(address) as endpoint:
             endpoint.silent = True
 
     def fail_next(self, address: int, status: int, length: int = 0, *, times: int = 1) -> None:
-        """Answer the next transfers with a status (0 or a negative errno of the kernel) after `length` bytes."""
+        """Complete the next transfers with a status (0 or a negative errno) after `length` bytes."""
         with self._changed(address) as endpoint:
             endpoint.fault, endpoint.faults_left = (status, length), times
 
     def heal(self) -> None:
-        """Take back silence and faults that have not struck yet; a halt is the host's to clear."""
+        """End silence and pending faults; only the host can clear a halt."""
         for address in self._endpoints:
             with self._changed(address) as endpoint:
                 endpoint.silent, endpoint.faults_left = False, 0
@@ -174,7 +174,7 @@ class Bus:
         return True
 
     def _take_message(self) -> bool:
-        """Take one whole message out of the buffer; return False without one."""
+        """Remove one complete message from the buffer; return False without one."""
         if len(self._received) < HEAD_BYTES:
             return False
         command, sequence, _, direction_in, number = _BASIC.unpack_from(self._received)
@@ -210,7 +210,7 @@ class Bus:
             self._answer(sequence, 0, length)
 
     def _withdraw(self, sequence: int, withdrawn: int) -> None:
-        """Answer an UNLINK: withdrawn when the transfer still waits, 0 when its answer is under way."""
+        """Reply to an UNLINK: -ECONNRESET if the transfer was pending, 0 if its reply was already sent."""
         status = 0
         for endpoint in self._endpoints.values():
             for transfer in endpoint.waiting:
@@ -221,7 +221,7 @@ class Bus:
         self._host.sendall(_UNLINKED.pack(UNLINKED, sequence, 0, 0, 0, status))
 
     def _move(self, endpoint: _Endpoint) -> None:
-        """Finish as many transfers of an endpoint as can be finished now."""
+        """Complete as many transfers of an endpoint as possible."""
         while endpoint.waiting and not endpoint.silent:
             transfer = endpoint.waiting[0]
             if endpoint.halted:
@@ -244,7 +244,7 @@ class Bus:
             self._answer(transfer.sequence, status, length, data)
 
     def _fetch(self, transfer: _Transfer) -> int | None:
-        """Take packets from the device: the transfer's status when it is done, None while it is not."""
+        """Read packets from the device; return the transfer's status when it is complete, else None."""
         while len(transfer.data) < transfer.length:
             try:
                 packet = self._device.recv(self._shape.packet)
@@ -259,7 +259,7 @@ class Bus:
         return 0
 
     def _deliver(self, transfer: _Transfer) -> bool:
-        """Hand packets to the device, as many as it takes: True when the transfer is done."""
+        """Write packets to the device, as many as it accepts; return True when the transfer is complete."""
         while True:
             packet = transfer.data[transfer.moved : transfer.moved + self._shape.packet]
             if not packet:

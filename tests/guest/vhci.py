@@ -1,4 +1,4 @@
-"""The kernel's virtual host controller: attach the device at the other end of a socket, wait for it to come and go."""
+"""The kernel's virtual host controller: attach the device behind a socket, wait for it to appear and disappear."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many ticks a bridge loses, by rate: ``python -m tests.benchmarks.realtime.lost_ticks --seconds 10``.
+"""Measure how many ticks a bridge loses, by rate: ``python -m tests.benchmarks.realtime.lost_ticks --seconds 10``.
 
 A drive that costs nothing sits behind a pseudo-terminal; a C program and the bridge ask it in turns, all scheduled as a
 board is, where that is allowed. A tick is lost when no reply came within its period (a reply that took three periods is
@@ -24,7 +24,7 @@ IDLE_LOAD = 0.3  # running programs above which a machine is not idle
 
 
 def waited() -> str:
-    """Share of the last ten seconds in which some program waited for a processor (%), where the kernel says it."""
+    """Return the share of the last ten seconds in which a program waited for a processor (%); "?" if unknown."""
     try:
         some = Path("/proc/pressure/cpu").read_text().split()
     except OSError:
@@ -33,7 +33,7 @@ def waited() -> str:
 
 
 def measure(rates: list[int], seconds: float, *, as_a_board: bool) -> list[tuple[object, ...]]:
-    """Rows of the table."""
+    """Return the rows of the table."""
     rows: list[tuple[object, ...]] = []
     before = AS_A_BOARD if as_a_board else ()
     with tempfile.TemporaryDirectory() as place:
@@ -49,7 +49,7 @@ def measure(rates: list[int], seconds: float, *, as_a_board: bool) -> list[tuple
 
 
 def main() -> None:
-    """Measure, and print a table."""
+    """Run the measurements and print a table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""How many ticks of a law on the device this computer can follow, and whether 20 and 50 kHz arrive without a gap.
+"""Measure how many ticks of a law on the device this computer can follow; 20 and 50 kHz must arrive without a gap.
 
 A process plays frames that were made before: as fast as they are taken over a socket pair, which shows what the loop
 can do, and on the device's grid over a pseudo-terminal, as a driver with a small buffer. Figures are printed; asserted
@@ -43,7 +43,7 @@ WAIT_S = 120.0
 
 
 def stream(rate: int, samples: int) -> list[bytes]:
-    """Frames of so many samples of a handle that moves about, with a STATE as often as a device sends one."""
+    """Return the frames of this many samples of a moving handle, with STATEs at the rate of a device."""
     counts = np.rint(20.0 * np.sin(np.arange(samples) / 300.0)).astype(int)
     moved = np.diff(counts, prepend=counts[0]).tolist()
     every = max(1, rate // STATES_A_SECOND // SAMPLES)
@@ -62,7 +62,7 @@ def stream(rate: int, samples: int) -> list[bytes]:
 
 
 def play(descriptor: int, frames: list[bytes], period_s: float, pipe: Any) -> None:
-    """Write frames, one each period (0: as fast as they are taken); what finds no room is dropped."""
+    """Write one frame per period (0: as fast as they are read); a frame that finds no space is dropped."""
     os.set_blocking(descriptor, period_s == 0.0)
     dropped = 0
     started = time.monotonic()
@@ -81,7 +81,7 @@ def play(descriptor: int, frames: list[bytes], period_s: float, pipe: Any) -> No
 
 
 class Wire:
-    """A descriptor as a link."""
+    """A file descriptor with the interface of a link."""
 
     messages = ()
 
@@ -123,7 +123,7 @@ def terminal() -> Iterator[tuple[int, int]]:
 
 
 def followed(link: Any, frames: list[bytes], samples: int, rate: int, period_s: float) -> dict[str, Any]:
-    """Follow a stream to its end: counters of the loop, seconds, processor time, frames that found no room."""
+    """Follow a stream to its end; return the loop's counters, seconds, processor time and dropped frames."""
     law = for_experiment(presets.load("koul-rigid"), current_quantum_a=CURRENT_QUANTUM_A)
     for name, value in {"home_target": 0.0, "settle_ticks": 0, "trial_ticks": 1 << 40}.items():
         law.control[name] = value

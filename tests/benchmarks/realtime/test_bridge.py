@@ -1,4 +1,4 @@
-"""What a bridge adds to the way to a drive and back, and whether it keeps its periods.
+"""Measure the delay that a bridge adds to a drive's round trip, and the periods that it misses.
 
 A drive that costs nothing sits behind a pseudo-terminal. A C program sends it the bridge's own bytes once a period, and
 the bridge does, in turns: the ratio of their medians is asserted. Lost replies and missed periods are printed only,
@@ -35,7 +35,7 @@ AS_A_BOARD = ("chrt", "--fifo", str(PRIORITY))  # before a command: above ordina
 
 @contextmanager
 def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
-    """A descriptor whose other end is the drive."""
+    """Start the simulated drive; yield the descriptor of the other end of its terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
     process = subprocess.Popen([*before, str(program), str(master)], pass_fds=(master,))
@@ -51,7 +51,7 @@ def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
 def by_a_client(
     client: Path, line: int, rate: int, seconds: float = SECONDS, before: Sequence[str] = ()
 ) -> tuple[np.ndarray, int]:
-    """Round trips (µs) of a C program, and those that were lost."""
+    """Return the round trips of a C program (µs) and the number of lost replies."""
     ticks = round(rate * seconds)
     done = subprocess.run(
         [*before, str(client), str(line), str(rate), str(ticks), QUESTION],
@@ -64,7 +64,7 @@ def by_a_client(
 
 
 def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
-    """What the bridge saw in as many periods, with its other end unused."""
+    """Run the bridge for the same number of periods, without a host; return its statistics."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()
     ear, mouth = os.pipe()

@@ -1,4 +1,4 @@
-"""What a busy program does to the loop in it: ticks run of ticks due, and rows that the recorder lost.
+"""Measure how a busy program disturbs the loop inside it: ticks run of ticks due, and rows that the recorder lost.
 
 In the same interpreter one thread computes and never lets the GIL go by itself, another makes and collects garbage; a
 process computes on each processor. The shipped loop runs against a far end that costs nothing, with the shipped
@@ -54,13 +54,13 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextlib.contextmanager
 def busy() -> Iterator[None]:
-    """All the load there is."""
+    """Run all load generators of this benchmark."""
     with processor_hogs(len(CPUS)), interpreter_hogs():
         yield
 
 
 def recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
-    """Run loop and recorder for `SECONDS`; what was due, run, dropped and recorded, and how late the ticks were."""
+    """Run loop and recorder for `SECONDS`; return ticks due, run, dropped and recorded, and the lateness."""
     ring = Ring.allocate(round(RING_SECONDS * rate))
     with Recorder(path, example_header(), ring) as recorder:
         with running_loop(NearLink(near, rate), rate, ring, host_paced=True) as loop, busy():
@@ -87,7 +87,7 @@ def recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
 
 
 def cyclictest_loop(program: str, rate: int, directory: Path) -> dict[str, float]:
-    """What cyclictest does at the same time: a program of its own, whose wake-ups show what the machine allows."""
+    """Return the same figures of cyclictest, whose wake-ups show what the machine permits."""
     with busy():
         late = cyclictest_latency(program, rate, SECONDS, directory)
     _, p99, p999, greatest = quantiles(late * 1e-3)
@@ -96,7 +96,7 @@ def cyclictest_loop(program: str, rate: int, directory: Path) -> dict[str, float
 
 
 def python_loop(rate: int) -> dict[str, float]:
-    """The same count of a plain Python loop."""
+    """Return the same figures of a plain Python loop."""
     period = 1_000_000_000 // rate
     late: list[int] = []
     due_all = 0

@@ -1,4 +1,4 @@
-"""Round trips a second: the loop against a C client and against plain pyserial, on the same link to the same far end.
+"""Compare round trips per second of the loop, a C client and plain pyserial, on the same link to the same far end.
 
 The far end (`far_end.c`) checks each COMMAND and answers with a STATE at once. The shipped loop (`rig.loop`) does all
 that it does in a rig: stuffing, CRC, estimator, wall, guard, stamps and a row in the ring. The client (`client.c`)
@@ -72,7 +72,7 @@ pytestmark = pytest.mark.timeout(900)
 
 @dataclass
 class Wire:
-    """One open link: what the loop, Python and a C program need of it."""
+    """One open link, with the interfaces that the loop, Python and a C program need."""
 
     descriptor: int
     port: Callable[[], LoopPort]
@@ -82,12 +82,12 @@ class Wire:
     clock = MonotonicClock()
 
     def failure(self) -> None:
-        """As `rig.devices.device.Link` has it."""
+        """Implement `rig.devices.device.Link.failure`: this link never fails."""
 
 
 @contextlib.contextmanager
 def over_pty() -> Iterator[tuple[Wire, int]]:
-    """A pseudo-terminal, opened by rig, and by plain pyserial."""
+    """Yield a pseudo-terminal, opened by rig and by plain pyserial."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     name = os.ttyname(slave)
@@ -103,7 +103,7 @@ def over_pty() -> Iterator[tuple[Wire, int]]:
 
 @contextlib.contextmanager
 def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[Wire, int]]:
-    """Two connected sockets."""
+    """Yield two connected sockets as a link."""
     with ours, theirs:
         ours.settimeout(1.0)
 
@@ -120,12 +120,12 @@ def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[W
 
 
 def over_socket_pair() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
-    """A pair of stream sockets."""
+    """Return a link over a pair of stream sockets."""
     return over_sockets(*socket.socketpair())
 
 
 def over_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
-    """UDP over the loopback interface, connected both ways."""
+    """Return a link over UDP on the loopback interface, connected in both directions."""
     ours, theirs = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     for one in (ours, theirs):
         one.bind(("127.0.0.1", 0))
@@ -138,14 +138,14 @@ LINKS = {"pty": over_pty, "socket pair": over_socket_pair, "udp": over_udp}
 
 
 class Contest:
-    """The contestants on one link, whose far end runs."""
+    """The contestants on one link with a running far end."""
 
     def __init__(self, wire: Wire, client: str, priority: int) -> None:
         self.wire, self.client, self.priority = wire, client, priority
         self._marker = 0
 
     def settle(self) -> None:
-        """Read away what is still on its way: the answer to a marked COMMAND is the last of it."""
+        """Discard what is still in transit, up to the reply to a marked COMMAND."""
         self._marker = self._marker % 1000 + 1
         os.write(self.wire.descriptor, command_frame(self._marker))
         splitter, deadline = FrameSplitter(), time.monotonic() + WAIT_S
@@ -159,11 +159,11 @@ class Contest:
         raise AssertionError("the far end does not answer")
 
     def kick(self) -> None:
-        """One COMMAND: its answer is the first STATE of a contestant."""
+        """Send one COMMAND; its reply is the first STATE that a contestant receives."""
         os.write(self.wire.descriptor, command_frame(2000))
 
     def ours(self) -> np.ndarray:
-        """Receipt times (ns) of the shipped loop."""
+        """Return the receive times of the shipped loop (ns)."""
         self.settle()
         ring = Ring.allocate(RING_ROWS)
         with running_loop(self.wire, RATE, ring, cpu=None) as loop:
@@ -174,7 +174,7 @@ class Contest:
         return ring.rows["received_at"][: ring.get(control_words.HEAD)].copy()
 
     def c(self) -> np.ndarray:
-        """Receipt times (ns) of the client in C."""
+        """Return the receive times of the client in C (ns)."""
         self.settle()
         self.kick()
         arguments = [self.wire.descriptor, self.priority, SECONDS, SESSION, SHORTEST_WAIT_NS]
@@ -185,7 +185,7 @@ class Contest:
         return np.frombuffer(done.stdout, np.int64)
 
     def python(self) -> np.ndarray:
-        """Receipt times (ns) of a plain write and a plain read in Python, in a thread with the same priority."""
+        """Return the receive times of plain writes and reads in a Python thread of the same priority (ns)."""
         self.settle()
         command, write, read = command_frame(0), self.wire.write, self.wire.read_exactly
         times: list[int] = []
@@ -210,7 +210,7 @@ class Contest:
 
 @contextlib.contextmanager
 def contest(link: str, programs: dict[str, str], priority: int) -> Iterator[Contest]:
-    """Open a link with a far end behind it."""
+    """Open a link and start the far end behind it."""
     with LINKS[link]() as (wire, far):
         command = [*LEASH, programs["far_end"], str(far), str(priority), str(-RATE)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=[far], text=True) as process:
@@ -235,7 +235,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 def measured(link: str, programs: dict[str, str], priority: int) -> dict[str, list[list[float]]]:
-    """For each contestant and round: trips a second, then p50, p99, p99.9 and the longest in µs."""
+    """Return for each contestant and round the trips per second, then p50, p99, p99.9 and maximum (µs)."""
     names = ("ours", "c", "python")
     found: dict[str, list[list[float]]] = {name: [] for name in names}
     with contest(link, programs, priority) as here:
@@ -251,7 +251,7 @@ def measured(link: str, programs: dict[str, str], priority: int) -> dict[str, li
 
 
 def ratio_of(found: dict[str, list[list[float]]], other: str) -> float:
-    """Round trips a second of the loop over those of another: the median over the rounds."""
+    """Return the loop's round trips per second over those of another contestant: the median over the rounds."""
     return statistics.median(a[0] / b[0] for a, b in zip(found["ours"], found[other], strict=True))
 
 

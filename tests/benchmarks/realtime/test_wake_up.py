@@ -1,4 +1,4 @@
-"""Wake-up latency: how late the loop starts a tick, beside cyclictest and beside a plain Python loop.
+"""Compare the wake-up latency of the loop with cyclictest and with a plain Python loop.
 
 The shipped loop (`rig.loop`), paced by the host, runs with everything it does in a tick, against a far end that costs
 nothing. cyclictest runs at the same
@@ -54,7 +54,7 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
-    """Lateness of each tick behind the grid point that it slept for (ns)."""
+    """Return the lateness of each tick of the loop against the grid point that it slept for (ns)."""
     ring = Ring.allocate(round(2 * SECONDS * rate))
     with running_loop(NearLink(near, rate), rate, ring, host_paced=True, spin_ns=spin_ns):
         time.sleep(SECONDS)
@@ -62,7 +62,7 @@ def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
 
 
 def of_python(rate: int) -> np.ndarray:
-    """Lateness of each turn of a plain Python loop (ns), with the priority that such a program has: none."""
+    """Return the lateness of each turn of a plain Python loop (ns), without real-time priority."""
     period = 1_000_000_000 // rate
     late: list[int] = []
 

@@ -1,4 +1,4 @@
-"""What the benchmarks of this directory share: C beside Python, real-time priority, load, controllers, tables.
+"""Shared tools of the benchmarks in this directory: C programs, real-time priority, load, controllers, tables.
 
 `RIG_BENCH_FULL=1` measures longer and more cases; otherwise everything here together takes about a minute.
 """
@@ -71,7 +71,7 @@ def compile_c(directory: Path, name: str, *options: str) -> Path:
 
 
 def may_be_realtime() -> bool:
-    """Whether SCHED_FIFO is granted here; asked in a thread of its own, which ends with it."""
+    """Return True if SCHED_FIFO is granted; a thread of its own tries it and ends."""
     granted: list[bool] = []
 
     def ask() -> None:
@@ -102,7 +102,7 @@ def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def processor_hogs(count: int) -> Iterator[None]:
-    """Run that many processes that do nothing but compute; they end with the context."""
+    """Run `count` processes that only compute; they end with the context."""
     with contextlib.ExitStack() as hogs:
         for _ in range(count):
             hogs.enter_context(started("sh", "-c", "while :; do :; done"))
@@ -111,7 +111,7 @@ def processor_hogs(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def interpreter_hogs() -> Iterator[None]:
-    """Two threads in this interpreter: one never lets the GIL go by itself, one makes and collects garbage."""
+    """Run two threads in this interpreter: one rarely releases the GIL, one creates and collects garbage."""
     stopped = False
 
     def compute() -> None:
@@ -144,7 +144,7 @@ def interpreter_hogs() -> Iterator[None]:
 
 
 def pushing_for_ever(rate: int) -> ControllerState:
-    """The compliant rig's wall in the middle of a trial that has neither end nor limits of place and speed."""
+    """Return the compliant rig's wall in the middle of a trial without end and without limits."""
     experiment = presets.load("koul-compliant")
     made = controller.for_experiment(experiment, current_quantum_a=CURRENT_QUANTUM_A)
     wanted = {
@@ -162,13 +162,13 @@ def pushing_for_ever(rate: int) -> ControllerState:
 
 
 def command_frame(sequence: int) -> bytes:
-    """A COMMAND of zero current."""
+    """Return the frame of a COMMAND of zero current."""
     command = m.Command(state_sequence=0, lifetime_us=5000, mode=m.Mode.STOP, flags=0, current=0)
     return encode_frame(pack(command, session=SESSION, sequence=sequence))
 
 
 def loop_settings(rate: int, **changes: Any) -> LoopSettings:
-    """Settings of the loop at this rate (Hz), where a benchmark gives no others."""
+    """Return the default loop settings at this rate (Hz), with changes."""
     usual: dict[str, Any] = {
         "period_ns": 1_000_000_000 // rate,
         "session": SESSION,
@@ -182,7 +182,7 @@ def loop_settings(rate: int, **changes: Any) -> LoopSettings:
 
 
 class NearLink:
-    """A link whose far end costs nothing (`near.c`): whenever the loop looks, there is one fresh STATE."""
+    """A link whose far end costs nothing (`near.c`): each read of the loop returns one new STATE."""
 
     clock = MonotonicClock()
 
@@ -192,7 +192,7 @@ class NearLink:
         self._memory = np.array([SESSION, 1_000_000_000 // rate, 0, 0], np.int64)
 
     def port(self) -> LoopPort:
-        """As `rig.devices.device.Link` has it."""
+        """Return the loop's port, as `rig.devices.device.Link.port` does."""
 
         def plug(name: str, signature: Any) -> NativeFunction:
             address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
@@ -208,7 +208,7 @@ class NearLink:
         )
 
     def failure(self) -> None:
-        """As `rig.devices.device.Link` has it."""
+        """Implement `rig.devices.device.Link.failure`: this link never fails."""
 
 
 @contextlib.contextmanager
@@ -236,12 +236,12 @@ def running_loop(
 
 
 def find_cyclictest() -> str | None:
-    """Path of the program, which an ordinary user's PATH may not have."""
+    """Return the path of cyclictest, which may be outside of an ordinary user's PATH; None if missing."""
     return shutil.which("cyclictest") or shutil.which("cyclictest", path="/usr/sbin:/usr/bin")
 
 
 def cyclictest_latency(program: str, rate: int, seconds: float, directory: Path) -> np.ndarray:
-    """Latency of each wake-up of cyclictest (ns, whole µs) with the loop's interval, priority and processor."""
+    """Return the latency of each wake-up of cyclictest (ns) with the loop's interval, priority and processor."""
     results = directory / "cyclictest.json"
     command = [program, "-m", "-q", "-t1", f"-p{PRIORITY}", f"-a{LOOP_CPU}", f"-i{1_000_000 // rate}"]
     command += [f"-l{round(seconds * rate)}", "-h", "20000", f"--json={results}"]
@@ -256,23 +256,23 @@ def cyclictest_latency(program: str, rate: int, seconds: float, directory: Path)
 
 
 def quantiles(values: np.ndarray) -> tuple[float, float, float, float]:
-    """p50, p99, p99.9 and the greatest."""
+    """Return p50, p99, p99.9 and the maximum."""
     p50, p99, p999 = np.quantile(values, (0.5, 0.99, 0.999), method="higher")
     return float(p50), float(p99), float(p999), float(np.max(values))
 
 
 def medians(rounds: Sequence[Sequence[float]]) -> list[float]:
-    """Median of each column over the rounds."""
+    """Return the median of each column over the rounds."""
     return [statistics.median(column) for column in zip(*rounds, strict=True)]
 
 
 def load_note() -> str:
-    """How busy the machine was: only ratios inside one table mean anything."""
+    """Return a text with the load of the machine, because only ratios inside one table are comparable."""
     return f"load average {os.getloadavg()[0]:.1f}, {len(CPUS)} processors"
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print aligned columns; the first is text."""
+    """Print aligned columns, of which the first is text."""
     cells = [list(map(str, head)), *([str(cell) for cell in row] for row in rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
     print(f"\n{title} ({load_note()})")
