@@ -1,7 +1,7 @@
 """Write the page *Which estimator and which law, on which rig?* from results of the ranking.
 
-`rig estimators rank` and the builder of documents use it. Every number of the page comes from the results, the rule, or
-the counted cycles; this file must not run a hit.
+`rig estimators rank` and the builder of documents use it. Every number of the page comes from the results, the rule,
+the counted cycles, or notes with their commands; this file must not run a hit.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from firmware_protocol.codegen import table
 from rig import config
@@ -20,7 +21,7 @@ from rig.firmware.tick_budget import TICKS
 
 COMMAND = "rig estimators rank"
 USUAL, DUAL = Pair("fdm-butterworth").name, Pair("fdm-butterworth", dual=True).name
-WIDTH = 120
+WIDTH, NOTES = 120, Path(__file__).parent / "notes.md"  # on all rigs together
 HANDS = {"none": "no hand", **{grip: f"{grip} grip" for grip in rule.GRIPS}}
 ENTRY = '''```python
 import rig
@@ -107,6 +108,8 @@ def _blocks(results: Sequence[RigResults]) -> Iterator[str]:
             for delay in delays
         ),
     )
+    if not missing:
+        yield NOTES.read_text(encoding="utf-8").strip()
     yield "## Tuned values, noise and cost"
     yield _paragraph(
         "Value of the tuned parameter, with * if the optimum is at the end of its grid; in brackets the rms velocity "
