@@ -159,11 +159,15 @@ class _Search:
         if self.request.paper:
             # Raise for a rig without a paper before the search, which may run for hours.
             PaperSchemes.of(experiment.rig.name)
-        if estimators.get(experiment.controller.estimator).uses_effort:
+        asked = [
+            experiment.controller.estimator,
+            *(one.estimator for one in self.request.schemes if one.estimator),
+        ]
+        if fed := [name for name in asked if estimators.get(name).uses_effort]:
             raise ConfigError(
-                f"the experiment's estimator {experiment.controller.estimator} uses the motor's effort; a design can "
-                "only compare estimators that use counts alone",
-                remedy="set controller.estimator to another one for the design, then compare both by `rig zwidth`",
+                f"the estimator {fed[0]} uses the motor's effort; a design can only compare estimators that use counts "
+                "alone",
+                remedy="design with other estimators (controller.estimator, --scheme), then compare by `rig zwidth`",
             )
         places = self.request.places or places_for(experiment)
         own = Candidate.own(experiment, places)

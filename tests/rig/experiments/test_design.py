@@ -331,3 +331,9 @@ def test_the_public_function_finds_the_same(kept: Any, monkeypatch: pytest.Monke
     found = rig.design(X, schemes=[scheme.text for scheme in SCHEMES], directory=place.parent)
     assert found.as_mapping() == whole.as_mapping(), "read from the same directory"
     assert repr(found).startswith(f"design of koul-compliant: {found.recommended.label}\n  goal")
+
+
+def test_an_estimator_of_the_effort_is_refused_as_a_scheme_too() -> None:
+    schemes = [Scheme.parse("uniform:1k,estimator=disturbance")]
+    with pytest.raises(ConfigError, match="estimator disturbance uses the motor's effort"):
+        design(DesignRequest(experiment=X, schemes=tuple(schemes), rounds=QUICK))
