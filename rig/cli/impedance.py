@@ -137,7 +137,7 @@ def measure(
 
 
 def _walls(experiment: Experiment, stiffness: str | None, damping: str | None, bare: bool) -> list[Wall]:
-    """Return stiffness and damping of the walls that the options select; the rig without a wall (0, 0) is the first."""
+    """Return (stiffness, damping) of the walls that the options select; (0, 0) is the rig without a wall."""
     own = experiment.wall
     if stiffness is None and damping is None:
         return [(0.0, 0.0)] if bare else [(0.0, 0.0), (own.stiffness, own.damping)]

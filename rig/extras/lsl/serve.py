@@ -143,7 +143,7 @@ def serve(
 
 
 class _Server:
-    """Owner of the outlets: it follows loops, sends their data, and counts what it has sent."""
+    """Owner of the LSL outlets (network streams): it follows loops, sends their data, and counts what it has sent."""
 
     def __init__(
         self,

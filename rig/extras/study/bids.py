@@ -58,7 +58,7 @@ _EVENT_COLUMNS: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BidsOptions:
-    """Options of the export.
+    """Options of an export to BIDS.
 
     Attributes
     ----------
