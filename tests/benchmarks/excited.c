@@ -3,33 +3,11 @@
    bit. */
 #include "trial.c"
 
-/* s: position, velocity, effort, age of the edge */
-static inline int64_t advance_rigid(double *s, const double (*phi)[3], const double (*gamma)[3], const double *p,
+static inline int64_t advance_inner(double *s, const double (*phi)[3], const double (*gamma)[3], const double *p,
     double command, double external)
 {
-    double x = s[0], v = s[1], effort = s[2], age = s[3];
-    command = clip(command, p[EFFORT_LIMIT]);
-    external += p[GRAVITY_EFFORT];
-    double push_x = gamma[0][0] * command + gamma[0][1] * external;
-    double push_v = gamma[1][0] * command + gamma[1][1] * external;
-    int64_t count = cell(x, p);
-    for (int64_t n = (int64_t)p[STEPS]; n > 0; n--) {
-        double v_next, x_next = x, free = phi[1][1] * v + phi[1][2] * effort + push_v;
-        double friction = rub(free, gamma[1][2], p[COULOMB], &v_next);
-        if (v != 0.0 || v_next != 0.0)
-            x_next += phi[0][1] * v + phi[0][2] * effort + push_x + gamma[0][2] * friction;
-        int64_t count_next = cell(x_next, p);
-        if (count_next == count) {
-            age += p[STEP_S];
-        } else {
-            age = edge_age(x, x_next, count, count_next, p);
-            count = count_next;
-        }
-        effort = phi[2][2] * effort + gamma[2][0] * command;
-        x = x_next, v = v_next;
-    }
-    s[0] = x, s[1] = v, s[2] = effort, s[3] = age;
-    return p[SIGN] < 0.0 ? -count : count;
+    const struct plant plant = {3, 0, *phi, *gamma, p, s};
+    return plant_advance(&plant, command, external);
 }
 
 static inline double ramp(int64_t tick, int64_t ticks)
@@ -73,7 +51,7 @@ int64_t excite(const struct control *control, const double *estimator, const dou
             double push = excitation[phase];
             if (j < ramp_steps)
                 push *= ramp(j, ramp_steps);
-            count = advance_rigid(state, phi, gamma, plant, effort, push);
+            count = advance_inner(state, phi, gamma, plant, effort, push);
             j++;
             if (++phase == period)
                 phase = 0;

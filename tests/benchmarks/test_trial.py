@@ -29,7 +29,6 @@ from rig.control.estimators import _fdm_butterworth as fdm_butterworth
 from rig.control.estimators import estimator
 from rig.realtime.kernel import kernel
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
-from sim_backend.mechanics import plant as plants
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import PLANT_TYPE, DiscretePlant, advance
 
@@ -51,8 +50,6 @@ PLACES = {
     "RESOLUTION_SIGNED": estimator.RESOLUTION, "PERIOD": estimator.PERIOD,
     **{n: getattr(fdm_butterworth, n) for n in ("B0", "B1", "B2", "A1", "A2")},
     **{n: getattr(wall, n) for n in ("STIFFNESS", "DAMPING", "MAY_PULL", "ENTRY_ONLY")},
-    **{n: getattr(plants, n) for n in ("STEP_S", "STEPS", "EFFORT_LIMIT", "GRAVITY_EFFORT", "COULOMB")},
-    **{n: getattr(plants, n) for n in ("COULOMB_LINK", "RESOLUTION", "OFFSET", "SIGN")},
     **{n: getattr(step, n) for n in ("WAIT", "HOMING", "SETTLE", "TRIAL", "RELEASE", "DONE", "ENDS_RUN")},
     **{n: getattr(step, n) for n in ("INSIDE", "VELOCITY_UPDATED", "SATURATED", "SLEW_BOUND", "CLAMPED")},
     **{n: getattr(step, n) for n in ("NONFINITE", "OUT_OF_WINDOW", "HOMING_FAILED")},

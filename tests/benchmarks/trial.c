@@ -1,10 +1,10 @@
 /* A whole trial once more in C, as a careful programmer writes it for one rig, one estimator and one law: the yardstick of
-   test_trial.py, which compiles this with -O3. Two masses with their exact pair of Coulomb efforts, encoder and age of its
-   last edge; finite difference and Butterworth at T2; the law with its clamp, homing, guard and whole current quanta.
-   `struct control`, the places of parameters and the phases and flags come from the Python modules, by records.h. The
-   results are the same to the last bit. */
+   test_trial.py, which compiles this with -O3. The plant is sim_backend/mechanics/plant.c; finite difference and Butterworth at T2; the law
+   with its clamp, homing, guard and whole current quanta. `struct control`, the places of parameters and the phases and
+   flags come from the Python modules, by records.h. The results are the same to the last bit. */
 #include <math.h>
 #include <stdint.h>
+#include "../../sim_backend/mechanics/plant.c"
 #include "records.h"
 
 struct memory {
@@ -17,104 +17,21 @@ struct difference {
     double s1, s2;
 };
 
-static inline double clip(double value, double limit)
-{
-    return value < -limit ? -limit : value > limit ? limit : value;
-}
-
 static inline int64_t floor_of(double value)
 {
     int64_t whole = (int64_t)value;
     return whole - (value < (double)whole);
 }
 
-/* Plant ------------------------------------------------------------------------------------------------------------ */
-
+/* s: positions and velocities of motor and link, effort, age of the edge */
 #define ORDER 5
 #define INPUTS 4
 
-static inline double rub(double free, double gain, double coulomb, double *velocity)
-{
-    double friction = free * (-1.0 / gain);
-    if (fabs(friction) <= coulomb) {
-        *velocity = 0.0;
-        return friction;
-    }
-    friction = clip(friction, coulomb);
-    *velocity = free + gain * friction;
-    return friction;
-}
-
-static inline void rub_both(double free_v, double free_w, double gain_v, double cross, double gain_w,
-    double coulomb_v, double coulomb_w, double *rub_v, double *rub_w, double *v, double *w)
-{
-    double shrink = -1.0 / (gain_v * gain_w - cross * cross);
-    double stop_v = shrink * (gain_w * free_v - cross * free_w);
-    double stop_w = shrink * (gain_v * free_w - cross * free_v);
-    if (fabs(stop_v) <= coulomb_v && fabs(stop_w) <= coulomb_w) {
-        *rub_v = stop_v, *rub_w = stop_w, *v = 0.0, *w = 0.0;
-        return;
-    }
-    if (fabs(stop_v) > coulomb_v) {
-        *rub_v = clip(stop_v, coulomb_v);
-        *rub_w = rub(free_w + cross * *rub_v, gain_w, coulomb_w, w);
-        *v = free_v + gain_v * *rub_v + cross * *rub_w;
-        if (*rub_v * *v <= 0.0)
-            return;
-    }
-    *rub_w = clip(stop_w, coulomb_w);
-    *rub_v = rub(free_v + cross * *rub_w, gain_v, coulomb_v, v);
-    *w = free_w + cross * *rub_v + gain_w * *rub_w;
-}
-
-static inline int64_t cell(double x, const double *p)
-{
-    return floor_of(x / p[RESOLUTION] + p[OFFSET]);
-}
-
-static inline double edge_age(double before, double after, int64_t old, int64_t new, const double *p)
-{
-    double edge = (double)(new > old ? new : new + 1);
-    double left = (after - (edge - p[OFFSET]) * p[RESOLUTION]) / (after - before);
-    return (left < 0.0 ? 0.0 : left > 1.0 ? 1.0 : left) * p[STEP_S];
-}
-
-/* s: positions and velocities of motor and link, effort, age of the edge */
 static inline int64_t advance(double *s, const double (*phi)[ORDER], const double (*gamma)[INPUTS], const double *p,
     double command)
 {
-    double x = s[0], v = s[1], y = s[2], w = s[3], effort = s[4], age = s[5];
-    double external = p[GRAVITY_EFFORT], push[4];
-    command = clip(command, p[EFFORT_LIMIT]);
-    for (int i = 0; i < 4; i++)
-        push[i] = gamma[i][0] * command + gamma[i][1] * external;
-    int64_t count = cell(x, p);
-    for (int64_t n = (int64_t)p[STEPS]; n > 0; n--) {
-        double stretch = y - x, rub_v, rub_w, v_next, w_next, x_next = x, y_next = y;
-        double free_v = phi[1][1] * v + phi[1][2] * stretch + phi[1][3] * w + phi[1][4] * effort + push[1];
-        double free_w = phi[3][1] * v + phi[3][2] * stretch + phi[3][3] * w + phi[3][4] * effort + push[3];
-        rub_both(free_v, free_w, gamma[1][2], gamma[3][2], gamma[3][3], p[COULOMB], p[COULOMB_LINK],
-            &rub_v, &rub_w, &v_next, &w_next);
-        if (v != 0.0 || v_next != 0.0) {
-            x_next += phi[0][1] * v + phi[0][2] * stretch + phi[0][3] * w + phi[0][4] * effort + push[0];
-            x_next += gamma[0][2] * rub_v + gamma[0][3] * rub_w;
-        }
-        if (w != 0.0 || w_next != 0.0) {
-            y_next += phi[2][1] * v - phi[2][0] * stretch + phi[2][3] * w + phi[2][4] * effort + push[2];
-            y_next += gamma[2][2] * rub_v + gamma[2][3] * rub_w;
-        }
-        int64_t count_next = cell(x_next, p);
-        if (count_next == count) {
-            age += p[STEP_S];
-        } else {
-            age = edge_age(x, x_next, count, count_next, p);
-            count = count_next;
-        }
-        effort = phi[4][4] * effort + gamma[4][0] * command;
-        x = x_next, v = v_next, y = y_next, w = w_next;
-    }
-    s[0] = x, s[1] = v, s[2] = y, s[3] = w, s[4] = effort, s[5] = age;
-    return p[SIGN] < 0.0 ? -count : count;
+    const struct plant plant = {ORDER, 0, *phi, *gamma, p, s};
+    return plant_advance(&plant, command, 0.0);
 }
 
 /* Controller ------------------------------------------------------------------------------------------------------- */

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-import os
 import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,8 +20,11 @@ from scipy.integrate import solve_ivp
 from rig.core.errors import ConfigError
 from rig.core.model import Amplifier, Encoder, Mechanics, Operator, RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
+from sim_backend.board.firmware_library import FIRMWARE
+from sim_backend.mechanics import plant as plants
 from sim_backend.mechanics.inner import STEP_S, STEPS, rub_both
 from sim_backend.mechanics.plant import DiscretePlant, advance, energy
+from tests.conformance.firmware import need_compiler
 
 Trajectory = NDArray[np.float64]
 
@@ -482,33 +485,36 @@ def test_a_tick_that_is_no_time_is_refused(tick_s: float) -> None:
         DiscretePlant.build(ROTARY, tick_s)
 
 
-# Without the compiler --------------------------------------------------------------------------------------------
+# In C ------------------------------------------------------------------------------------------------------------
 
 
-def fingerprint() -> str:
-    """Return the bits after runs that stick, slip, turn and saturate, on both structures, free and held."""
-    bits = []
+class PlantInC(ctypes.Structure):
+    """The C structure `struct plant` of plant.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_int) for name in ("order", "delay_ticks")),
+        *((name, ctypes.c_void_p) for name in ("phi", "gamma", "parameters", "state")),
+    ]
+
+
+def test_the_plant_in_c_moves_alike_to_the_last_bit(tmp_path: Path) -> None:
+    """Runs that stick, slip, turn and saturate, on both structures, free and held."""
+    need_compiler()
+    source, flags = (
+        Path(plants.__file__).with_name("plant.c"),
+        ["-O2", "-ffp-contract=off", "-shared", "-fPIC"],
+    )
+    subprocess.run([*FIRMWARE.compiler(), *flags, source, "-o", tmp_path / "plant.so"], check=True)
+    advance_in_c = ctypes.CDLL(str(tmp_path / "plant.so")).plant_advance
+    advance_in_c.restype = ctypes.c_int64
     free = (with_mechanics(LINEAR, motor_coulomb=0.19), ROTARY)
     for rig in (*free, *(rig.held_by(GRIPS["normal"], None) for rig in free)):
         plant = DiscretePlant.build(with_simulation(rig, computation_delay_ticks=2), 2e-4)
-        state = plant.at_rest(0.01)
-        limit = rig.amplifier.effort_limit
-        counts = [
-            advance(plant.arguments(state), 1.2 * limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k))
-            for k in range(80)
-        ]
-        bits.append(state.tobytes().hex() + f"/{sum(counts)}")
-    return " ".join(bits)
-
-
-@pytest.mark.exhaustive("tests/rig/control/test_step.py::test_compiled_and_plain_python_give_the_same_bits")
-def test_plain_python_gives_the_bits_of_the_compiled_kernels() -> None:
-    command = "import runpy, sys; print(runpy.run_path(sys.argv[1])['fingerprint']())"
-    plain = subprocess.run(
-        [sys.executable, "-c", command, __file__],
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert plain.stdout.strip() == fingerprint()
+        state, other = plant.at_rest(0.01), plant.at_rest(0.01)
+        addresses = (array.ctypes.data for array in (*plant.arrays, other))
+        in_c = PlantInC(len(plant.phi), plant.delay_ticks, *addresses)
+        for k in range(400):
+            push = 1.2 * rig.amplifier.effort_limit * math.sin(0.3 * k) ** 3, 0.01 * math.cos(0.2 * k)
+            count = advance_in_c(ctypes.byref(in_c), *map(ctypes.c_double, push))
+            assert advance(plant.arguments(state), *push) == count
+        assert state.tobytes() == other.tobytes()
