@@ -594,5 +594,5 @@ def test_a_push_ends_when_the_handle_moves_and_brakes_by_where_it_went() -> None
     assert drive(3.7, ticks=10) < 0.0, "the third the other"
     assert drive(3.7, ticks=600) == 0.0, "no movement seen: no other push adds to the speed"
     assert p.state[2] == 3.0
-    with pytest.raises(ValueError, match="small pushes needs side 1"):
+    with pytest.raises(ValueError, match="small pushes need a wall that is entered upwards"):
         law.prepare({"side": -1})
