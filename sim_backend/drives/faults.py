@@ -44,7 +44,7 @@ class DriveScript:
     events: tuple[DriveEvent, ...] = ()
 
     def on_a_can_bus(self) -> DriveScript:
-        """Return this script for a CAN bus: it drops a damaged frame, because that frame would fail its CRC."""
+        """Return a copy for a CAN bus, where a frame to be damaged is dropped, because it would fail its CRC."""
         damaged = (FaultKind.CORRUPT, FaultKind.TRUNCATE)
         frames = (
             replace(fault, kind=FaultKind.DROP) if fault.kind in damaged else fault for fault in self.frames

@@ -81,7 +81,7 @@ class ScriptedLine:
         queue.extend((tick, piece) for piece in pieces + reordered)
 
     def _find_due(self, direction: Direction, number: int, tick: int) -> list[FrameFault]:
-        """Return the faults of frame `number`, sent at `tick`: those for this number, and those for ticks so far."""
+        """Return the faults of frame `number`, sent at `tick`: those for this number, and for a tick up to `tick`."""
         waiting = self._faults_by_tick[direction]
         now = [fault for fault in waiting if fault.tick is not None and fault.tick <= tick]
         # A fault at a tick acts on the first frame after it, once.
