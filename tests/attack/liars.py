@@ -198,7 +198,7 @@ class Liar(SimulatedDevice):
         if not self._script.checks_age:
             newest = (self.connection.sequence_to_send(m.State) - 1) & U16
             command = replace(command, state_sequence=newest)
-        super()._command(command, sequence)
+        super()._execute_command(command, sequence)
 
     def _frames(self, sent: bytes, change: Callable[[Message], Message]) -> bytes:
         return b"".join(self._frame(raw, change) for raw in raw_frames(sent))

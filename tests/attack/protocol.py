@@ -115,7 +115,7 @@ class Talk(Pair):
 
 
 def _check_bounds(end: Connection) -> None:
-    require(len(end._frames) <= QUEUE_LIMIT and len(end._open) <= OPEN_LIMIT, "a queue that grows")
+    require(len(end._frames) <= QUEUE_LIMIT and len(end._open_requests) <= OPEN_LIMIT, "a queue that grows")
     require(len(end._splitter._pending) <= ENCODED_LIMIT, "an unfinished frame that grows")
 
 

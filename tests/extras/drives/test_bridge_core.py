@@ -487,7 +487,7 @@ def test_structures_are_those_of_the_header() -> None:
 
 
 def switched(world: Bridged, pins: int) -> None:
-    world.drive._others[0x05E] = (lambda words: pins, WHOLE)
+    world.drive._computed_registers[0x05E] = (lambda words: pins, WHOLE)
 
 
 def test_a_hold_to_run_switch_on_a_pin_of_the_drive() -> None:

@@ -96,7 +96,7 @@ def test_all_differences_are_named_at_once() -> None:
 
 def test_another_generation_of_firmware() -> None:
     drive = moteus()
-    drive._numbers[0x102] = 4
+    drive._integer_registers[0x102] = 4
     assert "register map 4" in refusal(drive, kind=IncompatibleDeviceError)
 
 

@@ -253,7 +253,7 @@ def test_a_drive_that_changes_a_torque_is_counted_and_left() -> None:
     """Its USB port sets a limit that was refused at the start."""
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
-    world.drive._write(odrive.MOST_TORQUE, 0.97 * CURRENT * 1e-3 * 0.05)  # less than measuring sees
+    world.drive._write_parameter(odrive.MOST_TORQUE, 0.97 * CURRENT * 1e-3 * 0.05)  # less than measuring sees
     for _ in range(20):
         state = host.next_state()
         if state.fault:

@@ -191,7 +191,7 @@ def test_the_pipes_are_found_among_other_interfaces_and_endpoints(bus: Any) -> N
         Interface(endpoint(0x83, INTERRUPT), kind=2),
         Interface(endpoint(0x85, INTERRUPT), endpoint(0x84, size=512), endpoint(0x02, size=512), number=3),
     )
-    assert links._pipes(composite) == links._Pipes(3, 0x84, 0x02, 512)
+    assert links._find_interface(composite) == links._Pipes(3, 0x84, 0x02, 512)
 
 
 def test_no_permission_gives_the_command_that_installs_the_rules(bus: Any) -> None:

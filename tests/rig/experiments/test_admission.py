@@ -197,7 +197,7 @@ def by_measurement(output: Path, x: config.Experiment, changes: dict[str, Any]) 
 def by_test(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
     """As ``rig_hit`` does."""
     request = HitRequest(experiment=x, url=URL, verified=True, output=output, changes=changes)
-    hits_of_tests._describe_end(request, cast(FramedDevice, None), may_end=False)
+    hits_of_tests._run_and_observe(request, cast(FramedDevice, None), may_end=False)
 
 
 entries = pytest.mark.parametrize("entry", [by_command, by_name, by_session, by_measurement, by_test])
