@@ -194,7 +194,7 @@ class Liar(SimulatedDevice):
             raise EndlessError
         return self._frames(sent, self._handle_answer) if sent and self._script.answer else sent
 
-    def _command(self, command: m.Command, sequence: int) -> None:
+    def _execute_command(self, command: m.Command, sequence: int) -> None:
         if not self._script.checks_age:
             newest = (self.connection.sequence_to_send(m.State) - 1) & U16
             command = replace(command, state_sequence=newest)

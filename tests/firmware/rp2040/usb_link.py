@@ -60,4 +60,4 @@ class EmulatedUsb(MemoryLink):
     def _run(self, until_ns: int, *, first: bool) -> None:
         if until_ns > self._now_ns:
             microseconds = (until_ns - self._now_ns) * 1e-3
-            self._keep(self._usb.run(microseconds, first=first))
+            self._buffer_for_host(self._usb.run(microseconds, first=first))
