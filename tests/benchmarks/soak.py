@@ -70,9 +70,7 @@ def arguments() -> argparse.Namespace:
         "--rate", type=int, help="ticks a second (default: 2000, near 10000, on a device the preset's)"
     )
     parser.add_argument("--pacing", choices=("device", "host"), default="device")
-    parser.add_argument(
-        "--far-end", choices=("pty", "near"), default="pty", help="near implies --pacing host"
-    )
+    parser.add_argument("--far-end", choices=("pty", "near"), default="pty", help="near: --pacing host")
     parser.add_argument("--url", help="a device; sim:// starts one behind a pseudo-terminal")
     parser.add_argument("--preset", default="koul-compliant", help="experiment for a device")
     parser.add_argument(
