@@ -1,4 +1,4 @@
-"""Settings of all tests, and what holds for every run of them.
+"""Settings of all tests, and checks on every run of them.
 
 Property tests draw the same inputs in every run, on every machine and in every worker; `python -m tests.explore` draws
 new ones. Ctrl-C interrupts a run, also one that a shell started with Ctrl-C ignored (`nohup … &`), and whatever the
@@ -60,13 +60,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @pytest.hookimpl(optionalhook=True)  # the guest's tests run without the plug-in
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """None for a single file, or tests of one: to start workers takes longer than most files do."""
+    """Return 0 for a single file: starting workers takes longer than most files do."""
     files = {argument.partition("::")[0] for argument in config.args}
     return 0 if len(files) == 1 and files.pop().endswith(".py") else None
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Take the seed of another order."""
+    """Add the option for the seed of another order."""
     parser.addoption(
         "--shuffle",
         type=int,
@@ -77,7 +77,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Put the tests in another order; those of a file stay together, since they share what is slow to make."""
+    """Shuffle the files if requested; tests of a file stay together, because they share slow fixtures."""
     if (seed := config.getoption("shuffle")) is None:
         return
     drawn = random.Random(seed)
@@ -92,7 +92,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 class LastFirst:
-    """Imports the files of a directory from the last one on; they are collected in the usual order all the same.
+    """A plug-in that imports the files of a directory from the last one on, but collects them in the usual order.
 
     In a fresh clone half the time of collecting goes into rewriting asserts, which pytest keeps beside the file. One
     worker begins at each end, rewrites half of them, and finds the others done.
@@ -120,7 +120,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Modules and tests last as long as the process: no collection looks through them again.
+    """Exclude modules and tests from garbage collection, because they live as long as the process.
 
     Recordings name one revision of a checkout all along: git takes longer than many a hit that a test makes.
     """
@@ -130,7 +130,7 @@ def pytest_collection_finish() -> None:
 
 
 class Memory:
-    """Gives memory back after a test that has taken much: two workers run beside each other, for thousands of tests.
+    """A plug-in that frees memory after a test that has used much: two workers run thousands of tests side by side.
 
     Recordings and frames that refer to each other stay until a collection, and Python starts one for the number of
     objects, not for their size: the faults at every frame left 360 MB. Not after each test: a collection looks at a
@@ -159,7 +159,7 @@ class Memory:
 
 @pytest.fixture(autouse=True, scope="session")
 def _no_disk_is_waited_for() -> Generator[None]:
-    """The power is not cut: of what is synced, and when, tests keep count themselves.
+    """Replace fsync by a check of the descriptor; tests that need syncs count them themselves.
 
     Else a run would sync nine thousand times, for 2 to 3 ms each.
     """
@@ -170,7 +170,7 @@ def _no_disk_is_waited_for() -> Generator[None]:
 
 @pytest.hookimpl(trylast=True)  # when the workers have ended
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Look for garbage, once for all who ask for it; fail a run that leaves processes behind, name and end them."""
+    """Collect garbage once; fail a run that leaves processes behind, and name and kill them."""
     gc.collect()
     gc.freeze()
     if hasattr(session.config, "workerinput"):
@@ -188,13 +188,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup() -> Generator[None, object, object]:
-    """Skip a test whose fixtures need a C compiler that this machine has not."""
+    """Skip a test whose fixtures need a missing C compiler."""
     return (yield from _skipping_without_compiler())
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call() -> Generator[None, object, object]:
-    """Skip a test that needs a C compiler that this machine has not."""
+    """Skip a test that needs a missing C compiler."""
     return (yield from _skipping_without_compiler())
 
 
@@ -210,14 +210,14 @@ def _skipping_without_compiler() -> Generator[None, object, object]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep with each report what its test tolerated."""
+    """Add to each report what its test tolerated."""
     report = yield
     report.user_properties += tolerance.taken()
     return report
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print what this machine had no time for."""
+    """Print what the tests tolerated because the machine was busy."""
     reports = [
         one for some in terminalreporter.stats.values() for one in some if isinstance(one, pytest.TestReport)
     ]

@@ -1,4 +1,4 @@
-"""Run all property tests with fresh seeds, for as long as one likes.
+"""Run all property tests with new seeds for a chosen time.
 
     python -m tests.explore                                  ten minutes
     python -m tests.explore --minutes 60 tests/rig/control   an hour, these tests only

@@ -1,4 +1,4 @@
-"""The doors of `rig`: files that other rooms import, each of them listed, and none of the others."""
+"""The "doors" of `rig`, the modules that other packages import, are all listed in doors.txt."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ NAME = re.compile(r"\brig(?:\.\w+)+")
 
 
 def doors() -> set[str]:
-    """Return the modules of `rig` that a module of another room imports."""
+    """Return the modules of `rig` that a module of another package imports."""
     return {other for _, other in crossings() if room_of(other) not in PACKAGES}
 
 
 def named() -> set[str]:
-    """Return modules that are found by name: public names, tables, and tables of commands, schemes and pictures."""
+    """Return the modules that are found by name: public names and tables of commands, schemes and pictures."""
     texts = [path.read_text() for path in (ROOT / "rig").rglob("*.pyi")]
     texts += [path.read_text() for path in (ROOT / "rig").rglob("table.json")]
     texts += [json.dumps(TITLES), (ROOT / "pyproject.toml").read_text().partition("[tool.")[0]]
@@ -27,7 +27,7 @@ def named() -> set[str]:
 
 
 def test_every_door_is_listed_and_every_one_listed_is_a_door() -> None:
-    """A new door is a promise to other rooms: use one that is there, or write what it is for and add it."""
+    """A new door is a promise to other packages: use an existing one, or add it with its purpose."""
     listed = LIST.read_text(encoding="utf-8").split()
     assert listed == sorted(doors())
 
@@ -47,7 +47,7 @@ def is_private_to_its_room(module: str) -> bool:
 
 
 def test_a_file_that_its_own_room_alone_uses_begins_with_an_underscore() -> None:
-    """Extras have no doors but what their tables name, so that their files keep plain names."""
+    """Extras have no doors except those in their tables, so their files need no underscore."""
     used = doors() | named()
     assert [
         module

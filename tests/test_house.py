@@ -1,4 +1,4 @@
-"""The rules of the house: rooms with the same sentence everywhere, no cycle of files, no way around the contracts."""
+"""Rules of the source tree: one description per package, no cycle of files, no bypass of the import contracts."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ REGISTRIES = {
 
 
 def nodes(pattern: str) -> Iterator[tuple[str, Path, list[ast.AST]]]:
-    """Each module in whose text a pattern is found, with its path and all that stands in it."""
+    """Yield each module whose text contains a pattern, with its path and its syntax nodes."""
     for module, path in source_files().items():
         if re.search(pattern, text := path.read_text(), re.MULTILINE):
             yield module, path, list(ast.walk(ast.parse(text)))
 
 
 def walks() -> list[list[tuple[int, str, str]]]:
-    """Rows of the walks of the design: number, file, what happens there."""
+    """Return the rows of the walks in DESIGN.md: number, file, action."""
     text = (RIG / "DESIGN.md").read_text().partition("\n## Walks")[2].partition("\n## ")[0]
     tables = text.split("\n| | file |")[1:]
     rows = [re.findall(r"^\| (\d+) \| `([^`]+)` \| (.+) \|$", table, re.MULTILINE) for table in tables]
@@ -103,7 +103,7 @@ def test_no_file_is_part_of_a_cycle() -> None:
 
 
 def named_by_string() -> Iterator[tuple[str, str, str]]:
-    """File, its module, and every module of ours that it names in a string."""
+    """Yield file, module, and every module of this product that the file names in a string."""
     for module, path, everything in nodes(r"[\"'](?:rig|sim_backend|firmware_protocol)\."):
         for node in everything:
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -113,7 +113,7 @@ def named_by_string() -> Iterator[tuple[str, str, str]]:
 
 
 def test_no_way_around_the_contracts_by_string() -> None:
-    """A resource and a child process name their own module or the package around it."""
+    """A resource or a child process may only name its own module or the package around it."""
     around = [
         f"{file} names {named}"
         for file, module, named in named_by_string()
@@ -123,7 +123,7 @@ def test_no_way_around_the_contracts_by_string() -> None:
 
 
 def test_modules_are_imported_by_name_in_few_places() -> None:
-    """Tables of names, libraries that may not be there, and a part of numba's."""
+    """Only for tables of names, optional libraries, and one module of numba."""
     found = {
         str(path.relative_to(ROOT))
         for path in source_files().values()
@@ -139,7 +139,7 @@ def test_modules_are_imported_by_name_in_few_places() -> None:
 
 
 def test_imports_stand_at_the_top_of_files() -> None:
-    """But for the ring and the entry, since `rig stop` waits for neither numba nor click, and a command of an extra."""
+    """Except in the ring and the entry, because `rig stop` must not wait for numba or click, and in extras."""
     inside = {
         module
         for module, _, everything in nodes(r"^\s+(?:from|import) ")

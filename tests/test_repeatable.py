@@ -1,4 +1,4 @@
-"""Property tests draw the same inputs whatever else a process has loaded: a worker, another machine, one file alone."""
+"""Property tests draw the same inputs in any worker, on any machine, and with any other modules loaded."""
 
 import os
 import subprocess

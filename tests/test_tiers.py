@@ -1,4 +1,4 @@
-"""Each test of the exhaustive tier names a relative that the default tier runs."""
+"""Each test of the exhaustive tier names a related test of the default tier."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_relative_exists_and_is_run_by_default(file: str, relative: str) -> No
 
 
 def test_no_test_is_tolerated() -> None:
-    """What needs a quiet machine is marked so and passes there; only whole emulated systems give up on a busy one."""
+    """Tests that need a quiet machine are marked and pass there; only emulated systems may skip on a busy one."""
     places = [path.relative_to(ROOT / "tests") for path in ROOT.glob("tests/**/*.py")]
     using = {
         place.parts[0]

@@ -1,4 +1,4 @@
-"""What a real-time test tolerates reaches the summary, through workers too, and is counted by test and reason."""
+"""What a real-time test tolerates is listed in the summary, also with workers, counted by test and reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plain English in the product: no word of the list in comments, docstrings, messages, pages and names.
+"""The product and its tests contain no word of the list below in comments, docstrings, messages, pages and names.
 
 One list with replacements; a message that a test prints names the word, the place and what to write instead.
 """
@@ -84,7 +84,7 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def wrong_words(path: Path, read: Iterator[tuple[int, str]], words: re.Pattern[str] = WORDS) -> list[str]:
-    """Return a sentence for each word of the list."""
+    """Return a message for each word of the list: place, word and replacement."""
     return [
         f"{path.relative_to(ROOT)}:{number}: {match[0]!r}; write: {replacement_of(match[0])}"
         for number, line in read

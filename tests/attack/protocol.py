@@ -31,7 +31,6 @@ _COUNTED_PIECES = 64  # of a block whose codecs are compared
 _LONG = 1 << 63  # what an int64 holds of a u64
 
 _DECODERS: dict[type[Message], Callable[..., int]] = {
-    m.Command: codec.decode_command,
     m.State: codec.decode_state,
     m.Time: codec.decode_time,
     m.Ack: codec.decode_ack,

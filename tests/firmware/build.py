@@ -1,4 +1,4 @@
-"""Build the firmware for this machine: the library for ctypes, and programs with the address sanitizer."""
+"""Build the firmware for this machine: the library for ctypes, and programs under the address sanitizer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMPILE_S = 120.0
 
 
 def compiler() -> str:
-    """The C compiler; skips the test without one."""
+    """Return the C compiler; skip the test without one."""
     gcc = shutil.which("gcc")
     if gcc is None:
         pytest.skip("gcc is not installed (package gcc)")
@@ -66,5 +66,5 @@ def kept_objects(gcc: str, sources: Sequence[Path], *flags: str) -> dict[Path, P
 
 
 def library() -> Path:
-    """The core with its host port as a shared library; undefined behaviour ends the process."""
+    """Return the core with its host port as a shared library; undefined behaviour ends the process."""
     return kept_c("libfirmware.so", SOURCES, ["-fPIC", "-shared", *UNDEFINED])

@@ -1,4 +1,4 @@
-"""The firmware's library, and its law alone, built once in each test process."""
+"""Fixtures: the firmware's library, and its law alone, each built once per test process."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ def library() -> ctypes.CDLL:
 
 @pytest.fixture(scope="session")
 def law() -> LawLibrary:
-    """The law in C as a library of its own."""
+    """The law in C as a separate library."""
     return LawLibrary.built()

@@ -1,4 +1,4 @@
-"""The firmware built for a Cortex-M; what is missing for that skips the test."""
+"""Build the firmware for a Cortex-M and simulate it; a missing tool skips the test."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def build(core: CortexCore, sources: Sequence[Path], entries: Sequence[str], *mo
 
 
 class Simulator(cortex.Simulator):
-    """One core with an image in its flash."""
+    """A simulated core with an image in its flash."""
 
     def __post_init__(self) -> None:
         pytest.importorskip("unicorn", reason="unicorn is not installed (pip install unicorn==2.1.4)")

@@ -1,4 +1,4 @@
-"""The host port built for a Cortex-M, behind the functions of the shared library: what drives one drives the other.
+"""The host port built for a Cortex-M, with the functions of the shared library, so that tests can drive either.
 
 `CortexLibrary` offers what `sim_backend.board.firmware_library.load` gives; addresses of this computer stand for the
 one device that it has. Each `host_tick` leaves what it cost.
@@ -25,7 +25,7 @@ MOST_BYTES, MOST_DICTIONARY = 0x3C00, 0x7000
 
 
 def build(core: cortex.CortexCore, *options: str) -> Image:
-    """The core, the law and the host port for a processor."""
+    """Return the image of the core, the law and the host port for a processor."""
     image = cortex.build(core, SOURCES, ENTRIES, f"-I{FIRMWARE / 'host'}", *options)
     held = [name for name in image.sizes if image.symbols[name] >= RAM]
     assert not held, f"globals: {held}"
@@ -33,7 +33,7 @@ def build(core: cortex.CortexCore, *options: str) -> Image:
 
 
 class CortexLibrary:
-    """One device in the instruction-set simulator."""
+    """A device in the instruction-set simulator."""
 
     def __init__(self, image: Image) -> None:
         self.simulator = Simulator(image)
@@ -91,7 +91,7 @@ class CortexLibrary:
         self.simulator.call("host_receive", HOST, BYTES, count)
 
     def _poll(self) -> int:
-        """Poll until nothing waits to be sent."""
+        """Poll until nothing is left to send; return the largest number of cycles of a poll."""
         longest = 0
         for _ in range(6):
             self.simulator.call("host_poll", HOST, BYTES, 0)

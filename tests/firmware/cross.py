@@ -27,7 +27,7 @@ PYTHON = ("firmware_protocol", "rig.firmware", "rig.config", "rig.core")  # what
 
 
 def need_compiler() -> None:
-    """Skip the test where there is no cross compiler with a C library."""
+    """Skip the test without a cross compiler and its C library."""
     if shutil.which(COMPILER) is None:
         pytest.skip(f"{COMPILER} is not installed (package gcc-arm-none-eabi)")
     if not _has_newlib():
@@ -41,7 +41,7 @@ def _has_newlib() -> bool:
 
 
 def need_qemu() -> str:
-    """The emulator; skips the test without one."""
+    """Return the path of the emulator; skip the test without one."""
     path = shutil.which("qemu-system-arm")
     if path is None:
         pytest.skip("qemu-system-arm is not installed (package qemu-system-arm)")

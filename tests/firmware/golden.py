@@ -88,7 +88,7 @@ class Vector:
 
 
 def vectors(law: LawLibrary) -> Iterator[Vector]:
-    """Every estimator, scheme, arithmetic and side of the wall; `law` is this computer's build."""
+    """Yield a vector for every estimator, scheme, arithmetic and side of the wall; `law` is this computer's build."""
     for scheme in SCHEMES:
         for side in SIDES:
             for estimator in ESTIMATORS:

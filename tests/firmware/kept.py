@@ -11,7 +11,7 @@ from rig.realtime.kernel import CACHE_DIRECTORY
 
 
 def kept(key: str, make: Callable[[Path], None]) -> Path:
-    """Return a directory that `make` has filled for this key, now or in an earlier run; two may try at once."""
+    """Return a directory that `make` has filled for this key, now or in an earlier run; safe for parallel calls."""
     path = CACHE_DIRECTORY / f"test-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     if not path.exists():
         with tempfile.TemporaryDirectory(dir=CACHE_DIRECTORY, prefix="test-") as workplace:
@@ -26,7 +26,7 @@ def kept(key: str, make: Callable[[Path], None]) -> Path:
 
 
 def identity(program: str) -> str:
-    """Return a string that differs for another version of a program."""
+    """Return a string that identifies the version of a program."""
     place = Path(program).resolve()
     return f"{place} {place.stat().st_size} {place.stat().st_mtime_ns}"
 

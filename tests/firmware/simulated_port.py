@@ -1,4 +1,4 @@
-"""The port to this computer as a board in simulated time, right or wrong in one thing, and the link to it."""
+"""The port to this computer as a board in simulated time, correct or with one defect, and the link to it."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MOST_BYTES = 1 << 18
 
 
 def wrong_ports() -> list[str]:
-    """Names of the ports that are wrong: ``duty`` or ``duty__how``."""
+    """Return the names of the defective ports: ``duty`` or ``duty__how``."""
     return re.findall(r"^void wrong_(\w+)\(", WRONG.read_text(), re.MULTILINE)
 
 
 def board_with(firmware: ctypes.CDLL) -> ctypes.CDLL:
-    """The board as a library of this computer, beside the firmware's; undefined behaviour ends the process."""
+    """Return the board as a library of this computer, linked to the firmware's; undefined behaviour aborts."""
     core = Path(firmware._name)
     include = [f"-I{FIRMWARE / part}" for part in ("core", "law")] + [f"-I{SIMULATED}"]
     sources = [*sorted(SIMULATED.glob("*.c")), WRONG, core]
@@ -41,7 +41,7 @@ def board_with(firmware: ctypes.CDLL) -> ctypes.CDLL:
 
 
 def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
-    """A board in this process; with a port that a function of wrong_ports.c spoils."""
+    """Power up a board in this process, with a port that the function `spoilt` of wrong_ports.c changes."""
     memory = ctypes.create_string_buffer(library.simulated_board_bytes())
     into = ctypes.create_string_buffer(MOST_BYTES)
     spoil = ctypes.cast(getattr(library, spoilt), ctypes.c_void_p) if spoilt else None
@@ -55,7 +55,7 @@ def powered_up(library: ctypes.CDLL, spoilt: str = "") -> Run:
 
 
 class SimulatedPort:
-    """A board that has just been powered up, as a link in virtual time."""
+    """A newly powered board, as a link in virtual time."""
 
     url = DeviceUrl("test", "", {}, "test://")
     bytes_per_second = None
@@ -70,7 +70,7 @@ class SimulatedPort:
         self._to_board += data
 
     def read(self, timeout_s: float) -> bytes:
-        """Let time pass until bytes are there, or the time is out."""
+        """Advance time until bytes arrive or the timeout has passed."""
         ends_ns = self.clock.now_ns() + round(timeout_s * 1e9)
         while (left_ns := ends_ns - self.clock.now_ns()) > 0:
             us = min(self._slice_us, -(-left_ns // 1000))

@@ -1,4 +1,4 @@
-"""A host that supervises a law on the device: a tick at a time, every BATCH taken apart."""
+"""A host that supervises a law on the device tick by tick, and unpacks every BATCH."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Frame:
 
 
 def samples_of(batch: m.Batch) -> list[Sample]:
-    """Take a BATCH apart as PROTOCOL.md says; written without the receiver's code."""
+    """Unpack a BATCH as PROTOCOL.md defines it, without the receiver's code."""
     kinds = BATCH_LAYOUTS[batch.layout]
     packer = struct.Struct("<" + "".join(FORMATS[kind] for kind in kinds))
     assert len(batch.data) % packer.size == 0
@@ -73,7 +73,7 @@ class Supervisor:
         raise NotImplementedError
 
     def tick(self) -> None:
-        """Let one period pass."""
+        """Advance by one period."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ the conversation
@@ -137,7 +137,7 @@ class Supervisor:
         )
 
     def supervise(self) -> None:
-        """One tick, and SUPERVISE before it when it is time."""
+        """Run one tick, after a SUPERVISE if it is due."""
         if self.since == 0:
             self.command()
             self.since = max(1, self.rate // SUPERVISED_HZ)
@@ -151,7 +151,7 @@ class Supervisor:
 
 
 class Board(Supervisor):
-    """A board on its timer; `count`, `measured` and `inputs` are what it samples."""
+    """A board with a timer; `count`, `measured` and `inputs` are the values that it samples."""
 
     def __init__(
         self, library: ctypes.CDLL, model: RigModel | None = None, *, law_maximum: int = 2, **options: int
@@ -189,7 +189,7 @@ class Board(Supervisor):
 
 
 class Rig(Supervisor):
-    """A simulated rig in lock-step."""
+    """A simulated rig in lock-step with its host."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         super().__init__()

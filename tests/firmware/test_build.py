@@ -1,4 +1,4 @@
-"""Images: their content, their reproducibility, and the errors of a build."""
+"""Firmware images: their content, their reproducibility, and the errors of a build."""
 
 import json
 import math
@@ -98,7 +98,7 @@ def built() -> Any:
 
 @pytest.fixture
 def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The Pico's board, not optimised; core and law, which no setting reaches, are linked as compiled once."""
+    """The Pico's board without optimisation; core and law do not depend on settings and are compiled once."""
     cross.need_compiler()
     directory = shutil.copytree(boards.BOARDS / "rp2040", tmp_path / "rp2040")
     core = kept_objects(find_compiler().path, CORE, *PROCESSORS["cortex-m0plus"])

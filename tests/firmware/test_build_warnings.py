@@ -1,4 +1,4 @@
-"""A build names, with numbers, what its board has no time for and what its set-point is too coarse for."""
+"""A build warns, with numbers, when its board is too slow or its set-point too coarse."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The core on the hardware of a board that a simulated device lacks: clock, timer, encoder, watchdog."""
+"""The core with board hardware that a simulated device lacks: clock, timer, encoder, watchdog."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Board(supervised.Board):
         super().__init__(library, model or rotary_rig())
 
     def tick(self, current: int | None = None, missed: int = 0) -> m.State | None:  # type: ignore[override]
-        """Let one period and the missed ones pass, after a COMMAND if a current is given."""
+        """Advance by one period and the missed ones, after a COMMAND if a current is given."""
         if current is not None:
             self.command(Mode.CURRENT, current)
         self.missed, before = missed, len(self.states)
@@ -320,7 +320,7 @@ def test_bytes_without_an_end_are_counted_once_and_forgotten(library: ctypes.CDL
 
 
 class CThermal(ctypes.Structure):
-    """struct thermal of thermal.h."""
+    """The struct thermal of thermal.h."""
 
     _fields_ = [
         ("heat", ctypes.c_uint64),

@@ -170,7 +170,7 @@ def test_nothing_is_batched_while_the_host_computes(library: ctypes.CDLL) -> Non
 
 
 class Busy(Board):
-    """A board whose main loop calls device_poll so many times after a tick."""
+    """A board whose main loop calls device_poll `polls` times after a tick."""
 
     polls = 0
 

@@ -1,4 +1,4 @@
-"""The comparison of currents in C and in Python: the same settings and the same memory after each tick."""
+"""The C and the Python check of currents have the same settings, and the same memory after each tick."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ void configure(struct current_check *check, const struct current_sensor *sensor,
 
 
 class Check(ctypes.Structure):
-    """Struct current_check of current.h, its delay line unfolded."""
+    """The struct current_check of current.h, with its delay line as separate fields."""
 
     _fields_ = [
         *((name, ctypes.c_uint16) for name in ("ticks", "passed", "awaited")),

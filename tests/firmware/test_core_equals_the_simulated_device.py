@@ -1,4 +1,4 @@
-"""The readable device in Python and the core in C send the same bytes in each tick for the same input."""
+"""The Python device and the C core send the same bytes in each tick for the same input."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ COUNTERS = [
 
 
 class Shaky(Hardware):
-    """Hardware whose next sample is wrong by some counts and quanta."""
+    """Simulated hardware whose next sample has an error of some counts and quanta."""
 
     jump = spike = 0
 
@@ -61,7 +61,7 @@ class Shaky(Hardware):
 
 
 class Puppet(Hardware):
-    """Hardware that moves by `speed` counts a tick and measures `measured`."""
+    """Simulated hardware that moves by `speed` counts per tick and reports `measured` as its current."""
 
     speed = 0
 
@@ -70,7 +70,7 @@ class Puppet(Hardware):
 
 
 class Pair:
-    """Both devices with the same input; every step compares them."""
+    """Both devices with the same input; every step compares their state and their sent bytes."""
 
     def __init__(self, library: ctypes.CDLL, model: RigModel, **options: Any) -> None:
         self.python = SimulatedDevice(model, **options)
@@ -141,7 +141,7 @@ class Pair:
         assert self.c.state is state
 
     def answered(self, age: int = 0) -> int:
-        """Sequence of the STATE that came before so many others."""
+        """Return the sequence number of the STATE `age` before the newest."""
         return (self.python.connection.sequence_to_send(m.State) - 1 - age) & 0xFFFF
 
     def command(
@@ -159,7 +159,7 @@ class Pair:
         self.sequence = (self.sequence + 1) & 0xFFFF
 
     def ask_everything(self) -> None:
-        """Send every request, from the first page to behind the last."""
+        """Send every request, for all pages and one behind the last."""
         for offset in range(0, 200, 40):
             self.send(m.GetParameters(self.next_nonce(), offset))
         for offset in (0, 34, len(self.python._configuration._packed) - 1, 0xFFFF):
@@ -186,7 +186,7 @@ def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR
 
 @dataclass(frozen=True)
 class Step:
-    """One event of both devices."""
+    """One event that both devices receive."""
 
     name: str
     values: tuple[Any, ...]
@@ -278,7 +278,7 @@ SHAKES = [(0, 0), (1, 0), (-40, 300), (5_000, -20_000), (-(2**30), 32_767)]
 
 
 def random_message(rng: random.Random) -> Message:
-    """Any request or command, of plausible or extreme values."""
+    """Return any request or command, with plausible or extreme values."""
     cls = rng.choice(HOST_MESSAGES)
     values: dict[str, Any] = {}
     for name, wire in wire_fields(cls).items():
@@ -291,7 +291,7 @@ def random_message(rng: random.Random) -> Message:
 
 
 def random_step(rng: random.Random) -> Step:
-    """Draw an event of the host, a person or an accident; most keep the session running."""
+    """Draw an event of the host, the operator or the hardware; most of them keep the session running."""
     choose, draw = rng.choice, rng.randrange
     values = {name: choose(choices) for name, choices in CHOICES.items() if rng.random() < 0.3}
     values["position_rate"] = choose(RATES)

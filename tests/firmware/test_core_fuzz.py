@@ -1,4 +1,4 @@
-"""A million steps of anything, under the address and undefined-behaviour sanitizers."""
+"""A million random steps of the core under the address and undefined-behaviour sanitizers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law on the device: it computes the currents of the law alone, and runs only while it is supervised."""
+"""The law on the device gives the currents of the law alone, and runs only while it is supervised."""
 
 from __future__ import annotations
 
@@ -208,7 +208,7 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
 
 
 def multisine() -> dict[str, Value]:
-    """A law whose motor plays 20 lines over 700 ticks, some 200 quanta at most."""
+    """Return a law that plays 20 lines over 700 ticks, at most about 200 quanta."""
     lines = {"lines": 20, "first": 3, "step": 5, "period": 700, "ramp": 90, "seed": 99}
     lines |= {"amplitude": 30 << 16, "bits": 6, "phases": 0}
     return push(fixed_constant_low=0, **{f"excitation_{name}": value for name, value in lines.items()})
@@ -511,7 +511,7 @@ def test_pins_show_what_the_law_does(library: ctypes.CDLL) -> None:
 def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(
     library: ctypes.CDLL, after: str
 ) -> None:
-    """A device keeps each parameter that a block does not contain."""
+    """A block that omits a parameter leaves its old value on the device, so it must contain the input."""
     blocks = [
         run_values(values_of(controller_of(experiment_of(name, OWN.get(name, {}), DUAL))))
         for name in ("disturbance", after)
@@ -607,7 +607,7 @@ def test_a_wall_of_a_law_that_does_not_run_may_change_at_any_time(library: ctype
 
 
 class Slow(Board):
-    """A board whose main loop polls once for each 8 bytes of the host, and once for each `poll`."""
+    """A board whose main loop polls once per 8 bytes of the host, and once per `poll`."""
 
     replies: list[m.Message]
 

@@ -1,4 +1,4 @@
-"""What the compiler makes of the core: no globals, no heap, and a size that a small board has room for."""
+"""The compiled core has no globals and no heap, and fits on a small board."""
 
 from __future__ import annotations
 

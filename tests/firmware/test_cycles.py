@@ -1,4 +1,4 @@
-"""No two files of the firmware need each other, neither by includes nor by calls."""
+"""No two files of the firmware depend on each other, neither by includes nor by calls."""
 
 from __future__ import annotations
 

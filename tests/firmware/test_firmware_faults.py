@@ -1,4 +1,4 @@
-"""Faults (`tests.conformance.faults`) of the readable device, the firmware, and the firmware with its own law.
+"""The fault suite (`tests.conformance.faults`) on the Python device, the firmware, and the firmware with its own law.
 
 The law's device is at 20 kHz, in its trial, where the wall pushes back. tests/system/test_faults.py has the host's
 reactions.
@@ -59,7 +59,7 @@ PARAMETERS = controller.prepare_controller(
 
 
 class Simulated(FarEnd):
-    """The readable device, or the firmware, with a rig behind it."""
+    """The Python device or the firmware, with a simulated rig behind it."""
 
     blow = -5.0  # N·m against the effort
 
@@ -116,7 +116,7 @@ def firmware() -> Simulated:
 
 
 class InTheWall(Simulated):
-    """The firmware with its own law; the host supervises."""
+    """The firmware with its own law in the wall; the host supervises."""
 
     rate, mode, send_every = RATE, Mode.SUPERVISE, RATE // 200
     most = float(PARAMETERS["current_limit"])
@@ -133,25 +133,25 @@ class InTheWall(Simulated):
         return {**PARAMETERS, **lifetimes, **self.changes}
 
     def push(self) -> None:
-        """Supervise up to where the wall pushes back."""
+        """Supervise until the wall pushes back."""
         while self.device.hardware.count <= 0 or self.device.current >= -20:
             assert self.device.sample_index < 2 * RATE, "the handle does not come to the wall"
             self.run(self.send_every)
 
     def run(self, ticks: int) -> None:
-        """Supervise for so many ticks."""
+        """Supervise for `ticks` ticks."""
         for _ in range(0, ticks, self.send_every):
             self.command()
             self._wait_until(self.link.clock.now_ns() + round(self.send_every * 1e9 / self.rate))
 
     @property
     def samples(self) -> list[Sample]:
-        """All that BATCH has brought."""
+        """The samples of all BATCH frames so far."""
         batches = (message for message in self.received if isinstance(message, m.Batch))
         return [sample for batch in batches for sample in samples_of(batch)]
 
     def ticks_to_fault(self, most: int) -> int:
-        """Supervise until a fault is latched; return how many ticks that took."""
+        """Supervise until a fault is latched; return the number of ticks."""
         for ticks in range(1, most + 1):
             self.watch(1, self.command if ticks % self.send_every == 1 else None)
             if self.device.fault is not Fault.NONE:
@@ -159,7 +159,7 @@ class InTheWall(Simulated):
         raise AssertionError("no fault")
 
     def check_at_rest(self, *faults: Fault) -> None:
-        """FAULT, reported in its tick with all samples up to it; no effort now and later, whatever the host sends."""
+        """Require a fault that is reported in its tick with all samples before it, and no effort from then on."""
         state = next(state for state in self.host.states if state.fault)
         assert (state.fault, state.state) == (self.device.fault, State.FAULT)
         assert self.device.fault in faults
@@ -180,7 +180,7 @@ FAR_ENDS: dict[str, Callable[[], Simulated]] = {
 
 
 def cases() -> list[Any]:
-    """Return each fault of each device; of faults of one kind the firmware alone has every one by default."""
+    """Return each fault of each device; faults of one kind run by default only on the firmware."""
     found = [(end, name) for end, make in FAR_ENDS.items() for name in faults_of(make())]
     repeated = [*list(INEFFECTIVE)[3:], *(f"the port finds {fault.name}" for fault in list(Fault)[3:])]
     default = [(end, name) for end, name in found if end == "the firmware" or name not in repeated]

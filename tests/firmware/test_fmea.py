@@ -1,4 +1,4 @@
-"""The table of single faults names existing tests, codes and steps, and shows a missing test."""
+"""Every entry of the table of single faults names existing tests, codes and steps; a missing test is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The golden vectors, on this computer and on the processors of the simulator."""
+"""The golden vectors on this computer and on the simulated processors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESULT, STATE, FILE = cortex.RAM, cortex.RAM + 0x100, cortex.RAM + 0x2000
 
 
 class Result(ct.Structure):
-    """golden_result."""
+    """The struct golden_result."""
 
     _fields_ = [
         *((name, ct.c_uint32) for name in ("verdict", "ticks", "wrong", "first")),
@@ -42,7 +42,7 @@ def vectors(law: LawLibrary) -> list[golden.Vector]:
 
 @pytest.fixture(scope="module")
 def runner() -> ct.CDLL:
-    """The runner and the law for this computer, without optimisation and with the sanitizer."""
+    """The runner and the law for this computer, without optimisation and under the sanitizer."""
     options = ["-fPIC", "-shared", "-fsanitize=undefined", "-fno-sanitize-recover=all", f"-I{SOURCES}"]
     sources = [*sorted(SOURCES.glob("*.c")), RUNNER]
     library = ct.CDLL(str(kept_c("golden.so", sources, options)))

@@ -1,4 +1,4 @@
-"""The port to this computer keeps its duties, and each wrong port is found by the duty that it breaks."""
+"""The port to this computer fulfils its duties, and each defective port is detected by the duty that it violates."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_port_to_this_computer_keeps_every_duty(board: ctypes.CDLL) -> None:
 
 
 def is_message_of(duty: Duty, text: str) -> bool:
-    """Return True if a text is the message of a duty, with numbers in it."""
+    """Return True if a text is the message of a duty, with numbers filled in."""
     pieces = map(re.escape, re.split(r"\{[^}]*\}", duty.broken))
     return re.fullmatch(".*".join(pieces), text) is not None
 
@@ -112,7 +112,7 @@ def test_a_current_above_the_rigs_limit_is_refused(board: ctypes.CDLL) -> None:
 
 
 class Silent(SimulatedPort):
-    """A board that stops replying after so many questions."""
+    """A board that stops replying after `questions` requests."""
 
     def __init__(self, run: Run, questions: int) -> None:
         super().__init__(run)

@@ -1,4 +1,4 @@
-"""The self test on this computer's build of the firmware: its law runs, its samples are whole, nothing moves."""
+"""The self test on this computer's build of the firmware: its law runs, no sample is missing, nothing moves."""
 
 from __future__ import annotations
 

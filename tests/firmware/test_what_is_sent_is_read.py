@@ -1,4 +1,4 @@
-"""Every parameter on the wire is read by the firmware."""
+"""The firmware reads every parameter that a host can send."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ DEVICE_MESSAGES = [cls for type_id, cls in m.MESSAGES.items() if m.sender_of(typ
 
 
 def example(cls: type[Message]) -> Message:
-    """A message with harmless fields; DISARM asks to clear the fault."""
+    """Return a message with harmless fields; DISARM has the clear-fault flag."""
     layout = LAYOUT_OF[cls]
     numbers = [5] + [1] * (len(layout.struct.unpack(bytes(layout.size))) - 1)
     return layout.cls(*numbers, *([b"data"] if layout.tail else []))
@@ -61,7 +61,7 @@ class Pair:
         self.executed: list[Message] = []
 
     def ask(self, message: Message, *, session: int | None = None, status: Status = Status.OK) -> list[Event]:
-        """Send a request, let the device answer, and return the events of the host."""
+        """Send a request, let the device reply, and return the events of the host."""
         return events(self.host, self.answer(self.host.send(message, session=session), status))
 
     def answer(self, frames: bytes, status: Status = Status.OK) -> bytes:
@@ -90,7 +90,7 @@ class Pair:
         return layout.cls(event.nonce, *numbers[1:], *([b""] if layout.tail else []))
 
     def bring_to(self, state: State) -> None:
-        """Walk from BOOT to a state by messages alone."""
+        """Go from BOOT to a state by messages alone."""
         path = {
             State.IDENTIFIED: [m.Identify(1, 0)],
             State.CONFIGURED: [m.Identify(1, 0), m.SetBegin(2, 0, 0), m.SetCommit(2)],
@@ -453,7 +453,7 @@ def test_a_compiled_loop_takes_the_stream_and_gives_it_back(pair: Pair) -> None:
 
 
 def receive_all(connection: Connection, pieces: list[bytes]) -> list[Event | str]:
-    """Return events and the names of the errors."""
+    """Receive all pieces; return the events and the names of the errors."""
     received: list[Event | str] = []
     for piece in pieces:
         connection.receive_data(piece)

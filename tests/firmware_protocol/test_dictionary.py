@@ -1,4 +1,4 @@
-"""The dictionary of a device: decoding returns what was encoded, and rejects anything else as the device's error."""
+"""The dictionary of a device: decoding returns what was encoded, and reports anything else as the device's error."""
 
 from __future__ import annotations
 

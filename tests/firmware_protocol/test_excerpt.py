@@ -1,4 +1,4 @@
-"""One C file from several: the functions that are needed, in order, and nothing else."""
+"""One C file is generated from several: the needed functions, in order, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames survive any cutting, garbage is dropped, and no single flipped bit ever becomes a message."""
+"""Frames arrive however the bytes are split, garbage is dropped, and no flipped bit ever becomes a message."""
 
 from __future__ import annotations
 

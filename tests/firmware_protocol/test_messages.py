@@ -1,4 +1,4 @@
-"""Every message comes back from its bytes; ids, sizes and unknown tails follow the rules of PROTOCOL.md."""
+"""Every message survives encoding and decoding; ids, sizes and unknown tails follow the rules of PROTOCOL.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parameter block is canonical, and nothing out of range gets through in either direction."""
+"""The parameter block has one canonical encoding, and values out of range are rejected in both directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""PROTOCOL.md describes the code."""
+"""The tables and statements of PROTOCOL.md agree with the code."""
 
 from __future__ import annotations
 

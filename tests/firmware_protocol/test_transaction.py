@@ -1,4 +1,4 @@
-"""A transaction advances by replies to its request, repeats it after a timeout, and ends by time alone."""
+"""A transaction advances by replies to its request, repeats it after a timeout, and then fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks reach the device whole or not at all, however their chunks come; pages are read to the end."""
+"""Blocks reach the device completely or not at all, in any order of their chunks; pages are read to the end."""
 
 from __future__ import annotations
 

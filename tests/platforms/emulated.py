@@ -1,4 +1,4 @@
-"""Windows or macOS as far as Linux can emulate it, for our packages alone.
+"""Emulate Windows or macOS on Linux, as far as possible, for our packages alone.
 
 They see `sys.platform` of that system, without the modules and names that it lacks (typeshed's conditions on
 `sys.platform`). This shows that they need nothing else; not that the rest behaves as on Linux.
@@ -47,7 +47,7 @@ def _refuse(*_: object, **__: object) -> Any:
 
 
 def _locking(descriptor: int, mode: int, count: int) -> None:
-    """`msvcrt.locking`: lock bytes from the position of the file, of 32 bits, against reading by others."""
+    """Emulate `msvcrt.locking`: lock bytes from the file's 32-bit position against reading by others."""
     at = os.lseek(descriptor, 0, os.SEEK_CUR)
     assert FAR_BEHIND_ALL_DATA <= at <= LONG_MAX - count
     if mode == MSVCRT["LK_UNLCK"]:
@@ -63,7 +63,7 @@ MSVCRT: dict[str, Any] = {"LK_UNLCK": 0, "LK_LOCK": 1, "LK_NBLCK": 2, "locking":
 
 
 class Seen(ModuleType):
-    """A module of another system: the true one with `added` and without `missing` names."""
+    """A module as another system has it: the true one with `added` and without `missing` names."""
 
     def __init__(self, true: ModuleType, missing: frozenset[str], added: dict[str, Any]) -> None:
         super().__init__(true.__name__)
@@ -77,7 +77,7 @@ class Seen(ModuleType):
 
 
 class _Ctypes(Seen):
-    """Of Windows: no library without a name."""
+    """The module ctypes of Windows, where a library needs a name."""
 
     def __getattr__(self, name: str) -> Any:
         found = super().__getattr__(name)
@@ -87,7 +87,7 @@ class _Ctypes(Seen):
 
 
 def emulate(platform: str) -> None:
-    """Let our packages, none of which is imported yet, be on this system from now on."""
+    """Let our packages, which must not be imported yet, see this system from now on."""
     assert not any(name.partition(".")[0] in PACKAGES for name in sys.modules)
     builtins.__import__ = import_of(platform, builtins.__import__)
     if platform == "win32":
@@ -114,7 +114,7 @@ def unless_open(call: Callable[..., None]) -> Callable[..., None]:
 
 
 def import_of(platform: str, true_import: Callable[..., Any]) -> Callable[..., Any]:
-    """``__import__`` as our packages would have it there."""
+    """Return an ``__import__`` that behaves as on that system for our packages."""
     seen = _modules(platform)
     absent = POSIX_MODULES if platform == "win32" else frozenset({"msvcrt", "winreg"})
 

@@ -1,4 +1,4 @@
-"""The usual commands in one process: ``python -m tests.platforms.everyday win32 [URL]`` in an empty directory.
+"""Run the usual commands in one process: ``python -m tests.platforms.everyday win32 [URL]`` in an empty directory.
 
 On an emulated system, or with ``here`` on this one; with the URL of a board that runs the law, hits in real time
 instead, one with a person. Prints a line of JSON for each command and ends with 1 after an unexpected result.
@@ -96,7 +96,7 @@ def _has_compiler() -> bool:
 
 
 def preload() -> None:
-    """Import third parties that check the system, which must be the true one."""
+    """Import third-party modules that check the system, because they must see the true one."""
     import ctypes.util  # noqa: F401, PLC0415
     import multiprocessing.spawn  # noqa: F401, PLC0415
 

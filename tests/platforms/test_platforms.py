@@ -1,4 +1,4 @@
-"""Windows and macOS as emulated here; rig/docs/how-to/other-systems.md has the limits of this."""
+"""The usual commands on emulated Windows and macOS; rig/docs/how-to/other-systems.md has the limits of this."""
 
 from __future__ import annotations
 

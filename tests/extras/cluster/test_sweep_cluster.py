@@ -1,4 +1,4 @@
-"""A sweep on a Dask cluster: the same bits as in one process, and a worker that dies takes nothing with it.
+"""A sweep on a Dask cluster gives the same bits as in one process, and survives the death of a worker.
 
 Scheduler and workers are processes of their own, as on a real cluster; this one is only a client.
 """
@@ -53,7 +53,7 @@ class Cluster:
                 _end(process)
 
     def have(self, number: int) -> None:
-        """Return when the scheduler knows so many workers."""
+        """Wait until the scheduler has this number of workers."""
         self._have_a_scheduler()
         alive = [worker for worker in self.workers if worker.poll() is None]
         for worker in alive[number:]:
@@ -67,7 +67,7 @@ class Cluster:
             time.sleep(0.02)
 
     def ask(self, question: Any) -> Any:
-        """What a function says that the scheduler runs."""
+        """Run a function on the scheduler and return its result."""
         from distributed import Client  # noqa: PLC0415
 
         with Client(self.address, set_as_default=False) as client:
@@ -233,7 +233,7 @@ def test_a_result_that_died_with_its_worker_before_it_was_fetched_is_computed_ag
         await fetch(future, of_caller)
 
     def watch(progress: Any) -> None:
-        """In the main thread: its leash ends a worker with the thread that started it."""
+        """Add a worker from the main thread: a worker dies with the thread that started it."""
         if len(cluster.workers) == 1 and killed.is_set():
             cluster.add_worker()
 

@@ -24,7 +24,7 @@ CONTENT: dict[str, Any] = {
 
 
 class Page:
-    """In place of `rig.extras.console.client.Client`."""
+    """A fake of `rig.extras.console.client.Client`."""
 
     def __init__(self, name: str = "a page of 8") -> None:
         self.name = name
@@ -55,7 +55,7 @@ def shared(output: Path, errands: Errands | None = None) -> ServiceContext:
 
 
 async def ask(service: Service, page: Any, do: str, **content: Any) -> Any:
-    """Answer of a service to a message as it comes over the socket; raises its error."""
+    """Send a message to a service as the socket would; return its reply or raise its error."""
     handlers = service.handlers()
     number = len(page.answers) + 1
     text = json.dumps({"do": do, "number": number, **content})

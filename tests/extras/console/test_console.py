@@ -1,4 +1,4 @@
-"""Runs of a page in real time, on the simulated rig: they end at zero effort when the page or the console goes."""
+"""Runs of a page in real time on the simulated rig end at zero effort when the page or the console disappears."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ async def beating(hold: ClientConnection) -> AsyncIterator[None]:
 
 
 async def dragged(page: Page) -> None:
-    """Start a run and drag the handle to the wall, a little inside."""
+    """Start a run and drag the handle slightly into the wall."""
     answer = await page.ask("run", job="play", duration_s=30)
     assert "result" in answer, answer
     await page.until(lambda page: phase(page) == "trial")
@@ -71,7 +71,7 @@ def phase(page: Page) -> str:
 
 
 def recorded(place: Path) -> Recording:
-    """The recording of a run that was ended, once it is sealed."""
+    """Return the recording of a run that has ended, as soon as it is sealed."""
     deadline = time.monotonic() + 30.0
     while not (found := list(place.glob("*.parquet"))):
         assert time.monotonic() < deadline, f"nothing was sealed: {list(place.iterdir())}"
@@ -80,7 +80,7 @@ def recorded(place: Path) -> Recording:
 
 
 def check_zero(recording: Recording, reason: str) -> None:
-    """It was stopped in the trial with the reason and an error; the loop's own tests show its zero effort."""
+    """Require an end in the trial with this reason and an error; tests of the loop check its zero effort."""
     assert recording.trailer["reason"] == reason
     assert recording.rows["phase"][-1] == Phase.TRIAL
     assert recording.trailer["error"]

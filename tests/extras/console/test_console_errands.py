@@ -1,4 +1,4 @@
-"""Errands in processes of their own: answers and errors come back, and nothing is left of them."""
+"""Errands run in their own processes: results and errors are returned, and no process remains."""
 
 import asyncio
 import os

@@ -28,14 +28,14 @@ NAME = "zwidth-of-a-test"
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory of a console: a finished map in it."""
+    """A directory of a console with a finished map."""
     root = tmp_path_factory.mktemp("console")
     maps.map_into(PLAN, root / "maps" / NAME)
     return root
 
 
 class FakeTalk:
-    """In place of a job's line to its console."""
+    """A fake of a job's connection to its console."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[str, dict[str, Any]]] = []
@@ -48,7 +48,7 @@ class FakeTalk:
 
 
 def started(**fields: Any) -> dict[str, Any]:
-    """Content of the job that a page's request makes."""
+    """Return the content of the job that a page's request starts."""
     request = request_of(
         json.dumps({"do": "map-run", **fields}),
         {"map-run": MapService(shared(Path("out"))).handlers()["map-run"][0]},

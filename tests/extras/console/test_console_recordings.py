@@ -1,4 +1,4 @@
-"""The view of recordings: what is listed, cut, replayed, exported and thrown away, and what no page may name."""
+"""The view of recordings: list, cut, replay, export and delete them; pages cannot name files elsewhere."""
 
 import io
 import json
@@ -48,7 +48,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def output(recorded: Path, tmp_path: Path) -> Path:
-    """A directory of recordings with one of them and its picture."""
+    """A directory with one recording and its picture."""
     output = tmp_path / "recordings"
     output.mkdir()
     shutil.copy(recorded, output / "one.parquet")
@@ -57,7 +57,7 @@ def output(recorded: Path, tmp_path: Path) -> Path:
 
 
 def frame_of(data: bytes) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], Any]:
-    """Header, least and greatest values by column, and times, as the page reads them."""
+    """Return header, minima and maxima by column, and times, decoded as the page does."""
     (length,) = struct.unpack_from("<I", data)
     header = json.loads(data[4 : 4 + length])
     arrays = 1 + len(header["columns"]) * (1 if header["step"] == 1 else 2)

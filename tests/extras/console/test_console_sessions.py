@@ -1,4 +1,4 @@
-"""The sessions' view beyond what any desk does: whose keys count, who sees what, and what Live withholds."""
+"""The sessions' view of the console: which page's keys count, what each page shows, and what the live view hides."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def test_nothing_of_a_blinded_loop_reaches_a_page(tmp_path: Path) -> None:
 def test_a_real_rig_needs_a_word_at_the_terminal(
     given: dict[str, Any], page: AtPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where only the log says that it is one."""
+    """The word is needed even if only the log states that the rig is real."""
     before = Place(url="serial:///dev/ttyACM0", realtime=True, simulated=False)
     monkeypatch.setattr(session_lists, "took_place", lambda _: before)
     monkeypatch.setattr(session_lists, "read_person", lambda _: None)

@@ -1,4 +1,4 @@
-"""What a scope keeps of a loop: no spike is lost, whatever is asked for, in a memory that does not grow."""
+"""The history of a scope keeps every spike at any zoom, in bounded memory."""
 
 from __future__ import annotations
 

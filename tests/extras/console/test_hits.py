@@ -1,4 +1,4 @@
-"""Hits that a page starts."""
+"""The hits that a page can start."""
 
 from pathlib import Path
 

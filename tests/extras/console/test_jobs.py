@@ -1,4 +1,4 @@
-"""Jobs and their operator: STOP in every phase, an operator who leaves, and processes that print anything.
+"""Jobs and their operator: STOP in every phase, an operator who leaves, and processes with arbitrary output.
 
 A job here is a small program in place of `rig.extras.console.worker`.
 """
@@ -28,7 +28,7 @@ WAITS = "import time; time.sleep(60)"
 
 
 class Here:
-    """Jobs of this test's program, and their messages."""
+    """The jobs of a test's own program, and their messages."""
 
     def __init__(self, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
         self.messages: list[dict[str, Any]] = []
@@ -145,7 +145,7 @@ def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
 
 
 def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A library may print anything on either stream: the job is followed to its end."""
+    """A library may print anything on either stream; the job continues to its end."""
     noise = "print('42'); print('null'); print('[]'); print('{}'); print('{\"say\": 1}')"
     program = (
         f"import sys; {noise}; sys.stderr.write('x' * 1_000_000 + '\\nthe last word\\n');"
@@ -183,7 +183,7 @@ IMPORTS = 'print(\'{"say": "progress"}\', flush=True)\nimport time\ntime.sleep(6
 
 
 def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As one that answers an interrupt itself: no exit code, and no line of a traceback."""
+    """The report has neither an exit code nor a line of a traceback, as for a job that handles the interrupt."""
 
     failed: list[dict[str, Any]] = []
 

@@ -1,4 +1,4 @@
-"""One page operates, while its beats arrive."""
+"""Only one page operates the console, while its heartbeats arrive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A console ends after a signal, whatever it waits for."""
+"""A console ends after a signal, whatever it is waiting for."""
 
 import signal
 import subprocess

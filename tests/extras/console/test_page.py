@@ -1,4 +1,4 @@
-"""The files of the page: the vendored library is the one it says it is, and nothing is asked of another host."""
+"""The files of the page: the vendored library is unmodified, and nothing is loaded from another host."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_text_never_becomes_markup_and_no_code_is_inline(name: str) -> None:
 
 
 def luminance(colour: str) -> float:
-    """Relative luminance of #rrggbb (WCAG 2.2)."""
+    """Return the relative luminance of #rrggbb (WCAG 2.2)."""
     parts = (int(colour[place : place + 2], 16) / 255.0 for place in (1, 3, 5))
     linear = (one / 12.92 if one <= 0.04045 else ((one + 0.055) / 1.055) ** 2.4 for one in parts)
     return sum(share * one for share, one in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
@@ -63,7 +63,7 @@ def contrast(one: str, other: str) -> float:
 
 
 def schemes() -> dict[str, dict[str, str]]:
-    """Colours of the page by name, light and dark."""
+    """Return the colours of the page by name, for light and dark."""
     roots = re.findall(r":root \{(.*?)\}", (PAGE / "style.css").read_text(), re.DOTALL)
     light, dark = (dict(re.findall(r"--([\w-]+): (#\w{6})", root)) for root in roots)
     return {"light": light, "dark": {**light, **dark}}
@@ -71,7 +71,7 @@ def schemes() -> dict[str, dict[str, str]]:
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_and_edges_of_fields_stand_out(scheme: str) -> None:
-    """WCAG 2.2, AA: 4.5 for text (1.4.3), 3 for what shows where a field is (1.4.11)."""
+    """WCAG 2.2 AA requires a contrast of 4.5 for text (1.4.3) and 3 for edges of fields (1.4.11)."""
     colours = schemes()[scheme]
     for ground in (colours["paper"], colours["panel"]):
         for name in ("ink", "quiet", "measured", "stable", "limit-cycle", "unstable", "invalid"):

@@ -1,4 +1,4 @@
-"""Any value in a request of a page has a result or an error to correct as its answer: never a defect of ours."""
+"""Any value in a page's request gives a result or a correctable error, never an internal error."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ KEYS = ("wall.damping", "rig.mechanics.motor_inertia", "trial.seed")
 
 
 def plain_type(hint: Any) -> Any:
-    """The first type that a field takes."""
+    """Return the first type that a field accepts."""
     while get_origin(hint) in (Annotated, Union, UnionType):
         hint = get_args(hint)[0]
     return hint
 
 
 def required(kind: type[Request]) -> dict[str, Any]:
-    """Fields of a request that have no default, each with a usual value."""
+    """Return the required fields of a request, each with a usual value."""
     hints = get_type_hints(kind, include_extras=True)
     found: dict[str, Any] = {}
     for one in fields(kind):
@@ -49,7 +49,7 @@ def required(kind: type[Request]) -> dict[str, Any]:
 
 
 def contents(kind: type[Request]) -> Iterator[str]:
-    """Requests of a kind, each with one strange value; a value is JSON, since a page need not be a browser."""
+    """Yield requests of a kind with one unusual value each, as JSON, because a client need not be a browser."""
     usual = {name: json.dumps(value) for name, value in required(kind).items()}
     for one in fields(kind):
         if one.name in ("do", "number"):

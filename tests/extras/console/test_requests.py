@@ -1,4 +1,4 @@
-"""A message of a page is a checked request or an error that names the field; never anything else."""
+"""A page's message is either a valid request or rejected with an error that names the field."""
 
 from __future__ import annotations
 

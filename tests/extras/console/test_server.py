@@ -57,7 +57,7 @@ def play(place: Path, scenario: Scenario, **settings: Any) -> None:
 
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch) -> Searched:
-    """Waits until the console has looked for loops so many times more, which it does without a pause."""
+    """A function that waits until the console has searched for loops a number of times, here without pauses."""
     begun, search = 0, Live.search
 
     async def counted(live: Live) -> None:
@@ -334,7 +334,7 @@ FRAMES = {
 def test_before_the_token_the_server_parses_one_bounded_head_and_no_frame(
     say: bytes, piece: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Anything more is cut off at once: no reply, no closing handshake."""
+    """The server cuts off any other connection at once, without a reply or a closing handshake."""
     parsed: dict[ServerProtocol, int] = {}
     frames: list[Frame] = []
     receive, take = ServerProtocol.receive_data, ServerProtocol.recv_frame
@@ -439,7 +439,7 @@ def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
 
 
 def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path: Path) -> None:
-    """At the wire, while a loop runs whose wall every page may see."""
+    """The received bytes must not contain the wall of a running loop, which other pages may show."""
     loop = HandTurnedLoop(4096, shared=True)
 
     async def scenario(console: Served) -> None:
@@ -472,7 +472,7 @@ def test_a_participants_screen_receives_what_it_shows_and_nothing_else(tmp_path:
 
 
 def test_a_page_cannot_drag_a_handle_that_something_else_moves(tmp_path: Path) -> None:
-    """A session's hand is in the same file."""
+    """A session's hand uses the same file."""
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:
@@ -677,7 +677,7 @@ def test_a_port_that_is_taken_is_an_error_that_names_it(tmp_path: Path) -> None:
 def test_a_console_of_a_test_neither_looks_at_a_loop_of_another_process_nor_stops_it(
     tmp_path: Path, searched: Searched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its STOP ended runs of other processes on the machine."""
+    """STOP in a test once ended runs of other processes on the machine."""
 
     async def scenario(console: Served) -> None:
         async with console.page() as page:

@@ -1,4 +1,4 @@
-"""A session with a console, as an operator has it: in a terminal, on a simulated rig, in real and in virtual time.
+"""A session with a console, operated in a terminal, on a simulated rig, in real and in virtual time.
 
 A machine without time for a loop ends hits in real time early: the session asks then, and continues. Where every hit
 ends so, the test fails with this reason.
@@ -138,16 +138,16 @@ class Operator:
         return self._result.done()
 
     def result(self) -> SessionResult:
-        """How the session stands, which must be over or about to."""
+        """Wait for the session's end and return its result."""
         return self._result.result(PATIENCE_S)
 
     def close(self) -> None:
-        """Leave nothing of it: without a terminal a console says so, and the session ends."""
+        """Close the terminal, which ends the session, and wait for its thread."""
         self.terminal.close()
         self._thread.shutdown()
 
     def sees(self, *texts: str) -> str:
-        """Wait until one of them was printed since the last key, or the program has ended; returns which."""
+        """Wait until one of the texts was printed since the last key, and return it; "" if the program has ended."""
 
         def found() -> str:
             printed = self.terminal.fresh
@@ -157,7 +157,7 @@ class Operator:
         return found()
 
     def press(self, keys: str) -> None:
-        """Press keys as a person does, who releases each before they press it again."""
+        """Press keys like a person, who releases a key before pressing it again."""
         released_s = max(self._pressed_s.get(key, 0.0) for key in keys) + RELEASED_S + READ_S
         threading.Event().wait(max(0.0, released_s - time.monotonic()))
         self.terminal.type(keys)
@@ -172,7 +172,7 @@ class Operator:
 
 
 class OperatorOfProgram(Operator):
-    """The operator of ``rig session run``, a process."""
+    """The operator of ``rig session run`` as a process."""
 
     rested = 0  # hits after which the device had no current
 
@@ -185,7 +185,7 @@ class OperatorOfProgram(Operator):
         return not is_alive(self.pid)
 
     def result(self) -> Any:
-        """Exit code and standard error of the program; the device was at rest after each hit."""
+        """Return exit code and standard error of the program; the device was at rest after each hit."""
         code, err = self._program.wait()
         lines = err.splitlines()
         messages = [line for line in lines if line != AT_REST]
@@ -224,7 +224,7 @@ def start(terminal: Terminal, tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def currents(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Of the simulated devices in this process, each when its run was over."""
+    """The currents of the simulated devices in this process, each at the end of its run."""
     conclude, found = running_trial._conclude, []
 
     def witness(device: Any, *rest: Any) -> Any:
@@ -259,7 +259,7 @@ def eventually(condition: Callable[[], Any], what: str) -> Any:
 
 
 def pressing(pid: int) -> bool:
-    """Whether the loop of a process renders its wall to a hand that presses."""
+    """Return True if the loop of a process renders its wall to a pressing hand."""
     ring = running.memory_of(pid)
     if ring is None:
         return False
@@ -269,7 +269,7 @@ def pressing(pid: int) -> bool:
 
 
 def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
-    """Say go until a hand presses against the wall."""
+    """Start hits until a hand presses against the wall."""
     engine, terminal = operator.pid, operator.terminal
     for _ in range(HITS):
         asked = operator.sees("hit ended early:", "were invalid:", "ready?")
@@ -294,7 +294,7 @@ def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
 
 @pytest.mark.quiet
 def test_a_hit_is_stopped_while_the_console_is(terminal: Terminal, start: Start) -> None:
-    """By `rig stop`, and the next one by ^C; and long before the console's silence would have ended it."""
+    """`rig stop` ends one hit and ^C the next, long before the console's timeout would."""
     operator = start("real", duration_s=600.0)
     assert isinstance(operator, OperatorOfProgram)
     engine = operator.pid
@@ -364,7 +364,7 @@ def leave(operator: Operator) -> None:
 
 
 def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:
-    """The recording of a stopped hit is whole and hashed, says that it was stopped, and counts what was lost.
+    """Require a complete, hashed recording with the stop as its reason and the counted losses; return the reason.
 
     Its last row is that of the last sample; what the loop says afterwards, STOP, answers none. That no current flows
     then is the device's to say (`PROGRAM`, `Operator.rested`). Returns why it ended.

@@ -1,4 +1,4 @@
-"""What the person at the rig is shown, and what counts as their answer."""
+"""The prompts to the operator at the rig's terminal, and the inputs that count as a reply."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ REAL = "serial:///dev/ttyACM0"
 
 
 def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int], Awaitable[None]]) -> None:
-    """Run with a terminal, whose person types into the descriptor."""
+    """Run `body` with a terminal and the descriptor for its operator's input."""
     person, ours = pty.openpty()
     try:
         with open(ours, encoding="utf-8", closefd=False) as stdin, monkeypatch.context() as patched:
@@ -141,7 +141,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
 def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The rig, its changes, how long, if it continues without a page, and one digest in both places."""
+    """Both show the rig, its changes, the duration, if it continues without a page, and the same digest."""
 
     async def body(terminal: Terminal, person: int) -> None:
         page, started = Page(), list[dict[str, Any]]()

@@ -1,4 +1,4 @@
-"""Frames of a scope: each point once, sweeps from their trigger on, and only requested columns."""
+"""The frames of a scope: each point once, sweeps from their trigger on, and only requested columns."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def unpacked(frame: bytes) -> dict[str, Any]:
 
 
 class Ramp:
-    """A history that a test fills, of a ramp that enters the wall at each thousandth row for 100 rows."""
+    """A history with a ramp that enters the wall at each thousandth row for 100 rows."""
 
     def __init__(self) -> None:
         self.history = History(1 << 14, 1 << 10)

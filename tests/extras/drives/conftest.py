@@ -1,4 +1,4 @@
-"""What the tests of drives share: the compiled bridge, and rigs that differ from the one of the tests."""
+"""Fixtures of the tests of drives: the compiled bridge, and variants of the test rig."""
 
 from __future__ import annotations
 

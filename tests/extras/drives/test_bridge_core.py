@@ -1,4 +1,4 @@
-"""The bridge in virtual time: the commands that it sends to a drive, and that every way ends in zero torque."""
+"""The bridge in virtual time: its commands to a drive, and zero torque after every kind of end."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_where_counts_fall_while_the_position_rises_the_drive_is_turned_the_othe
 
 @both
 def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it(kind: str) -> None:
-    """One tick from a sample to its torque: host and bus take part of the same period."""
+    """One tick from a sample to its torque: host and bus use parts of the same period."""
     world, host = armed(Bridged(kind=kind))
     host.next_state()
     host.command(CURRENT)
@@ -95,7 +95,7 @@ def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it(kind: str)
 
 @both
 def test_a_sample_has_the_torque_that_its_current_gives(kind: str) -> None:
-    """At 200 Hz each change has settled: a moteus is asked in its frame, an ODrive speaks half a message later."""
+    """At 200 Hz each change has settled: a moteus is read in its frame, an ODrive sends half a message later."""
     slowly = {odrive.ENCODER_MS: "5", odrive.TORQUES_MS: "5", odrive.WATCHDOG_S: "0.025"}
     _, host = armed(Bridged(kind=kind, settings=slowly if kind == "odrive" else {}), position_rate=200)
     for number in range(12):
@@ -129,7 +129,7 @@ def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile(
 
 
 def test_arming_right_after_disarming_waits_until_the_drive_is_on_again() -> None:
-    """Its last reply is from before the stop."""
+    """The last reply of the drive at arming is older than its stop."""
     world, host = armed()
     push(host, 5)
     assert host.disarm().status == 0
@@ -245,7 +245,7 @@ ENDINGS: dict[str, tuple[Way, Strike, int]] = {
     ),
 )  # a CAN controller passes on no garbled frame
 def test_a_fault_at_any_line_of_a_run(kind: str, ending: str) -> None:
-    """Zero torque in bounds, whatever is lost where; it is counted, and no old count is reported as a new one."""
+    """Torque is zero in time whatever is lost; losses are counted, and no old count is reported as new."""
     way, strike, length = ENDINGS[ending]
     of_the_run = RUN_TICKS * (1 if way == "to drive" else 2)  # the adapter says OK, too
     for first in range(0, of_the_run, 1 if strike is drop and length == 1 else 5):
@@ -318,7 +318,7 @@ def test_the_silence_of_a_drive_is_known_as_want_of_time() -> None:
 
 @both
 def test_a_drive_that_fell_silent_is_homed_again(kind: str) -> None:
-    """Without power it forgets its turns."""
+    """A drive without power loses its count of turns."""
     world = Bridged(kind=kind)
     device = FramedDevice(world)
     device.configure(RUN_PARAMETERS)
@@ -345,7 +345,7 @@ def test_a_drive_that_hiccups_before_it_is_armed_is_only_counted(kind: str) -> N
 @both
 @pytest.mark.parametrize("turns", [-1, 1])
 def test_a_position_that_jumps_by_turns_is_no_motion(kind: str, turns: int) -> None:
-    """A drive that has started again knows where in a turn it is, and not in which."""
+    """A restarted drive measures its angle within a turn, but not which turn."""
     world, host = armed(Bridged(kind=kind))
     push(host, 5)
     world.happen("slip", turns * 4 * 4096)
@@ -385,7 +385,7 @@ def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_on
 @both
 @pytest.mark.parametrize("awaits", [False, True])
 def test_a_computer_that_stands_still_loses_samples_and_has_no_old_ones(kind: str, awaits: bool) -> None:
-    """Fewer than the life of a command are counted, more end the run; index and clock stay together."""
+    """Pauses shorter than a command's lifetime are counted, longer ones end the run; index and clock agree."""
     faults = {}
     for stood_us in range(1_300, 7_000, 1_000):
         world, host = armed(Bridged(kind=kind))
@@ -423,7 +423,7 @@ def test_replies_that_are_late_are_not_taken_for_the_ones_that_are_awaited() -> 
 
 
 def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
-    """Each question names another sender, which the answer repeats."""
+    """Each request has another sender id, which the reply repeats."""
     world, host = armed()
     push(host, 5)
     lines: list[bytes] = []
@@ -450,7 +450,7 @@ def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
 
 
 def test_the_drive_limits_the_torque_too() -> None:
-    """Register 0x025 has the amplifier's limit, in case what is sent is wrong."""
+    """Register 0x025 contains the amplifier's limit, in case a sent torque is wrong."""
     world, host = armed()
     push(host, 5)
     assert world.drive._words[world_word("max_torque")] == pytest.approx(1.0 / 2.0)

@@ -1,4 +1,4 @@
-"""Lines and frames: as the maker's documents have them, and as the maker's own library reads and writes them."""
+"""Lines and frames agree with the manufacturers' documents and libraries."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def make_line(frame: CanFrame, *, checksum: bool = False) -> bytes:
 
 
 def test_a_line_as_the_maker_shows_it() -> None:
-    """Of docs/protocol/can.md, and its flags for CAN FD at the higher rate."""
+    """The example is from docs/protocol/can.md, with its flags for CAN FD at the higher rate."""
     data = bytes.fromhex("01000a07206000200150ff140400130d")
     assert make_line(CanFrame(0x8001, data)) == b"can send 8001 01000A07206000200150FF140400130D BF\n"
     (frame,), _ = parse_lines(b"rcv 100 2404000a005000000170ff230d181400 E B F\r\n")
@@ -173,7 +173,7 @@ def test_an_adapter_works_through_a_pseudo_terminal() -> None:
 
 
 def can_ends() -> tuple[CanBus, socket.socket]:
-    """A bus whose other end is here: a pair of sockets keeps messages apart as a raw CAN socket does."""
+    """Return a bus and its other end: a socket pair that keeps messages separate, as a raw CAN socket does."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return CanBus("can0", ours), theirs
 
@@ -181,7 +181,7 @@ def can_ends() -> tuple[CanBus, socket.socket]:
 @settings(max_examples=25)
 @given(st.integers(0, 2**29 - 1), st.binary(max_size=64))
 def test_a_frame_of_a_can_socket(identifier: int, data: bytes) -> None:
-    """`struct canfd_frame` of linux/can.h: id with its flag for 29 bits, length, flags, 64 bytes."""
+    """The layout is `struct canfd_frame` of linux/can.h: id with flag for 29 bits, length, flags, 64 bytes."""
     bus, end = can_ends()
     bus.send(CanFrame(identifier, data))
     packed = end.recv(100)
@@ -215,7 +215,7 @@ def test_a_frame_without_data_is_ignored() -> None:
 
 
 def test_an_odrive_receives_the_frames_of_its_makers_description() -> None:
-    """Each frame of a run, from arming to the end, read by a library that knows nothing of us."""
+    """An independent library decodes each frame of a run, from arming to the end."""
     base = pytest.importorskip("odrive_can").get_dbc()
     sent: list[tuple[str, dict[str, object]]] = []
 

@@ -1,4 +1,4 @@
-"""A moteus that a bridge does not take: each with a sentence that says why and what to do, and nothing moves."""
+"""A bridge rejects an unsuitable moteus with a message that gives reason and remedy, and nothing moves."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_switch_is_a_pin_of_one_port(texts: dict[str, str]) -> None:
 
 
 def test_its_limits_are_those_of_the_device() -> None:
-    """A window, a speed or an effort beyond what the drive allows is refused when the host configures it."""
+    """A window, speed or effort beyond the drive's limits is refused when the host configures it."""
     limits = {"servopos.position_min": "-0.25", "servopos.position_max": "0.5", "servo.max_velocity": "2"}
     world = Bridged(settings={**limits, "servo.max_current_A": "4"})
     host = Host(world)
@@ -168,7 +168,7 @@ def test_its_limits_are_those_of_the_device() -> None:
 
 
 def test_a_transmission_between_output_and_handle_is_part_of_the_torque() -> None:
-    """Encoder on the rotor, a gear of 2:1 in the drive: the same rig, half of it inside."""
+    """An encoder on the rotor behind the drive's gear of 2:1 gives the same rig, with half of the ratio inside."""
     drive = moteus(motor_position__rotor_to_output_ratio="0.5")
     within = fit(find(MoteusConversation(MemoryBus(drive), 1), 1), bridged_rig())
     assert within.counts_per_turn == 2 * TURN

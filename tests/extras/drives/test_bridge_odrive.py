@@ -1,4 +1,4 @@
-"""An ODrive under a bridge: which one is not taken, with a sentence that says why, and what its own clock means."""
+"""An ODrive under a bridge: unsuitable drives are rejected with a reason, and its separate clock is tracked."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def drive_with(settings: dict[str, str] | None = None, **options: Any) -> Simula
 def refusal(
     drive: SimulatedOdrive, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
 ) -> str:
-    """Return the message; the drive stays at rest."""
+    """Return the message of a rejection; the drive stays at rest."""
     with pytest.raises(kind) as caught:
         found_odrive(drive, model or bridged_rig())
     assert caught.value.remedy
@@ -71,7 +71,7 @@ def test_a_drive_that_fits_is_described() -> None:
 
 
 def test_a_file_to_start_from_stays_within_the_limits_of_the_drive(tmp_path: Path) -> None:
-    """Its speed that ends a run, too: the maker's default is an error at 2.4 turns a second."""
+    """This includes the speed that ends a run: the manufacturer's default is an error at 2.4 turns a second."""
     drive = drive_with({odrive.OVERSPEED: "1", "axis0.controller.config.vel_limit": "2.0"})
     facts = odrive.find(odrive.OdriveConversation(MemoryBus(drive), 0, endpoints()))
     (tmp_path / "mine.toml").write_text(describe.text(facts, "odrive://can0"))
@@ -208,7 +208,7 @@ def test_its_limits_are_those_of_the_device() -> None:
 
 @pytest.mark.parametrize("drift", [-0.005, 0.005])
 def test_a_drive_whose_clock_differs_is_followed(drift: float) -> None:
-    """Half a message lies between a period and its sample, so that none comes twice and none is left out."""
+    """Half a message lies between a period and its sample, so none is duplicated or skipped."""
     world = Bridged(kind="odrive", drift=drift)
     world.run(0.02)
     before = world.bridge.facts.replies
@@ -250,7 +250,7 @@ def test_without_its_heartbeat_a_drive_may_have_stopped() -> None:
 
 
 def test_a_drive_that_changes_a_torque_is_counted_and_left() -> None:
-    """Its USB port sets a limit that was refused at the start."""
+    """The drive's USB port sets a limit that would be refused at the start."""
     world, host = armed(Bridged(kind="odrive"))
     push(host, 5)
     world.drive._write_parameter(odrive.MOST_TORQUE, 0.97 * CURRENT * 1e-3 * 0.05)  # less than measuring sees

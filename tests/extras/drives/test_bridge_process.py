@@ -1,4 +1,4 @@
-"""A bridge as a process, in real time: the link that starts it, the command, and zero torque after either is killed."""
+"""A bridge as a process in real time: the link that starts it, the command, and zero torque after either is killed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def opened(port: str) -> FramedDevice:
 
 
 def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link(port: str) -> None:
-    """The drive's own watchdog ends the torque then; the next bridge takes the drive as it is."""
+    """The drive's own watchdog ends the torque; the next bridge accepts the drive in this state."""
     with opened(port) as device:
         assert isinstance(device.link, BridgeLink)
         device.configure(SLOW_RUN_PARAMETERS)
@@ -89,7 +89,7 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
     "tests/extras/drives/test_bridge_core.py::test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive"
 )
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
-    """A link starts its bridge on a bus; the drive's own watchdog ends the torque."""
+    """A link starts its bridge on a bus; after the kill the drive's own watchdog ends the torque."""
     announced, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
     slow = ODRIVE_SETUP | {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
     options = {"place": bus, "settings": slow, "stop": stop, "announce": lambda _: announced.set()}
@@ -126,7 +126,7 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
 
 
 def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
-    """However it goes: the kernel closes the socket of one that is killed."""
+    """The kernel closes the socket of a host even if it is killed."""
     bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     near, host = socket.socketpair()
     ear, mouth = os.pipe()

@@ -1,4 +1,4 @@
-"""A wall that the drive renders itself: its physics, what it cannot be, and how every way ends in zero torque."""
+"""A wall that the drive renders itself: its physics, its limits, and zero torque after every kind of end."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ RUN_MS = 8
 
 @pytest.mark.parametrize(("side", "sign", "ratio"), [(1, 1, 1.0), (-1, -1, 2.0)])
 def test_the_static_slope_is_the_stiffness(side: int, sign: int, ratio: float) -> None:
-    """Two pushes come to rest Δτ/K apart, whichever way the encoder counts and whatever lies between."""
+    """Two pushes come to rest Δτ/K apart, for either encoder sign and any ratio."""
     keys = {
         "wall__side": side,
         "rig__encoder__sign": sign,
@@ -65,7 +65,7 @@ def test_the_static_slope_is_the_stiffness(side: int, sign: int, ratio: float) -
 def continuous(
     x: Experiment, stiffness: float, damping: float, filter_hz: float = 400.0
 ) -> NDArray[np.float64]:
-    """Rig, amplifier's lag and the drive's filter as one linear system; at 30 kHz the drive is as good as continuous.
+    """Return rig, amplifier lag and drive filter as one linear system; 30 kHz is nearly continuous.
 
     The states are position, velocity, effort, and the filter's two: f' = w + 2ω(x − f), w' = ω²(x − f). The wall is
     −K f − B w.
@@ -85,7 +85,7 @@ def continuous(
 
 @pytest.mark.parametrize("damping", [0.003, 0.006])
 def test_an_oscillation_decays_as_the_damping_says(damping: float) -> None:
-    """Swings about the resting place shrink and follow each other as the slowest pole says."""
+    """Decay and period about the resting position are those of the slowest pole."""
     push, stiffness = 0.05, 1.0
     x = walled(
         wall__stiffness=stiffness,
@@ -107,7 +107,7 @@ def test_an_oscillation_decays_as_the_damping_says(damping: float) -> None:
 
 
 def k_max(x: Experiment, damping: float) -> float:
-    """Largest stiffness of the drive's own wall that the linear system calls stable."""
+    """Return the largest stiffness of the drive's own wall for which the linear system is stable."""
     low, high = 0.0, 100.0
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
@@ -118,7 +118,7 @@ def k_max(x: Experiment, damping: float) -> float:
 
 @pytest.mark.parametrize("where", ["drive", "float32"])
 def test_the_drive_holds_stiffer_walls_than_a_law_behind_the_bridge(where: str) -> None:
-    """Predicted first: up to 6.1 N·m/rad by the drive, 2.1 by the same wall a millisecond late at 1 kHz."""
+    """Predicted before: up to 6.1 N·m/rad by the drive, 2.1 by the same wall with 1 ms of delay at 1 kHz."""
     keys = {
         "wall__damping": 0.01,
         "wall__position": -0.05,
@@ -137,7 +137,7 @@ def test_the_drive_holds_stiffer_walls_than_a_law_behind_the_bridge(where: str) 
 
 
 def test_an_effort_that_changes_within_a_tick_is_no_wrong_current() -> None:
-    """Much damping makes the drive's torque follow its filter, faster than a bridge at 1 kHz receives it."""
+    """With high damping the torque follows the drive's filter, faster than a bridge at 1 kHz receives it."""
     keys = {"wall__stiffness": 0.7, "wall__damping": 0.04, "wall__position": -0.02, "trial__start": -0.03}
     x = walled(**keys, rig__mechanics__motor_coulomb=0.003)
     run = Walled(x, {"servo.pid_position.kd": "40"}, inside=True)
@@ -146,7 +146,7 @@ def test_an_effort_that_changes_within_a_tick_is_no_wrong_current() -> None:
 
 
 def test_it_pulls_a_handle_that_leaves() -> None:
-    """Nothing clamps it: that is why `pull` must allow it. On the way out its damping exceeds its spring."""
+    """The drive does not clamp the wall, so `pull` must allow it: on the way out damping exceeds the spring."""
     push = 0.001
     x = walled(wall__damping=0.005, wall__position=-0.1, trial__start=-0.15, trial__effort=push)
     run = Walled(x, inside=True)
@@ -228,7 +228,7 @@ def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> Non
 
 @pytest.mark.parametrize("ending", first_by_default(reversed(ENDINGS), 4))  # dead, both garbled, lost answers
 def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
-    """Zero torque in bounds, whatever is lost where: the wall goes with the session that rendered it."""
+    """Torque is zero in time whatever is lost: the wall ends with the session that rendered it."""
     way, strike, length = ENDINGS[ending]
     single = length == 1 and strike.__name__ == "drop"
     of_the_run = RUN_MS * (1 if way == "to drive" else 2)  # the adapter says OK, too
@@ -273,7 +273,7 @@ def test_without_the_hold_to_run_switch_there_is_no_wall() -> None:
 
 
 def test_a_wall_that_no_motion_confirms_fades_though_there_is_no_push() -> None:
-    """A dead encoder inside the wall, and a person's hand on the handle: the effort is the drive's alone."""
+    """With a dead encoder inside the wall and a hand on the handle, only the drive produces effort."""
     run = Walled(walled(**DEEP), inside=True, confirm_ms=50, float_constant=0.0)
     run.run(0.03)
     assert abs(run.world.torque) > 0.05
@@ -420,7 +420,7 @@ def test_another_wall_comes_in_free_space_alone_and_within_the_gains() -> None:
 
 
 def test_the_makers_library_reads_our_wall_as_its_own() -> None:
-    """The same registers with the same values as `make_stay_within` of the library; both are float32."""
+    """The registers and float32 values equal those of the library's `make_stay_within`."""
     multiplex, moteus = pytest.importorskip("moteus.multiplex"), pytest.importorskip("moteus")
     run = within()
     lines: list[bytes] = []

@@ -1,4 +1,4 @@
-"""Lab Streaming Layer over loopback: what inlets receive is what the loop has left, at its own time, with units."""
+"""Lab Streaming Layer over loopback: inlets receive the loop's rows, with their times and units."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ FIND_S = 20.0
 
 @pytest.fixture(scope="module")
 def pylsl(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The library, on this machine alone and for the tests of this process alone; children inherit it.
+    """The library, restricted to this machine and to this process's tests; child processes inherit this.
 
     It reads its configuration once, when it is loaded: every module that has this fixture gets the same session.
     """
@@ -87,12 +87,12 @@ class Inlets:
         self.values, self.stamps, self.markers = [], [], []
 
     def offset_s(self) -> float:
-        """What was added to the host's clock, as the stream's description says it."""
+        """Return the offset added to the host's clock, from the stream's description."""
         clock = self.streams["samples"].info(FIND_S).desc().child("clock")
         return float(clock.child_value("offset_s"))
 
     def pull_until(self, mark: str) -> None:
-        """Until a marker of that name has come, and what was sent before it."""
+        """Pull until a marker of that name has arrived, with everything sent before it."""
         deadline = time.monotonic() + FIND_S
         while mark not in [content["mark"] for _, content in self.markers]:
             assert time.monotonic() < deadline, self.markers
@@ -100,7 +100,7 @@ class Inlets:
         self.pull()
 
     def units(self) -> dict[str, str]:
-        """Unit of each channel, as the stream's description says it."""
+        """Return the unit of each channel, from the stream's description."""
         channel = self.streams["samples"].info(FIND_S).desc().child("channels").child("channel")
         found = {}
         while not channel.empty():
@@ -111,7 +111,7 @@ class Inlets:
 
 @pytest.fixture(scope="module")
 def streamed(pylsl: Any) -> Iterator[tuple[LslMarks, Inlets]]:
-    """The process that streams the loops of this one, and its inlets."""
+    """The process that streams this process's loops, and its inlets."""
     name = f"test-{uuid.uuid4().hex[:8]}"
     with LslMarks(name=name, expected=("rotary", 1000.0)) as marks:
         marks.wait()

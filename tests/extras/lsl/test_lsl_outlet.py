@@ -1,4 +1,4 @@
-"""From a loop's rows to samples and markers: nothing twice, nothing lost in silence, each at its own time."""
+"""The conversion of a loop's rows to samples and markers: no duplicates, counted losses, each at its own time."""
 
 from __future__ import annotations
 
@@ -292,7 +292,7 @@ def test_impossible_settings_and_a_missing_library_are_refused(monkeypatch: pyte
 
 
 def test_the_info_of_the_tests_is_that_of_a_run() -> None:
-    """`rig.experiments.trials._trial` leaves these keys, and the follower reads them."""
+    """`rig.experiments.trials._trial` writes these keys, and the follower reads them."""
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
 

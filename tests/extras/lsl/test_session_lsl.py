@@ -1,4 +1,4 @@
-"""A session that streams: what a recorder of Lab Streaming Layer receives is what the log says, without the walls."""
+"""A streaming session: a recorder of Lab Streaming Layer receives the events of the log, without the walls."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_markers_of_a_session_are_its_log_without_the_walls(
     received: list[dict[str, Any]] = []
 
     class Recording(RehearsalDesk):
-        """Opens inlets at the first question and reads them at the second."""
+        """A desk that opens inlets at the first question and reads them at the second."""
 
         def ask(self, question: Question) -> Reply:
             if question.kind == "ready":

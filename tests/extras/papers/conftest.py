@@ -1,4 +1,4 @@
-"""What the tests of reproductions share."""
+"""Fixtures of the tests of reproductions."""
 
 import pytest
 

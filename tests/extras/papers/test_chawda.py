@@ -1,4 +1,4 @@
-"""Reproduction of Chawda et al.: every verdict can be reached, readings are the test of the verdict, and it repeats."""
+"""Reproduction of Chawda et al.: every verdict is reachable, readings agree with the verdict's test, and it repeats."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def test_readings_do_not_depend_on_the_number_of_workers() -> None:
 
 
 def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
-    """The first measurement of a wall, read as usual, against `rig impedance measure` with the same excitation."""
+    """The first measurement of a wall equals `rig impedance measure` with the same excitation."""
     grid = _grid(measurements=1, stiffnesses=(2e4,), dampings=(60.0,))
     found = Readings.of(grid, run_parts({"map": grid.part()}).results["map"])
     results = measure_impedance(grid.experiment, walls=[(2e4, 60.0)], schemes=grid.schemes)
@@ -216,7 +216,7 @@ def test_schemes_can_run_on_their_rigs_and_table_one_is_in_their_order() -> None
 
 
 def test_without_a_wall_the_error_is_the_rigs_own_impedance() -> None:
-    """1.886·f N·s/m for 0.52 kg, approached from above (REPRODUCTION: +2.5 % at 50 Hz, +0.2 % at 400 Hz)."""
+    """The error approaches 1.886·f N·s/m (0.52 kg) from above (REPRODUCTION: +2.5 % at 50 Hz, +0.2 % at 400 Hz)."""
     for high, excess in ((50.0, 0.025), (400.0, 0.002)):
         error = chawda_parts.fidelity_without_wall(0.52, 13.2, (1.0, high))
         assert error / (1.886 * high) - 1.0 == pytest.approx(excess, abs=0.02)

@@ -1,4 +1,4 @@
-"""`rig reproduce koul --quick` as a person meets it: one report with everything, the same when asked for again."""
+"""`rig reproduce koul --quick` on the command line: one complete report, the same when repeated."""
 
 import json
 import re

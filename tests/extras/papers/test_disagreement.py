@@ -1,4 +1,4 @@
-"""Where theory and hits differ: the rule that finds why, and that each non-linearity is taken out alone."""
+"""The rule that finds why theory and hits differ, by removing each non-linearity alone."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""Rules that judge the claims of Koul et al., on numbers made up to reach every verdict; and the pieces of the run."""
+"""The rules that judge the claims of Koul et al., on made-up numbers that reach every verdict; parts of the run."""
 
 from __future__ import annotations
 
@@ -290,7 +290,7 @@ def test_a_grid_gives_the_results_of_ladder_and_bisection() -> None:
 
 
 def test_ranges_do_not_depend_on_the_number_of_workers() -> None:
-    """One part of each cheap kind, by one worker and by two: equal in every bit."""
+    """One part of each cheap kind gives equal bits with one worker and with two."""
     held = HELD[0].experiment()
     search = StiffnessSearch(way="bisection", lowest=0.05, highest=6.0, ratio=1.3)
     schemes = (SCHEMES[DUAL], SCHEMES[SLOW])

@@ -26,7 +26,7 @@ from rig.extras.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 
 
 def test_the_handle_is_at_the_start_at_the_first_sample() -> None:
-    """The trial without bytes begins a tick earlier: the rig coasts there from where it was."""
+    """A trial without a byte link begins one tick earlier and coasts to the start."""
     for rate in (20_000, 10_000, 2000):
         experiment = koul_entries(rate)[0].applied(koul_experiment())
         _, plant, trace = simulate(experiment, START, 0.4)
@@ -41,7 +41,7 @@ def test_the_handle_is_at_the_start_at_the_first_sample() -> None:
 def test_few_bits_of_state_take_the_damping_from_a_uniform_wall_and_not_from_a_dual_rate_one(
     figure_7: Any,
 ) -> None:
-    """Uniform at cut-off fs/20 against 200 Hz at 2 kHz: 14 bits, rounding to zero."""
+    """A uniform rate with cut-off fs/20 against 200 Hz at 2 kHz, with 14 bits and rounding to zero."""
     fixed = {panel.position_rate: panel.peaks for panel in figure_7 if panel.arithmetic == FIXED}
     expected = {20_000: (57.0, 57.0, 29.0), 10_000: (57.0, 39.75, 29.0)}
     assert fixed == {rate: pytest.approx(peaks, abs=0.5) for rate, peaks in expected.items()}
@@ -58,7 +58,7 @@ def figure_8() -> Any:
 
 
 def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_one(figure_7: Any) -> None:
-    """What figure 7 shows is not in the method, but in the word length."""
+    """The effect in figure 7 is due to the word length, not to the method."""
     for panel in figure_7:
         none, uniform, dual = panel.peaks
         assert none == 57.0
@@ -75,7 +75,7 @@ def test_in_floating_point_the_uniform_wall_is_as_well_damped_as_the_dual_rate_o
 
 
 def test_between_damped_and_undamped_the_place_of_the_encoders_edges_decides() -> None:
-    """4 bits at 10 kHz: a mean over four offsets is good to a few counts; the other peaks do not depend on it."""
+    """With 4 bits at 10 kHz a mean over four offsets varies by a few counts; other peaks do not depend on it."""
     offsets = [(k + 0.5) / 10 for k in range(10)]
     panels = koul_figure_7(position_rates=(10_000,), offsets=offsets)
     (fixed,) = (panel for panel in panels if panel.arithmetic == FIXED)
@@ -113,7 +113,7 @@ def test_velocity_at_20_khz_is_noisier_late_in_the_impact_and_null_only_in_fixed
 
 
 def test_the_delays_are_those_of_the_filters(figure_8: Any) -> None:
-    """√2·T/(2·tan(π·fc·T)) and half a period of the difference: 1.338 ms, and 0.249 ms at 20 kHz."""
+    """√2·T/(2·tan(π·fc·T)) plus half a period of the difference: 1.338 ms, and 0.249 ms at 20 kHz."""
     for (rate, cutoff_hz), share in {(2000, 200.0): 0.03, (20_000, 1000.0): 0.05}.items():
         expected = math.sqrt(2) / rate / (2 * math.tan(math.pi * cutoff_hz / rate)) + 0.5 / rate
         profile = figure_8[rate, FLOAT]

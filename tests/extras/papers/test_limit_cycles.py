@@ -1,4 +1,4 @@
-"""Limit cycles of the encoder's quantisation: their measurement, and predictions beside simulations."""
+"""Limit cycles of the encoder's quantisation: their measurement, and predictions compared with simulations."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def wall_of(cycles: LimitCycles, scheme: Scheme, *, friction: bool) -> HeldWall:
 
 
 def test_amplitude_and_frequency_are_as_predicted(cycles: LimitCycles) -> None:
-    """Largest measured errors: frequency 2 %, amplitude 9 %; the bounds leave room."""
+    """Largest measured errors: frequency 2 %, amplitude 9 %; the limits leave a margin."""
     for wall in cycles.walls:
         assert wall.simulated.share > 0.85
         assert wall.frequency_error == pytest.approx(0.0, abs=0.03), wall

@@ -1,4 +1,4 @@
-"""The ranking of estimators and laws: rendered walls, areas, win and tie, resumption, and a small ranking whole."""
+"""The ranking of estimators and laws: rendered walls, areas, win and tie, resumption, and a small complete ranking."""
 
 import json
 import math

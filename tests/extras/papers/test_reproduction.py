@@ -1,4 +1,4 @@
-"""Reproductions: words come from templates and numbers from results; a page is complete, self-contained and safe."""
+"""Reproductions: text comes from templates and numbers from results; a page is complete, self-contained and safe."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ PAGE = """{% extends "extras/papers/page.html.j2" %}
 
 @pytest.fixture
 def templates(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Two templates of a paper that is made up, beside the real ones."""
+    """Two templates of a made-up paper, beside the real ones."""
     made_up = {"extras/papers/made-up/claims.j2": CLAIMS, "extras/papers/made-up/page.html.j2": PAGE}
     real = template._text
     template._environment.cache_clear()
@@ -151,7 +151,7 @@ def names() -> list[str]:
 
 @pytest.mark.parametrize("name", names())
 def test_no_number_in_the_words_of_a_template_is_a_result(name: str) -> None:
-    """Digits in what a template says by itself are names or constants of the paper, each listed here."""
+    """The digits in a template's own text are names or constants of the paper, each listed here."""
     found = []
     for line, kind, text in template._environment(html=True).lex(template._text(name)):
         words = re.sub(r"<[^>]*>|%\.\df", " ", text) if kind in ("data", "string") else ""
@@ -248,7 +248,7 @@ def test_pictures_lie_beside_the_report_by_paper_and_name(templates: None, tmp_p
 
 
 class Sums:
-    """A plan of three tasks."""
+    """A reproduction plan of three tasks."""
 
     def parts(self) -> dict[str, Part]:
         return {"sums": [Task(str(n), raise_as_given, {"number": n}, 1.0) for n in range(3)]}

@@ -1,4 +1,4 @@
-"""Studies whose truth is known, from logs to tables: what was there is found, what must not count does not."""
+"""Studies with known truth, from logs to tables: true effects are found, and excluded data has no influence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def person(offset: float = 0.0, **settings: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Four people, two conditions, three repeats, up-down; some hits say nothing, and some verdicts are unsure."""
+    """Four people, two conditions, three repeats, up-down rule; some hits are invalid, some verdicts unsure."""
     where = tmp_path_factory.mktemp("study")
     people = {code: person(offset, invalid=0.05, unsure=0.03) for code, offset in OFFSETS.items()}
     write_study(where, protocol(search={"step": 10.0}), people, recorded=True)
@@ -263,7 +263,7 @@ def test_every_rule_finds_the_same_half_way_point(tmp_path: Path, rule: str, set
 
 @pytest.mark.usefixtures("quick")
 def test_kinds_of_slips_are_counted_apart_and_a_wall_that_holds_is_no_slip(tmp_path: Path) -> None:
-    """A person for whom the stiffest wall is stable answers so on its catch trials, too."""
+    """A person for whom the stiffest wall is stable also answers so on its catch trials."""
     interleaved = {"rule": "interleaved", "settings": {"most": 20}, "catch_share": 0.4}
     found = one_session(tmp_path / "a", protocol(search={**interleaved, "highest": 300.0}), person())
     assert {run.limits["rule"].censored for run in found.runs} == {"above"}
@@ -282,7 +282,7 @@ def test_kinds_of_slips_are_counted_apart_and_a_wall_that_holds_is_no_slip(tmp_p
 
 @pytest.mark.usefixtures("quick")
 def test_an_ascending_series_that_failed_at_once_is_noted_and_bounds_nothing(tmp_path: Path) -> None:
-    """The first verdict of the session is a lapse; the series after it say where the limit is."""
+    """The first verdict of the session is a lapse; the later series locate the limit."""
     mapping = protocol(search={"rule": "ascending", "settings": {"repeats": 3}}, order={"repeats": 1})
     judged = []
 
@@ -363,7 +363,7 @@ def test_redone_and_restarted_trials_are_flagged_and_do_not_count(tmp_path: Path
 
 @pytest.mark.usefixtures("quick")
 def test_an_amended_verdict_counts_and_withdraws_the_limit_of_the_rule(tmp_path: Path) -> None:
-    """The walls of a staircase follow from the answers before: K50 takes the correction, the walk cannot."""
+    """A staircase's walls follow from earlier answers: K50 uses the correction, the rule's limit cannot."""
     before = one_session(tmp_path)
     judged = next(e for e in before.study.sessions[0].of_kind("judged") if e.content["trial"] == 5)
     other = "buzz" if judged.content["verdict"] == "stable" else "stable"

@@ -1,4 +1,4 @@
-"""The raw data of a study for others: a BIDS-motion dataset that says what was recorded; CSV that reads back equal."""
+"""Exports of a study's raw data: a BIDS-motion dataset that describes the recordings, and CSV that reads back equal."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
 
 def recorded(directory: Any, preset: Any, **changes: Any) -> Any:
-    """A hit of that rig at a low rate, sealed."""
+    """Return a sealed hit of a rig at a low rate."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
         return trial_on(device, experiment, directory / f"{preset}.rigcap").recording
@@ -74,7 +74,7 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory, hit: Any) -> Any:
-    """Two people, a practice trial each, one redone, one amended, with a questionnaire."""
+    """Two people with a practice trial each, one redone and one amended trial, and a questionnaire."""
     where = tmp_path_factory.mktemp("study")
     mapping = protocol(
         study={"code": CODES},
@@ -111,7 +111,7 @@ def dataset(study: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def table(path: Any) -> Any:
-    """Head and rows of a tab-separated file; every row is as long as the head."""
+    """Return head and rows of a tab-separated file; every row is as long as the head."""
     lines = path.read_text(encoding="utf-8").split("\n")
     assert lines.pop() == ""  # it ends with a line end
     head, *rows = (line.split("\t") for line in lines)
@@ -320,7 +320,7 @@ def to_csv(study: Study, directory: Path) -> Exported:
 def test_codes_that_an_export_cannot_tell_apart_are_refused(
     export: Callable[[Study, Path], Any], codes: tuple[str, str], tmp_path: Path
 ) -> None:
-    """Capitals are no difference: a directory may be copied to a file system that ignores them."""
+    """Case is not a difference, because a directory may be copied to a case-insensitive file system."""
     person = Person(threshold=lambda condition, damping: 430.0)
     mapping = protocol(study={"code": "[Pp].?1|P2"})
     with without_sync():

@@ -1,4 +1,4 @@
-"""Studies in which a variance is zero or nearly so: tables and report are written, and rounding gives no p value."""
+"""Studies with a variance near zero: tables and report are written, and rounding gives no p value."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RULES: Mapping[str, Mapping[str, Any]] = {
 
 
 def people(*limits: tuple[float, float], **settings: Any) -> dict[str, Person]:
-    """Return people by code, with their limits under the two conditions and verdicts without doubt."""
+    """Return people by code, with their limits under the two conditions and nearly certain verdicts."""
     return {
         f"P{number:02d}": Person(
             threshold=lambda condition, _, pair=pair: pair[condition == "dual"],
@@ -48,7 +48,7 @@ def inferred(found: StudyAnalysis) -> list[float]:
 
 
 def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(tmp_path: Path) -> None:
-    """Each person's limits are three rungs apart, which says where they lie on the ladder, not how people differ."""
+    """Each person's limits are three rungs apart, which shows the ladder's resolution, not how people differ."""
     mapping = protocol(search=LADDER, order={"repeats": 1})
     write_study(tmp_path, mapping, people((85.0, 115.0), (105.0, 135.0), (125.0, 155.0)))
     found = analyse([tmp_path])
@@ -101,7 +101,7 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
 def test_any_small_study_has_its_tables_and_its_page(
     data: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Few people whose limits, doubts and slips are drawn: no interval is empty, none lies about its ends."""
+    """Few people with drawn limits, doubts and slips: no interval is empty or has wrong ends."""
     place = tmp_path_factory.mktemp("study")
     rule = data.draw(st.sampled_from(sorted(RULES)), "rule")
     limit = st.sampled_from([1.0, 95.0, 100.0, 105.0, 125.0, 175.0, 1e5])

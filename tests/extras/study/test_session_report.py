@@ -1,4 +1,4 @@
-"""The page and the pictures of a study: complete, self-contained, safe against texts, every deviation listed."""
+"""The page and the pictures of a study: complete, self-contained, safe against injected text, all deviations listed."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
 
 
 def test_the_first_page_has_the_results_alone(page: Any, found: Any) -> None:
-    """A summary, the picture, the means and what must be known of them; in print the rest begins on a new page."""
+    """It has a summary, the picture, the means and their limitations; in print the rest begins on a new page."""
     first, rest = page.split('<section id="kmax">')
     assert ParsedPage(page).ids[0] == "results"
     assert first.count("<table>") == 1
@@ -393,7 +393,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_rounding_is_no_effect(alone: Any) -> None:
-    """One run less its own mean is zero, and stands on an axis of its own size, not of the rounding's."""
+    """One run minus its own mean is zero; its axis must not scale to the rounding error."""
     figure = pictures(alone)["effects"](alone)
     limit = alone.runs[0].limits["rule"].value
     for axes in (*figure.axes[:3], figure.axes[5]):
@@ -481,7 +481,7 @@ def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path)
 
 
 def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> None:
-    """Five people for whom every wall of one condition holds: no interval, however alike the ends of the levels are."""
+    """Every wall of one condition is stable for five people: no interval, even if all ends of the levels are equal."""
     mapping = protocol(
         search={"highest": 450.0, "step": 50.0, "settings": {"turns": 2, "most": 30}}, order={"repeats": 1}
     )
@@ -510,7 +510,7 @@ def test_a_study_beyond_the_levels_has_bounds_and_no_tests(tmp_path: Path) -> No
 
 
 def test_where_the_mean_over_dampings_is_a_bound_the_summary_has_each_damping(found: Any) -> None:
-    """One damping beyond the levels takes the difference over all of them with it, and not those of the others."""
+    """One damping beyond the levels invalidates the difference over all dampings, not those of the others."""
     rule = [one for one in found.paired if one.measure == "rule"]
     assert [one.damping for one in rule] == [0.0, 0.5, None]
 

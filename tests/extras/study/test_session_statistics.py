@@ -1,4 +1,4 @@
-"""What an analysis computes, against closed forms, scipy, statsmodels, and data whose truth is known."""
+"""The statistics of an analysis, against closed forms, scipy, statsmodels, and data with known truth."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def runs_of_people(
     seed: int = 1,
     **along: Any,
 ) -> Any:
-    """Runs of two conditions, the second stiffer by `effect`; order alternates, blocks are repeats."""
+    """Return runs of two conditions, the second stiffer by `effect`; order alternates, blocks are repeats."""
     drawn = np.random.default_rng(seed)
     rows = []
     for person in range(people):
@@ -163,7 +163,7 @@ def test_verdicts_are_counted_in_their_tables() -> None:
 
 
 def judged(*counts: Any, people: int = 1) -> Any:
-    """Verdicts of each of some people: both stable, only the person, only the automatic verdict, neither."""
+    """Return verdicts of people, by count: both stable, only the person, only the automatic verdict, neither."""
     cells = [(person, passes) for person in ("stable", "buzz") for passes in (True, False)]
     return [
         trial_row(f"P{number}", verdict, "stable" if passes else "limit cycle", passes)
@@ -197,7 +197,7 @@ def test_a_table_without_information_has_no_interval_and_a_reason(
 
 
 def test_agreement_on_a_rare_class_stands_beside_kappa() -> None:
-    """Of 100 verdicts all but four are alike, and of the five that are not stable by either one is by both."""
+    """Of 100 verdicts 96 agree; five are not stable by at least one judge, one of them by both."""
     two, three, *_ = agreement.agreements(judged(95, 2, 2, 1))
     assert (two.positive, two.negative) == (pytest.approx(190 / 194), pytest.approx(2 / 6))
     assert (three.positive, three.negative) == (None, None)
@@ -210,7 +210,7 @@ def test_agreement_on_a_rare_class_stands_beside_kappa() -> None:
 
 
 def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
-    """The jackknife of a mean of people is Student's interval; fewer people have none, nor do people who are alike."""
+    """The jackknife of a mean is Student's interval; too few or identical people have none."""
     for people, why in (
         (1, "verdicts of 1 person; an"),
         (4, "verdicts of 4 people; an interval over people needs at least 5"),
@@ -251,7 +251,7 @@ def test_means_intervals_and_paired_tests_are_those_of_scipy() -> None:
 
 @pytest.mark.parametrize("apart", [25.0, 0.0])
 def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: float) -> None:
-    """Coarse levels: each limit of one condition lies as many levels above; 0.1 is rounded where they are added."""
+    """On coarse levels all limits differ by the same number of levels; 0.1 tests rounding in their sum."""
     values = [400.1, 425.2, 450.7]
     rows = [
         run_row(f"P{person}", condition, value=value + 50.0 * person + apart * (condition == "b"))
@@ -272,7 +272,7 @@ def test_people_who_all_differ_by_the_same_give_no_interval_and_no_p(apart: floa
 @settings(max_examples=30)
 @given(p=st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_size=6))
 def test_holm_is_what_testing_all_families_gives(p: list[float]) -> None:
-    """Closed testing: a difference stands when every family that it is in does, each by Bonferroni."""
+    """Closed testing: a difference is significant if every family with it is, each by Bonferroni."""
     numbers = range(len(p))
     families = [f for size in range(1, len(p) + 1) for f in itertools.combinations(numbers, size)]
     expected = [max(min(1.0, len(f) * min(p[i] for i in f)) for f in families if one in f) for one in numbers]
@@ -331,7 +331,7 @@ def test_limits_beyond_the_levels_are_counted_and_what_has_not_ended_is_left_out
 
 
 def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts() -> None:
-    """Two ends of the levels and a limit just below them scatter little, and say nothing of where the limit is."""
+    """Two ends of the levels and a limit just below them scatter little, but do not locate the limit."""
     rows = [run_row(value=780.0), *(run_row(value=800.0, censored="above") for _ in range(2))]
     pooled = LimitInterval(value=800.0, low=790.0, high=math.inf, censored="above", share=0.5)
     (one,) = kmax.estimate_participants(rows, {("rule", "P01", ("a", 0.0)): pooled})
@@ -343,7 +343,7 @@ def test_repeats_that_are_mostly_bounds_have_the_open_interval_of_all_verdicts()
 
 
 def mostly_beyond(people: int = 8, within: int = 1, seed: int = 3, spread: float = 0.0) -> Any:
-    """Two conditions, of which nearly all limits of the second are the end of the levels."""
+    """Return two conditions; nearly all limits of the second are the end of the levels."""
     drawn = np.random.default_rng(seed)
     return [run_row(f"P{n}", "a", value=600.0 + drawn.normal(0.0, 40.0)) for n in range(people)] + [
         run_row(f"P{n}", "b", value=780.0)
@@ -355,7 +355,7 @@ def mostly_beyond(people: int = 8, within: int = 1, seed: int = 3, spread: float
 
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 def test_where_most_limits_are_bounds_nothing_is_tested(spread: float) -> None:
-    """Eight ends of the levels are no eight limits: their mean is a bound, and has no interval."""
+    """Eight ends of the levels are not eight limits: their mean is a bound without an interval."""
     rows = mostly_beyond(spread=spread)
     each = kmax.estimate_participants(rows, {})
     a, b = kmax.over_participants(each, "ab")
@@ -401,7 +401,7 @@ def test_p_is_corrected_for_all_differences_of_a_measure_whatever_the_damping() 
 
 @pytest.mark.exhaustive("::test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata")
 def test_the_mixed_model_is_that_of_the_formula() -> None:
-    """The same model of the means over repeats, as a formula for statsmodels, which makes its own columns of it."""
+    """The same model of the means over repeats, as a formula for which statsmodels builds the columns."""
     rows = runs_of_people(people=9, dampings=(0.0, 3.0, 7.0), order=4.0, block=-6.0, scatter=20.0)
     drawn = np.random.default_rng(3)
     apart = {(f"P{person:02d}", b): drawn.normal(0.0, 25.0) for person in range(9) for b in (0.0, 3.0, 7.0)}
@@ -469,7 +469,7 @@ def test_the_mixed_model_is_that_of_the_formula() -> None:
 
 
 def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata() -> None:
-    """The closed form by which `null_studies` counts how often a ratio finds an effect that does not exist."""
+    """`null_studies` uses this closed form to count false positives of the likelihood ratio."""
     drawn = np.random.default_rng(1)
     means = 400.0 + null_studies.study(9, drawn)
     rows = [
@@ -491,7 +491,7 @@ def test_in_a_balanced_study_the_likelihoods_are_those_of_its_strata() -> None:
 
 
 def test_repeats_of_one_person_are_no_more_people() -> None:
-    """Each run five times over, as alike as can be: nothing is known better of what people have in common."""
+    """Five identical copies of each run add no information about the population."""
     rows = [
         replace(row, order=1, block=1)
         for row in runs_of_people(repeats=1, dampings=(0.0, 1.0, 3.0), scatter=25.0)
@@ -504,7 +504,7 @@ def test_repeats_of_one_person_are_no_more_people() -> None:
 
 
 def test_a_crossover_whose_order_is_taken_out_is_its_two_sample_test() -> None:
-    """Each condition once, in either order: two degrees of freedom fewer than there are people."""
+    """With each condition once in either order, the degrees of freedom are the number of people minus two."""
     rows = runs_of_people(people=8, repeats=1, scatter=20.0, order=10.0)
     (contrast,) = model_of(rows).contrasts
     by = {(row.participant, row.condition): row.limits["rule"].value for row in rows}
@@ -524,7 +524,7 @@ def test_below_eight_people_there_are_no_likelihood_ratios() -> None:
 
 
 def test_a_variance_estimated_as_zero_is_noted() -> None:
-    """People who differ in nothing but chance: the optimiser stops somewhere near zero."""
+    """People differ only by chance, so the optimiser stops somewhere near zero."""
     rows = runs_of_people(people=8, between=0.0, interaction=0.0, effect=0.0, dampings=(0.0, 3.0), seed=2)
     model = model_of(rows)
     none = [name for name, value in model.deviations if value == 0.0]
@@ -599,7 +599,7 @@ STEP = 10.0
 
 
 def quantised(scatter: float) -> Any:
-    """Runs of six people on a ladder, of whom two read so many steps more under the second condition."""
+    """Return runs of six people on a ladder; two of them read `scatter` steps more under the second condition."""
     rows = [
         run_row(
             f"P{n}",
@@ -742,7 +742,7 @@ LEVELS = tuple(float(level) for level in range(100, 925, 25))
 
 
 def test_known_functions_lie_within_their_intervals() -> None:
-    """Verdicts along all levels, of observers with lapses: each parameter's interval holds it nearly always."""
+    """Verdicts along all levels, of observers with lapses: each interval nearly always contains its parameter."""
     drawn = np.random.default_rng(6)
     held = np.zeros(3)
     for _ in range(40):
@@ -774,7 +774,7 @@ def test_a_function_has_its_levels_and_is_bounded_by_both_kinds_of_verdicts() ->
 
 
 def test_one_series_has_a_wide_interval_and_five_a_narrow_one() -> None:
-    """A single verdict that is not stable may be a lapse: the median stays near it, and the interval is wide."""
+    """A single verdict that is not stable may be a lapse: the median stays near it with a wide interval."""
     series = [(level, level < 450.0) for level in LEVELS if level <= 450.0]
     one, five = half_way(LEVELS, series), half_way(LEVELS, series * 5)
     assert one.low < 437.0 < one.high
@@ -797,7 +797,7 @@ def test_k50_beyond_the_levels_is_their_end_also_after_slips() -> None:
 
 
 def test_over_participants_k50_is_the_mean_of_theirs_with_an_interval_over_them() -> None:
-    """Verdicts of few people, however many, do not show where others have their limit."""
+    """Many verdicts of few people do not show where the limits of other people are."""
     drawn = np.random.default_rng(8)
     verdicts, each = [], []
     for code, threshold in (("P01", 350.0), ("P02", 430.0), ("P03", 560.0)):

@@ -22,7 +22,7 @@ def within(value: Any, limit: Any) -> Any:
 
 
 class ExactLaw:
-    """One run: call `tick` with a count and the elapsed ticks."""
+    """One run of the law: call `tick` with a count and the elapsed ticks."""
 
     def __init__(self, parameters: Any) -> None:
         self.p, self.w = parameters, parameters.fixed_wall
@@ -39,7 +39,7 @@ class ExactLaw:
         self.phase, self.flags = Phase.WAIT, RowFlag(0)
 
     def tick(self, count: int, elapsed: int = 1) -> tuple[int, int, int]:
-        """Current (quanta), flags and phase."""
+        """Return current (quanta), flags and phase."""
         p, w = self.p, self.w
         self.flags = RowFlag(0)
         self.index += elapsed
@@ -106,7 +106,7 @@ class ExactLaw:
             self._enter(Phase.DONE)
 
     def _wanted(self, travel: int, depth: int, elapsed: int) -> Fraction:
-        """Effort in quanta."""
+        """Return the unlimited effort (quanta)."""
         p, w = self.p, self.w
         if self.phase in (Phase.HOMING, Phase.SETTLE):
             self.setpoint += within(p.home_target - self.setpoint, p.home_step * min(elapsed, 65535))

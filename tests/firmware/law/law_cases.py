@@ -1,4 +1,4 @@
-"""Parameters of the C law for tests: good ones, ones that the check must refuse, and noise."""
+"""Parameters of the C law for tests: valid ones, invalid ones, and noise."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def golden_parameters(vectors: GoldenVectors) -> ct.Structure:
 
 
 def excited(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
-    """Return parameters of a trial without a wall and constant effort that plays an excitation."""
+    """Return parameters of a trial that plays an excitation, without a wall or constant effort."""
     p = golden_parameters(golden_vectors(1))
     p.arithmetic, p.bilateral, p.current_limit = arithmetic, 1, 32767
     p.fixed_wall.stiffness = p.fixed_wall.damping = p.fixed_wall.constant = 0
@@ -93,7 +93,7 @@ BROKEN_FLOATS = (
 
 
 def broken(field: str, value: int) -> ct.Structure:
-    """Return golden parameters with one field (dots for its owners) set to a value that is refused."""
+    """Return golden parameters with one field (dots for its owners) set to an invalid value."""
     p = golden_parameters(golden_vectors(1))
     p.window_minimum += field == "window_maximum"
     owner, _, name = field.rpartition(".")
@@ -112,7 +112,7 @@ def of_estimator(name: str, **settings: float | str) -> ct.Structure:
 
 
 def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
-    """Yield valid parameters with wild inputs, then invalid ones, then noise."""
+    """Yield valid parameters with extreme inputs, then invalid ones, then noise."""
     random = np.random.default_rng(9)
 
     def wild(ticks: int) -> np.ndarray:

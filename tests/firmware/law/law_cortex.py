@@ -1,4 +1,4 @@
-"""The law in the instruction-set simulator, with the runner of golden vectors beside it."""
+"""The law in the instruction-set simulator, with the runner of golden vectors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the parameters that a host sends to the structure of the law in C.
+"""Convert the parameters that a host sends to the structure of the law in C.
 
 Written from the table and law.h, not from the firmware that reads the parameters, so that the two check each other.
 """
@@ -88,7 +88,7 @@ def structure_of(values: Mapping[str, Value], sense: int) -> ct.Structure:
 
 
 def set_estimator_values(p: ct.Structure, v: Mapping[str, Any]) -> None:
-    """Set what belongs to estimators and excitation."""
+    """Set the fields of the estimators and of the excitation."""
     p.estimator = v["estimator"]
     for name, value in v.items():
         start = next((start for start in _PARTS if name.startswith(start)), None)
@@ -111,7 +111,7 @@ def set_estimator_values(p: ct.Structure, v: Mapping[str, Any]) -> None:
 
 
 def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
-    """Choose the estimator and set its numbers; PlanError for a variant that the device does not have."""
+    """Choose the estimator and set its parameters; raise PlanError for a variant that the device lacks."""
     values = estimator_parameters(prepared)
     if "biquad_state_bits" in values:
         values["float_velocity_lsb"] = 2.0 ** -int(values["biquad_state_bits"])
@@ -119,7 +119,7 @@ def set_estimator(p: ct.Structure, prepared: Prepared) -> None:
 
 
 def copy_wall(p: Any, wall: FixedWall) -> None:
-    """Set what `rig.control._fixed_wall` has; where it has it twice, both say the same."""
+    """Set the fields of `rig.control._fixed_wall`; its duplicate values must be equal."""
     for name in ("constant", "direction", "side", "surface", "stiffness", "damping", "shift"):
         setattr(p.fixed_wall, name, getattr(wall, name))
     p.current_limit, p.may_pull, p.entry_only = wall.limit, wall.may_pull, wall.entry_only
@@ -127,5 +127,5 @@ def copy_wall(p: Any, wall: FixedWall) -> None:
 
 
 def scale_of(prepared: Prepared) -> float:
-    """SI velocity of one count per period, signed."""
+    """Return the SI velocity of one count per period, signed."""
     return float(prepared.parameters[RESOLUTION] / prepared.parameters[PERIOD])

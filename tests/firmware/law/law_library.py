@@ -1,4 +1,4 @@
-"""The law in C as tests see it: its structures in ctypes, the compiler, and one object that remembers a run."""
+"""The C law for tests: its structures in ctypes, its compiler, and a library object that runs it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def kept_law(name: str, *options: str) -> Path:
 
 
 def _structure(name: str, *fields: tuple[type, str]) -> type[ct.Structure]:
-    """A structure from (type, "names in order") pairs, as law.h writes it."""
+    """Return a structure from (type, "names in order") pairs, in the layout of law.h."""
     listed = [(word, kind) for kind, words in fields for word in words.split()]
     return type(name, (ct.Structure,), {"_fields_": listed})
 
@@ -97,7 +97,7 @@ LevantState = _structure("LevantState", (f32, "error integrator"))
 
 
 class Memory(ct.Union):
-    """Memory of the one estimator that runs."""
+    """The memory of the running estimator."""
 
     _fields_ = (("foaw", FoawState), ("levant", LevantState))  # the largest, and what tests look into
 
@@ -137,7 +137,7 @@ TICKS = np.dtype(
 
 
 def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarray | int = 1) -> np.ndarray:
-    """Inputs of as many ticks; counts wrap at 32 bits as an encoder's do."""
+    """Return the inputs of these ticks; counts wrap at 32 bits as an encoder's do."""
     table = np.zeros(len(counts), INPUTS)
     table["count"] = np.asarray(counts, np.int64).astype(np.uint32).view(np.int32)
     table["elapsed_ticks"] = elapsed
@@ -147,7 +147,7 @@ def inputs(counts: Sequence[int] | np.ndarray, elapsed: Sequence[int] | np.ndarr
 class LawLibrary:
     @classmethod
     def built(cls) -> Self:
-        """That of this computer, as its compiler makes it at its best."""
+        """Return the law built by this computer's compiler with optimisation."""
         return cls(kept_law("law.so", "-O2", "-fPIC", "-shared"))
 
     def __init__(self, path: Path) -> None:
@@ -164,11 +164,11 @@ class LawLibrary:
         assert so.driver_size(4) == TICKS.itemsize
 
     def check(self, parameters: ct.Structure) -> int:
-        """Verdict of law_check: 0 is good."""
+        """Return the result of law_check: 0 for valid parameters."""
         return int(self.so.law_check(ct.byref(parameters)))
 
     def reset(self, parameters: ct.Structure) -> ct.Structure:
-        """A law that has seen nothing, for parameters that pass the check, with its excitation ready."""
+        """Return the initial state of a law with valid parameters and its excitation."""
         assert self.check(parameters) == 0
         state, table = State(), self.excitation(parameters)
         self.so.law_reset(ct.byref(state), ct.byref(parameters), table.ctypes.data_as(ct.c_void_p))
@@ -176,7 +176,7 @@ class LawLibrary:
         return state
 
     def excitation(self, parameters: ct.Structure, cosines: int = 1000) -> np.ndarray:
-        """One period of the excitation, worked out in pieces of so many cosines."""
+        """Compute one period of the excitation, in pieces of `cosines`."""
         p, work = parameters.excitation, ct.create_string_buffer(self.so.driver_size(5))
         table = np.zeros(p.period if p.lines else 0, np.int16)
         self.so.law_excitation_begin(work, ct.byref(p), table.ctypes.data_as(ct.c_void_p))
@@ -187,14 +187,14 @@ class LawLibrary:
     def tick(
         self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1, active: int = 0
     ) -> ct.Structure:
-        """One tick."""
+        """Run one tick and return its output."""
         sample = Input(count, elapsed, active)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 
     def run(
         self, parameters: ct.Structure, table: np.ndarray, state: ct.Structure | None = None
     ) -> np.ndarray:
-        """Run a law, a fresh one if none is given, over a table of inputs; what each tick left."""
+        """Run a law (a new one by default) over a table of inputs; return the output of each tick."""
         state = self.reset(parameters) if state is None else state
         out = np.zeros(len(table), TICKS)
         self.so.driver_run(
@@ -205,7 +205,7 @@ class LawLibrary:
 
 
 def case_bytes(cases: Iterable[tuple[ct.Structure, np.ndarray]]) -> bytes:
-    """What the driver as a program reads: for each case parameters, number of ticks, inputs."""
+    """Return the input of the driver program: for each case parameters, number of ticks, inputs."""
     return b"".join(
         bytes(parameters) + len(table).to_bytes(8, "little") + table.tobytes() for parameters, table in cases
     )

@@ -1,4 +1,4 @@
-"""A hit of the simulated rig for the C law: experiments, the host's run of them, and the C law in lock-step."""
+"""A simulated hit for the C law: experiments, the host law's run of them, and the C law in lock-step with the plant."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNIFORM = {"controller.position_rate": 20_000, "controller.velocity_rate": 20_00
 def experiment_of(
     estimator: str, parameters: dict[str, float | str], *changes: dict[str, object]
 ) -> Experiment:
-    """The preset `koul-compliant` with another estimator and further changes."""
+    """Return the preset `koul-compliant` with another estimator and further changes."""
     given: dict[str, object] = {"controller.estimator": estimator, "controller.parameters": parameters}
     for change in changes:
         given |= change
@@ -34,19 +34,19 @@ def experiment_of(
 
 
 def controller_of(experiment: Experiment, reference_count: int = 0) -> ControllerState:
-    """A fresh controller."""
+    """Return a new controller."""
     quantum = experiment.rig.amplifier.current_quantum_a
     return controller.for_experiment(experiment, current_quantum_a=quantum, reference_count=reference_count)
 
 
 def plant_of(experiment: Experiment) -> DiscretePlant:
-    """The rig, discretised at the experiment's tick."""
+    """Return the rig, discretised at the experiment's tick."""
     return DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
 
 
 @dataclass
 class Run:
-    """What each tick of a run had: count, current commanded in answer, flags and phase."""
+    """Count, resulting current, flags and phase of each tick of a run."""
 
     counts: np.ndarray
     currents: np.ndarray
@@ -54,7 +54,7 @@ class Run:
     phases: np.ndarray
 
     def verdict(self, experiment: Experiment) -> Verdict:
-        """The verdict that a recording of this run would get."""
+        """Return the verdict that a recording of this run would get."""
         during = self.phases == Phase.TRIAL
         quantum = controller.effort_quantum(experiment, experiment.rig.amplifier.current_quantum_a)
         position = controller.resolution(experiment) * self.counts[during]
@@ -78,7 +78,7 @@ class Run:
 
 
 def on_the_host(experiment: Experiment, start: float = START) -> Run:
-    """The host's law, compiled, with the plant, whose handle rests at `start` first."""
+    """Run the host's compiled law with the plant, from rest at `start`."""
     plant = plant_of(experiment)
     t = trial.run_trial(controller_of(experiment), plant, start, most_ticks=100_000)
     return Run(t.counts, t.currents, t.flags, t.phases)
@@ -87,7 +87,7 @@ def on_the_host(experiment: Experiment, start: float = START) -> Run:
 def in_lock_step(
     law: LawLibrary, experiment: Experiment, parameters: ct.Structure, state: ct.Structure, most_ticks: int
 ) -> Run:
-    """The C law with the plant, one tick of each in turn, until the law is done."""
+    """Run the C law and the plant, one tick each in turn, until the law has ended."""
     plant, quantum = plant_of(experiment), experiment.rig.amplifier.current_quantum_a
     quantum_effort = controller.effort_quantum(experiment, quantum)
     body = plant.at_rest(START)

@@ -1,4 +1,4 @@
-"""Parameters of the law on a device: the firmware accepts every accepted design, and a block carries it whole."""
+"""The firmware accepts every valid design of the law, and a parameter block transfers it completely."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_firmware_accepts_every_accepted_design(law: Any, x: Any) -> None:
 @given(experiments())
 @settings(max_examples=40)
 def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
-    """To the rounding of the device's words: SI, its form over the wire, SI."""
+    """A wall survives the conversion to the wire and back, up to the rounding of the device's words."""
     try:
         values = values_of(x)
     except ConfigError:
@@ -145,7 +145,7 @@ def test_a_block_has_one_wall_and_it_is_ours_again_in_si(x: Any) -> None:
 def test_another_wall_has_the_numbers_of_a_run_that_begins_with_it(
     x: Any, harder: float, damper: float, counts: int
 ) -> None:
-    """A change while it runs, and the same wall from the beginning."""
+    """A wall that is set during a run has the same numbers as one set at its beginning."""
     moved = x.wall.position + counts * x.rig.encoder.resolution
     other = {"stiffness": x.wall.stiffness * harder, "damping": x.wall.damping * damper, "position": moved}
     there = replace(x, wall=replace(x.wall, **other))

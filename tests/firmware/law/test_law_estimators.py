@@ -1,4 +1,4 @@
-"""Estimators of the C law against the host's: fixed point to the bit, float32 to a stated rounding."""
+"""The estimators of the C law equal the host's: fixed point to the bit, float32 to a stated rounding."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WIDE = 3.0e38
 
 
 def bare(prepared: Any, divider: int = 1) -> Any:
-    """Float parameters in which nothing but the estimator does anything."""
+    """Return float parameters of a law in which only the estimator has an effect."""
     p = Parameters(arithmetic=FLOAT, sense=1, velocity_divider=divider, slow_multiple=1, release_ticks=1)
     p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
     p.home_timeout_ticks = 2**32 - 1
@@ -33,7 +33,7 @@ def bare(prepared: Any, divider: int = 1) -> Any:
 
 
 def motion(seed: Any, samples: int = 1500) -> Any:
-    """Counts and elapsed periods of a handle that goes, rings, stands, jumps; every twentieth sample is after a gap."""
+    """Return counts and elapsed periods of a handle that moves, rings, rests and jumps, with gaps (5 %)."""
     random = np.random.default_rng(seed)
     elapsed = np.where(random.random(samples) < 0.05, random.integers(2, 12, samples), 1)
     elapsed[samples // 2] = 1200  # longer than any memory
@@ -45,7 +45,7 @@ def motion(seed: Any, samples: int = 1500) -> Any:
 
 
 def both(law: Any, name: Any, counts: Any, elapsed: Any, **given: Any) -> Any:
-    """Velocities (counts per period) and windows: of the host, of C."""
+    """Return velocities (counts per period) and windows of the host's estimator and of the one in C."""
     prepared = estimators.get(name).prepare(given, DELTA, PERIOD_S)
     p = bare(prepared)
     table = inputs(counts, elapsed)
@@ -96,7 +96,7 @@ def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: i
 @settings(max_examples=25)
 @pytest.mark.parametrize("name", ["foaw-end", "foaw-best"])
 def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject) -> None:
-    """Steps of whole counts, so that samples lie on the edge of the band time and again."""
+    """Whole counts put samples exactly on the edge of the band, where rounding would show."""
     steps = data.draw(st.lists(st.integers(-3, 3), min_size=2, max_size=80))
     elapsed = data.draw(st.lists(st.integers(1, 4), min_size=len(steps), max_size=len(steps)))
     given_ = {
@@ -112,7 +112,7 @@ def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject)
 @pytest.mark.parametrize("discretisation", ["explicit", "semi-implicit", "implicit"])
 @pytest.mark.parametrize("output", ["u", "u1"])
 def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, output: str) -> None:
-    """A sign that turns makes another path of every rounding: so each step starts from the host's own state."""
+    """Each step starts from the host's state, because one rounded sign would change the path."""
     counts, elapsed = motion(3)
     given_ = {"discretisation": discretisation, "output": output, "lipschitz": 20.0}
     prepared = estimators.get("levant").prepare(given_, DELTA, PERIOD_S)

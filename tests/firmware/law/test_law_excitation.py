@@ -1,4 +1,4 @@
-"""The device's multisine: Python makes the same from the parameters, to the last bit and in theory."""
+"""Python computes the device's multisine from its parameters, to the last bit, and it matches the theory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fixed-point law in C: the golden quanta to the bit, and a whole run against exact arithmetic."""
+"""The fixed-point law in C gives the golden quanta to the bit, and a whole run equals exact arithmetic."""
 
 from __future__ import annotations
 

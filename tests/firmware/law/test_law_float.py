@@ -1,4 +1,4 @@
-"""The float32 law of a tick against `rig.control.step`: for the same inputs, and in a closed loop."""
+"""The float32 law equals `rig.control.step` up to rounding, for the same inputs and in a closed loop."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ ERROR = 12 * EPS  # of an effort, against the limit; three times what was measur
     [(n, s) for s in SCHEMES for n in SUITS.get(s, ESTIMATORS) if (n, s) != ("levant", "uniform")],
 )
 def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
-    """Counts of a hit with every tenth tick or so missing: phases and flags equal, efforts but for rounding."""
+    """With a tenth of the counts missing, phases and flags are equal, and efforts up to rounding."""
     experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT)
     counts = on_the_host(experiment).counts
     random = np.random.default_rng(5)
@@ -90,7 +90,7 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
 
 
 def drawn_controller(random: Any) -> Any:
-    """A controller with every option and limit drawn, such that each binds now and then."""
+    """Draw a controller with every option and limit, such that each limit is reached sometimes."""
     control = np.zeros(1, CONTROL)
     count, quantum = 1.5707963e-4, 2.34e-4
     divider = int(random.choice([1, 2, 5]))
@@ -143,7 +143,7 @@ def drawn_controller(random: Any) -> Any:
 
 
 def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
-    """Walks of counts with gaps, under 80 drawn controllers: each phase and each flag is seen, and equal."""
+    """Random walks of counts with gaps under 80 controllers reach every phase and flag; all are equal."""
     seen = set()
     for seed in range(80):
         random = np.random.default_rng(seed)
@@ -176,7 +176,7 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
 @given(st.data())
 @settings(max_examples=12)
 def test_comparisons_with_counts_are_those_of_the_host(data: st.DataObject) -> None:
-    """Window and homing tolerance: whole counts on the device, float64 on the host, often on the very edge."""
+    """Window and homing tolerance agree on the very edge: whole counts on the device, float64 on the host."""
     host = controller_of(experiment_of("fdm", {}, DUAL, SHORT))
     c, draw = host.control[0], data.draw
     delta = abs(c["resolution"])
@@ -212,7 +212,7 @@ def test_comparisons_with_counts_are_those_of_the_host(data: st.DataObject) -> N
     ),
 )
 def test_a_hit_in_a_closed_loop_has_the_hosts_verdict(law: Any, name: str, scheme: Any) -> None:
-    """One count that comes a tick later makes another path; what a hit is judged by stays."""
+    """One count in another tick changes the path, but must not change the verdict."""
     longer = {"trial.duration_s": 0.3, "verdict.tail_s": 0.1, "homing.settle_s": 0.01, "wall.damping": 0.3}
     experiment = experiment_of(*ESTIMATORS[name], SCHEMES[scheme], SHORT, longer)
     p = parameters_of(controller_of(experiment), FIXED if name == "fixed" else FLOAT)

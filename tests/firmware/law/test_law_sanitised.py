@@ -1,4 +1,4 @@
-"""The law under the sanitisers, with parameters and counts from all over: nothing undefined, the same answers."""
+"""The law under the sanitizers with extreme parameters and counts: no undefined behaviour, and the same outputs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LEAST_BRANCHES = 90.0  # percent of the branches that the cases must take
 
 @cache
 def cases() -> tuple[list[tuple[ct.Structure, Any]], bytes]:
-    """The cases, and the bytes in which a program reads them; copies, for some are yielded and changed."""
+    """Return copies of the cases, because some are changed after they are yielded, and the program's input bytes."""
     listed = [(type(p).from_buffer_copy(p), table) for p, table in law_cases.cases()]
     return listed, case_bytes(listed)
 

@@ -1,4 +1,4 @@
-"""A rig in lock-step with the firmware: the plant here, the device in the emulator or in this computer's build.
+"""A simulated plant in lock-step with the firmware, which runs in the emulator or in this computer's build.
 
 Both reply to the same requests (`boards/mps2/lockstep.c` has their bytes), one for each tick of the board.
 """
@@ -68,7 +68,7 @@ def request_of(world: World, data: bytes, ticks: bool) -> bytes:
 
 
 class Partner:
-    """A process that answers requests: the image in QEMU, or the same program built for this computer.
+    """A process that replies to requests: the image in QEMU, or the same program built for this computer.
 
     The emulator's virtual time stands still while a request is awaited, so every run is alike.
     """
@@ -103,7 +103,7 @@ class Partner:
 
 
 def emulator(board: str, serial: str = "none") -> list[str]:
-    """The emulator with the machine of a board; its time is counted in instructions."""
+    """Return the emulator's command for a board; its time is counted in instructions."""
     machine = MACHINES[board.partition("-")[2] or "an386"]
     command = [cross.need_qemu(), "-M", machine, "-display", "none", "-monitor", "none", "-serial", serial]
     return [*command, "-semihosting-config", "enable=on,target=native", "-icount", "shift=5,sleep=off"]
@@ -114,7 +114,7 @@ def in_emulator(built: BuildResult, directory: Path) -> Partner:
 
 
 def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
-    """The same program, with the same constants, by this computer's compiler, with the core of `library`."""
+    """Start the same program with the same constants, built by this computer's compiler with the core of `library`."""
     core = library()
 
     def make(output: Path) -> None:
@@ -133,7 +133,7 @@ def on_this_computer(model: RigModel, board: str, directory: Path) -> Partner:
 
 
 class Rig:
-    """A simulated rig on whatever answers exchanges; also the link by which a host reaches the device."""
+    """A simulated rig on a `Partner`; also the link by which a host reaches the device."""
 
     url = DeviceUrl("test", "", {}, "test://")
     bytes_per_second = None
@@ -154,7 +154,7 @@ class Rig:
 
     @property
     def trace(self) -> np.ndarray:
-        """One row of dtype `TRACE` for each tick."""
+        """The ticks as rows of dtype `TRACE`."""
         return np.array(self._trace, TRACE)
 
     @property
@@ -170,7 +170,7 @@ class Rig:
         return self._reply.enabled
 
     def tick(self) -> None:
-        """A tick of the board: sample, law, current; then the plant moves until the next."""
+        """Run a tick of the board (sample, law, current), then move the plant until the next."""
         for at in range(0, max(1, len(self._to_device)), HOST_BYTES):
             piece = self._to_device[at : at + HOST_BYTES]
             last = at + HOST_BYTES >= len(self._to_device)

@@ -1,4 +1,4 @@
-"""The image in QEMU and this computer's build run the same hit: counts, currents and every byte sent are equal."""
+"""The image in QEMU and this computer's build run the same hit with equal counts, currents and sent bytes."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class InLockStep(FarEnd):
         }
 
     def parameters(self) -> dict[str, Value]:
-        """The handle is pushed again and again, and nothing holds it."""
+        """Return parameters with wide limits, because the handle is pushed repeatedly and nothing holds it."""
         anywhere = {
             "window_minimum": -(2**31),
             "window_maximum": 2**31 - 1,

@@ -1,4 +1,4 @@
-"""Duties of ports on emulated processors, which count their time in instructions: only declared ones are missing."""
+"""Emulated processors fulfil all duties of a port except the declared ones; time is counted in instructions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_port_to_a_uart_lacks_only_its_declared_duties() -> None:
 
 
 class SimulatedPartner(Partner):
-    """The simulated board in the emulator."""
+    """A process with the simulated board in the emulator."""
 
     def run(self, us: int, data: bytes) -> bytes:
         os.write(self._requests, REQUEST.pack(us, len(data), data))

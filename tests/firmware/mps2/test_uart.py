@@ -1,4 +1,4 @@
-"""The device on an emulated board, behind a UART that is a pseudo-terminal here.
+"""The device on an emulated board, behind a UART that is a pseudo-terminal on this computer.
 
 The emulator keeps no time on a busy machine: a lost link is accepted, time is not asserted.
 """
@@ -45,7 +45,7 @@ def url(built: BuildResult) -> Iterator[str]:
 
 
 def met(device: FramedDevice) -> None:
-    """Wait until the device answers: the emulator notices an open pseudo-terminal within a second or so."""
+    """Wait until the device replies: the emulator notices an open pseudo-terminal after about a second."""
     deadline = time.monotonic() + BOOT_S
     while True:
         try:

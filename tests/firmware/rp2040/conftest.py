@@ -1,4 +1,4 @@
-"""The images, and boards that run them."""
+"""Fixtures: images of the RP2040 and emulated boards that run them."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ def built_dac() -> BuildResult:
 
 @pytest.fixture(scope="session")
 def delayed() -> tuple[RigModel, BuildResult]:
-    """A rig whose amplifier takes a set-point 0.1 ms late, as the profile of an ESCON by PWM says, and its image."""
+    """A rig whose amplifier delays its set-point by 0.1 ms, as the profile of an ESCON by PWM states, and its image."""
     model = rig_model(override(load(PRESET), {"rig.amplifier.set_point_delay_s": 1e-4}))
     return model, emulator.image(model)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def emulators() -> Iterator[None]:
-    """Their processes end with the tests."""
+    """End the emulator processes after the tests."""
     yield
     emulator.end()
 
 
 @pytest.fixture
 def boards() -> Iterator[Callable[..., Session]]:
-    """Power a board with an image up: without a rig behind it, or with one at a position (rad)."""
+    """A function that powers up a board with an image: without a rig, or with one at a position (rad)."""
     with ExitStack() as powered:
 
         def power(

@@ -1,4 +1,4 @@
-"""The whole binary of the Raspberry Pi Pico in an emulator: its pins, its serial line, and a rig on them.
+"""The whole binary of the Raspberry Pi Pico in an emulator, with its pins, its serial line and a rig on them.
 
 `Pico` runs the emulator (Node, rp2040js) as a process with lines of JSON. `PicoLink` is the serial line as a link in
 virtual time.
@@ -45,7 +45,7 @@ PINS = {
 
 
 def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildResult:
-    """The firmware for a rig, with a current monitor; skips the test without a cross compiler."""
+    """Return the firmware for a rig with a current monitor; skip the test without a cross compiler."""
     return cross.built("rp2040", model, application, current_monitor="adc", **settings)
 
 
@@ -79,7 +79,7 @@ def modules() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Ticks, one number each: cycles of the processor since its reset; counts of the encoder.
+    """The ticks of a board, as columns: times in processor cycles since its reset, and encoder counts.
 
     It came at `came` (ns since power-up). The tick is `at` … `ends` by the pin that shows it, `entered` … `left` by the
     interrupt's entry and return. While the count was read the encoder went from `before`, as the state machines
@@ -96,7 +96,7 @@ class Ticks:
 
     @property
     def cycles(self) -> NDArray[np.int64]:
-        """From the interrupt's entry to its return."""
+        """The duration of the tick interrupt, from entry to return (cycles)."""
         return self.left - self.entered
 
     def __getitem__(self, which: Any) -> Ticks:
@@ -108,7 +108,7 @@ _idle: list[subprocess.Popen[str]] = []
 
 
 def _taken() -> subprocess.Popen[str]:
-    """Return an idle process, or a new one."""
+    """Return an idle emulator process, or a new one."""
     if _idle:
         return _idle.pop()
     return subprocess.Popen(
@@ -178,11 +178,11 @@ class Pico:
             _ended(self._process)
 
     def ask(self, op: str, **arguments: Any) -> dict[str, Any]:
-        """Send a command of serve.js."""
+        """Send a command to serve.js and return its reply."""
         return _asked(self._process, op, arguments)
 
     def run(self, us: float) -> bytes:
-        """Let time pass; return the bytes that reached the host."""
+        """Advance time; return the bytes that reached the host."""
         return bytes.fromhex(self.ask("run", us=us)["sent"])
 
     def send(self, data: bytes) -> None:
@@ -192,7 +192,7 @@ class Pico:
         return self.ask("look")
 
     def ticks(self) -> Ticks:
-        """All since power-up or the last reset: the first is sample 1 of the device."""
+        """Return all ticks since power-up or the last reset; the first is sample 1 of the device."""
         answer = self.ask("ticks")
         fields = Ticks.__dataclass_fields__
         new = (np.array(answer[name]).astype(np.int64) for name in fields)
@@ -202,12 +202,12 @@ class Pico:
         return self._ticks
 
     def move(self, *motion: tuple[int, float]) -> float:
-        """Turn the encoder: pairs of counts (signed) and nanoseconds from one to the next. Returns the end (ns)."""
+        """Turn the encoder by pairs of signed counts and nanoseconds per count; return the end time (ns)."""
         return float(self.ask("move", motion=motion)["ends"])
 
 
 def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
-    """The motor behind the pins, and the rig that it moves from a position (rad or m); None: nothing moves."""
+    """Return the motor behind the pins, with the rig that it moves from a position (rad or m; None: no rig)."""
     motor: dict[str, Any] = {
         "full_scale": FULL_SCALE_A,
         "effort_per_ampere": model.amplifier.effort_per_ampere,
@@ -241,7 +241,7 @@ def plant_states(model: RigModel, position: float, efforts: list[float]) -> list
 
 
 class PicoLink:
-    """The serial line of an emulated board as a link in virtual time."""
+    """The serial line of an emulated board, as a link in virtual time."""
 
     url = "emulated"
     bytes_per_second = 300_000.0

@@ -1,4 +1,4 @@
-"""A host at the serial line of an emulated board."""
+"""A host on the serial line of an emulated board."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Session:
         assert self.host.hash == int(built.dictionary_hash, 16)
 
     def connect(self) -> None:
-        """Start a new host, without the frames before."""
+        """Start a new host that has none of the earlier frames."""
         self.host = Host(self.link)  # type: ignore[arg-type]
         self.host.hash = self.host.ask(m.Identify(self.host.nonce(), 0)).dictionary_hash
 
@@ -49,7 +49,7 @@ class Session:
         assert ack.status == 0, ack
 
     def push(self, current: int = 300, position_rate: int = 5_000) -> None:
-        """Arm and command a current (quanta), without limits of position."""
+        """Arm and command a current (quanta), without position limits."""
         self.configure(position_rate=position_rate, window_minimum=-(2**31), window_maximum=2**31 - 1)
         self.arm()
         self.host.command(current)
@@ -59,7 +59,7 @@ class Session:
         assert look["current"] == pytest.approx(current * 1e-3, abs=0.002)
 
     def configure_law(self, position_rate: int, velocity_rate: int, **changes: Any) -> dict[str, Value]:
-        """Configure a trial with the law on the device, in integers."""
+        """Configure a trial with the integer law on the device."""
         experiment = override(
             load("koul-rigid"),
             {
@@ -78,7 +78,7 @@ class Session:
         return values
 
     def listen(self, seconds: float) -> None:
-        """Store STATE in `host.states` and BATCH in `batches`."""
+        """Receive for some seconds; store STATE in `host.states` and BATCH in `batches`."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         while self.link.clock.now_ns() < ends:
             left_s = (ends - self.link.clock.now_ns()) * 1e-9
@@ -87,7 +87,7 @@ class Session:
                     self.batches.append(event.message)
 
     def supervise(self, seconds: float) -> int:
-        """Supervise the law on the device for a time; return the number of requests."""
+        """Supervise the law on the device for some seconds; return the number of requests."""
         ends = self.link.clock.now_ns() + round(seconds * 1e9)
         requests = 0
         while self.link.clock.now_ns() < ends:
@@ -106,7 +106,7 @@ class Session:
         return self.pico.ticks()[indices - 1]
 
     def counts(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Count and sample index of every tick in the BATCH frames that came."""
+        """Return count and sample index of every tick in the received BATCH frames."""
         counts: list[NDArray[np.int64]] = []
         indices: list[NDArray[np.int64]] = []
         for batch in self.batches:

@@ -1,4 +1,4 @@
-"""From power-up to a device that replies: its waits, its time, and the images that it refuses to start."""
+"""The Pico's boot, from power-up to its first reply: delays, duration, and the images that it refuses to start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The set-point of the Raspberry Pi Pico as a voltage: every frame on the pins, decoded by a model of the converter.
+"""The Pico's set-point as a voltage: every frame on the pins, decoded by a model of the converter.
 
 The converter's RESET is the enable pin, as in wiring.toml: at its low level the output is 0 V.
 """
@@ -44,13 +44,13 @@ class Frame:
 
 
 def frames(session: Session) -> list[Frame]:
-    """Return the frames since the last call; the converter accepts the format of each."""
+    """Return the frames since the last call; the converter must accept the format of each."""
     assert session.pico.look()["complaints"] == {}
     return [Frame(**one) for one in session.pico.ask("frames")["frames"]]
 
 
 def steps_off(code: int, quanta: int) -> float:
-    """Return the steps between a code and its current: straight binary about the middle, full scale at the last."""
+    """Return the error (in steps) of a code against its current, in straight binary about the middle."""
     return abs(code - MIDDLE - quanta * QUANTUM_A / FULL_SCALE_A * (MIDDLE - 1))
 
 

@@ -1,4 +1,4 @@
-"""The encoder on the Raspberry Pi Pico, whole binary: counts equal the truth at the highest speed that is claimed."""
+"""The encoder on the Pico (whole binary): counts are exact up to the specified maximum speed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OPEN = {"speed_limit": 2**31 - 1, "window_minimum": -(2**31), "window_maximum": 
 
 
 def streaming(session: Session) -> None:
-    """One STATE a tick, nothing that would stop at a speed."""
+    """Start a session with one STATE per tick and without a speed limit."""
     session.configure(position_rate=RATE, **OPEN)
     session.arm()
     session.host.command(0)
@@ -38,7 +38,7 @@ def streaming(session: Session) -> None:
 
 
 def uneven(counts: int, seed: int) -> list[tuple[int, float]]:
-    """Edges at the highest speed on average, each up to 40 % early or late, as of a poor disc."""
+    """Return edges at the highest mean speed, each up to 40 % early or late, as from a poor disc."""
     random = np.random.default_rng(seed)
     way = 1 if counts > 0 else -1
     return [(way, float(NANOS * share)) for share in random.uniform(0.6, 1.4, abs(counts))]
@@ -105,7 +105,7 @@ WIRED = {"encoder_lines": "complementary", "encoder_index": "wired", "limit_swit
 
 @pytest.fixture(scope="module")
 def wired() -> BuildResult:
-    """All that an encoder may have beside its two lines, in one image: to link one takes seconds."""
+    """One image with every optional encoder signal, because linking takes seconds."""
     return emulator.image(rig_model(load(PRESET)), **WIRED)
 
 
@@ -153,7 +153,7 @@ INDEX_SPEED = 20_000
 
 
 def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(wired: BuildResult) -> None:
-    """While the device runs its law: the index is looked for between ticks. From above it begins at the same count."""
+    """The device checks the index between the ticks of its law; from above the index begins at the same count."""
     with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
         session = Session(pico, wired)
         pico.ask("marks", every=EVERY)
@@ -181,7 +181,7 @@ def test_the_count_at_an_index_is_exact_up_to_the_speed_that_is_claimed(wired: B
 
 
 def test_an_index_that_is_passed_at_the_highest_speed_is_seen(wired: BuildResult) -> None:
-    """Where it began is then as late as the look is: some ten microseconds."""
+    """The count of the index is then late by the time between two checks: some ten microseconds."""
     with emulator.Pico(rig_model(load(PRESET)), wired.bin) as pico:
         session = Session(pico, wired)
         pico.ask("marks", every=EVERY)

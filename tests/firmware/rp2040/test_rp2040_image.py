@@ -1,4 +1,4 @@
-"""The image of the Raspberry Pi Pico as a file: what its boot ROM asks for, what runs where, how large it is."""
+"""The Pico's image as a file: the requirements of its boot ROM, the memory sections, and its size."""
 
 from __future__ import annotations
 

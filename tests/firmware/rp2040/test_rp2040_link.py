@@ -1,4 +1,4 @@
-"""The serial line of the Raspberry Pi Pico, whole binary: 3 Mbaud, both ways, without a gap."""
+"""The Pico's serial line (whole binary): 3 Mbaud in both directions without a gap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Current and motion of the Raspberry Pi Pico, whole binary, with the simulation's plant on its pins."""
+"""Current and motion on the Pico (whole binary), with the simulation's plant on its pins."""
 
 from __future__ import annotations
 

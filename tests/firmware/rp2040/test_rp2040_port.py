@@ -1,4 +1,4 @@
-"""The duties of the Raspberry Pi Pico's port, tried on the whole image: wired to itself, with a current that flows."""
+"""The duties of the Pico's port, tested on the whole image with outputs wired to inputs and a flowing current."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UNSEEN = {"time width"}
 
 
 class Link(emulator.PicoLink):
-    """The line, which outlives the board's resets."""
+    """A serial line that survives resets of the board."""
 
     url = DeviceUrl("emulated", "pico", {}, "emulated://pico")  # type: ignore[assignment]
 

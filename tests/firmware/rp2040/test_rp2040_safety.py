@@ -1,4 +1,4 @@
-"""Faults of the Raspberry Pi Pico, whole binary: the amplifier's enable pin falls, in time."""
+"""Faults on the Pico (whole binary): the amplifier's enable pin falls in time."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_power_up_is_no_watchdog_reset(powered: Powered) -> None:
 
 
 class OnTheBoard(FarEnd):
-    """The board, with a current at its pins that is exactly zero or as near as its pulse width comes."""
+    """The board in the fault suite; its current is exactly zero, or exact to one step of its pulse width."""
 
     rate, current, lifetime_us, ramp_us, most = 2_000, 300, 10_000, 5_000, 300.0
     grain = 2.0

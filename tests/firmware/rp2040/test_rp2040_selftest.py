@@ -1,4 +1,4 @@
-"""`rig firmware selftest` on the whole binary: what the board says of itself, and a law that is too slow for it."""
+"""`rig firmware selftest` on the whole binary: the reported values, and a law that is too slow for the board."""
 
 from __future__ import annotations
 

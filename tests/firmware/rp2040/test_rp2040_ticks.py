@@ -1,4 +1,4 @@
-"""The tick of the Raspberry Pi Pico, whole binary: when it comes, how long it takes, what the device says of it."""
+"""The tick of the Pico (whole binary): its times, its duration, and the device's report of them."""
 
 from __future__ import annotations
 

@@ -38,12 +38,12 @@ def host(bare: Host) -> Host:
 
 
 def frames_of(data: bytes) -> list[bytes]:
-    """Frames without the empty ones, as a receiver splits them."""
+    """Split bytes into frames, as a receiver does, without empty ones."""
     return [part + b"\0" for part in data.split(b"\0") if part]
 
 
 def pairs(data: bytes) -> Iterator[bytes]:
-    """Descriptors in a row."""
+    """Yield the consecutive descriptors in these bytes."""
     while data:
         assert 2 <= data[0] <= len(data)
         yield data[: data[0]]
@@ -114,7 +114,7 @@ def test_as_much_as_is_asked_for_and_no_more(host: Host, length: int) -> None:
 
 
 def test_answers_of_whole_packets_end_as_the_host_expects(host: Host) -> None:
-    """Of 64 bytes out of many no empty packet follows; `control_in` would find a NAK or a wrong stage."""
+    """No empty packet follows a reply of whole packets that has the requested length."""
     for length in (PACKET, 2 * PACKET):
         assert len(host.control_in(0xC0, 0x20, 0, 7, length)) == length
 
@@ -184,7 +184,7 @@ def test_a_halt_lasts_until_it_is_cleared(host: Host, endpoint: int) -> None:
 
 @pytest.mark.parametrize("sent", [0, 1, 2, 3])
 def test_clearing_a_halt_starts_both_toggles_anew(host: Host, sent: int) -> None:
-    """Whatever parity the packets before had, and with packets armed: as `rig` does on opening."""
+    """The toggles restart for either parity and with packets armed, as when `rig` opens the device."""
     for number in range(sent):
         assert host.give(RIG, bytes([number]))
         assert host.firmware_writes(bytes([number + 1, 0]))
@@ -264,7 +264,7 @@ def test_the_serial_port_keeps_its_line_coding(host: Host) -> None:
 def test_any_requests_in_any_order_given_up_anywhere(
     stack: Path, requests: list[tuple[int, int, int, int, int]], patience: list[int]
 ) -> None:
-    """Each is answered or refused, none hangs the next, and the device still enumerates and carries bytes."""
+    """Each request is answered or refused, none blocks the next, and the device still enumerates and transfers."""
     with Host(stack) as host:
         for number, request in enumerate(requests):
             host.command("s", data=SETUP.pack(*request))
@@ -333,7 +333,7 @@ def test_a_transfer_of_whole_packets_is_ended_by_an_empty_one(host: Host, count:
 
 
 def test_two_packets_wait_in_the_controller(host: Host) -> None:
-    """While the processor is busy elsewhere, the host still finds two."""
+    """The host receives two packets even while the processor is busy elsewhere."""
     assert host.firmware_writes(bytes([1] * 251) + b"\0")
     host.interrupt()
     assert [host.command("i", RIG).kind for _ in range(3)] == ["D", "D", "N"]
@@ -367,7 +367,7 @@ def test_a_device_that_does_not_read_says_nak_and_loses_nothing(host: Host) -> N
 
 
 def test_nothing_is_handed_over_late_in_a_frame(host: Host) -> None:
-    """RP2040-E15; what was handed over before stays."""
+    """Erratum RP2040-E15: no new packet late in a frame; earlier ones remain."""
     host.frame()
     host.later(850)
     assert host.firmware_writes(b"late\0")

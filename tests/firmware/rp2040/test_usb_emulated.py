@@ -1,4 +1,4 @@
-"""The whole binary on an emulated bus: the firmware's own USB registers, the core behind them, ticks in between."""
+"""The whole binary on an emulated USB bus: its USB registers, the core behind them, and ticks in between."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_device_refuses_unknown_requests_and_continues(pico: emulator.Pico) -> N
 
 
 def test_a_transfer_that_is_withdrawn_at_any_time_ends_once(pico: emulator.Pico) -> None:
-    """Also while a packet of it is on the wires; the answer to the withdrawal comes behind that of the transfer."""
+    """Also with a packet on the wire, the reply to the withdrawal follows the end of the transfer."""
     line = UsbLine(pico)
     seen = set()
     for us in range(0, 200, 3):
@@ -154,7 +154,7 @@ def test_pulled_and_plugged_in_again(pico: emulator.Pico) -> None:
 
 @pytest.mark.parametrize("rate", [20_000, 50_000])
 def test_every_tick_of_a_law_arrives(pico: emulator.Pico, built: BuildResult, rate: int) -> None:
-    """BATCH without a gap, in the time that the bus takes for its packets; and how much of the bus that is."""
+    """BATCH arrives without a gap at the speed of the bus; the used share of the bus is printed."""
     host = UsbSupervisor(UsbLine(pico), int(built.dictionary_hash, 16))
     host.begin(**run_values(push(), position_rate=rate, batch_layout=0, **WIDE_OPEN))
     before = host.line.look()
@@ -189,7 +189,7 @@ def test_a_cable_that_is_pulled_in_a_session_ends_with_no_current(
 
 
 def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
-    """The plan, the loop that supervises, the recording: as on any device; the plant at the pins of the board."""
+    """Plan, supervising loop and recording work as on any device, with the plant at the pins of the board."""
     model = rig_model(load(PRESET))
     with emulator.Pico(model, built.bin, position=0.0) as pico:
         line = UsbLine(pico)
@@ -213,7 +213,7 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
 
 
 def test_a_push_of_a_torque_pulse_by_the_board_itself(built: BuildResult, tmp_path: Path) -> None:
-    """It moves a rig by the few counts of a push, and the board has cut the current in the sample that left them."""
+    """The pulse moves the rig by a few counts, and the board cuts the current in the sample that leaves them."""
     bare = override(load(PRESET), {**ON_DEVICE, "rig.mechanics.end_mass": 0.0})
     with emulator.Pico(rig_model(bare), built.bin, position=0.0) as pico:
         line = UsbLine(pico)

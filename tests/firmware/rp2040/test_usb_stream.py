@@ -1,4 +1,4 @@
-"""How much the USB carries beside a busy tick, and that the tick does not feel it."""
+"""The throughput of USB beside a busy tick, which it must not delay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A USB host of a few packets, on the model of the RP2040's controller with the firmware's stack behind it.
+"""A minimal USB host on a model of the RP2040's controller with the firmware's stack behind it.
 
 Each method is one packet or one transfer, as a host sends them (USB 2.0, chapters 8 and 9); the toggles are the host's
 own. The program has the address and undefined-behaviour sanitizers.
@@ -24,11 +24,11 @@ IN = 0x80
 
 
 class StallError(Exception):
-    """The device answered STALL."""
+    """Raised when the device replies STALL."""
 
 
 def program() -> Path:
-    """The stack and the model of its controller."""
+    """Return the program with the stack and the model of its controller."""
     return build.kept_c("usb", SOURCES, [*build.ADDRESS, "-DUSB_ELSEWHERE", f"-I{BOARD}", f"-I{CORE}"])
 
 
@@ -87,7 +87,7 @@ class Host:
         self.interrupt()
 
     def fetch(self, endpoint: int, *, lost: bool = False) -> bytes | None:
-        """One IN packet, None for NAK; its toggle is checked. `lost`: our acknowledgement does not arrive."""
+        """Send one IN packet and check its toggle; return None for NAK. `lost`: our acknowledgement gets lost."""
         answer = self.command("i", endpoint, int(lost))
         if answer.kind == "S":
             raise StallError
@@ -101,7 +101,7 @@ class Host:
         return answer.data
 
     def give(self, endpoint: int, data: bytes) -> bool:
-        """One OUT packet: whether it was taken."""
+        """Send one OUT packet; return False for NAK."""
         pid = self.toggles.get(endpoint, 0)
         answer = self.command("o", endpoint, pid, data)
         if answer.kind == "S":
@@ -116,7 +116,7 @@ class Host:
     # ------------------------------------------------------------------ transfers
 
     def control_in(self, kind: int, request: int, value: int = 0, index: int = 0, length: int = 255) -> bytes:
-        """A request for data: what comes until a short packet or all that was asked for."""
+        """Request data; return what arrives up to a short packet or the requested length."""
         assert kind & IN
         self.setup(kind, request, value, index, length)
         self.toggles[0], self.toggles[IN] = 1, 1
@@ -136,7 +136,7 @@ class Host:
         return data
 
     def control_out(self, kind: int, request: int, value: int = 0, index: int = 0, data: bytes = b"") -> None:
-        """A request with data to the device, or without any."""
+        """Send a request with data to the device, or without."""
         assert not kind & IN
         self.setup(kind, request, value, index, len(data))
         self.toggles[0], self.toggles[IN] = 1, 1

@@ -1,4 +1,4 @@
-"""The USB port of the emulated board: a host that has its pipes open, in the time of the board."""
+"""The USB port of the emulated board, with a host that has its pipes open, in the board's time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIFETIME_US = 20_000
 
 
 class UsbLine:
-    """Bytes to and from an emulated board that has been plugged in."""
+    """The bytes to and from an emulated board that is plugged in."""
 
     def __init__(self, pico: Pico, endpoint: int = 1) -> None:
         self.pico = pico
@@ -26,7 +26,7 @@ class UsbLine:
         self.pico.ask("usb_send", hex=data.hex(), **({} if endpoint is None else {"endpoint": endpoint}))
 
     def run(self, us: float, *, first: bool = False) -> bytes:
-        """Let time pass, with `first` only until bytes arrive; return the bytes."""
+        """Advance time (with `first` only until bytes arrive); return the bytes."""
         answer = self.pico.ask("usb_run", us=us, first=first)
         assert not answer["broken"], answer
         self.now_ns = round(answer["now"])
@@ -35,7 +35,7 @@ class UsbLine:
     def control(
         self, kind: int, request: int, value: int = 0, index: int = 0, length: int = 255
     ) -> tuple[int, bytes]:
-        """A request on endpoint 0: its status (0, or a negative errno of the kernel) and what came."""
+        """Send a request on endpoint 0; return its status (0 or a negative errno) and its data."""
         answer = self.pico.ask(
             "usb_control", kind=kind, request=request, value=value, index=index, length=length
         )
@@ -58,7 +58,7 @@ class UsbSupervisor(Supervisor):
         return self.line.run(ANSWER_US)
 
     def watch(self, us: float) -> None:
-        """Supervise for so long, once every 5 ms."""
+        """Supervise for `us` microseconds, once every 5 ms."""
         while us > 0.0:
             self.line.send(
                 self.host.send(m.Command(self.host.answered, LIFETIME_US, int(m.Mode.SUPERVISE), 0, 0))

@@ -1,4 +1,4 @@
-"""The emulated board's USB as a link of `rig`, in the time of the board."""
+"""The emulated board's USB as a link of `rig`, in the board's time."""
 
 from __future__ import annotations
 
