@@ -51,9 +51,9 @@ def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR
     return encode_frame(HEADER.pack(major, layout.type_id, flags, session, sequence) + layout.pack(message))
 
 
-def reshaped(chance: random.Random, frame: bytes) -> bytes:
+def reshape(chance: random.Random, frame: bytes) -> bytes:
     """Return a frame of this content with another type, length or major version, and a valid CRC."""
-    raw = bytearray(_unstuffed(frame))
+    raw = bytearray(_unstuff(frame))
     for _ in range(chance.randrange(1, 3)):
         kind = chance.randrange(5)
         if kind == 0:
@@ -69,7 +69,7 @@ def reshaped(chance: random.Random, frame: bytes) -> bytes:
     return encode_frame(bytes(raw[: _LONGEST + HEADER_BYTES]))
 
 
-def damaged(chance: random.Random, frame: bytes) -> bytes:
+def damage_frame(chance: random.Random, frame: bytes) -> bytes:
     """Return a frame of which some bytes were changed, lost or added in transfer."""
     broken = bytearray(frame)
     for _ in range(chance.randrange(1, 4)):
@@ -92,13 +92,13 @@ def mangled(chance: random.Random, frame: bytes) -> bytes:
     if kind < _SHARE_OF_NOISE:
         return chance.randbytes(chance.randrange(300))
     if kind < _SHARE_DAMAGED:
-        return damaged(chance, frame)
+        return damage_frame(chance, frame)
     if kind < _SHARE_DAMAGED + _SHARE_RESHAPED:
-        return reshaped(chance, frame)
+        return reshape(chance, frame)
     return frame * chance.choice((1,) * 15 + (2,))
 
 
-def _unstuffed(frame: bytes) -> bytes:
+def _unstuff(frame: bytes) -> bytes:
     """Return header and payload of a frame that `encode_frame` encoded."""
     raw, at = bytearray(frame[:-1]), 0
     while at < len(raw):

@@ -59,7 +59,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def look(line: Any, place: str, pid: int) -> None:
+def serve_console(line: Any, place: str, pid: int) -> None:
     """Serve a console and its pages in a separate process, on request; return the rows that it missed."""
     from tests.conformance.console import served  # noqa: PLC0415
 
@@ -108,7 +108,7 @@ def hit(changes: dict[str, Any], seconds: float, place: Path) -> dict[str, float
     return {"lost": lost, "late_us": float(np.percentile(rows["lateness"], 99.9)) * 1e-3, "rows": len(rows)}
 
 
-def pair(
+def run_pair(
     changes: dict[str, Any], seconds: float, place: Path, line: Any, *, console_first: bool
 ) -> dict[str, Any]:
     """Run one hit with a console and one without."""
@@ -119,34 +119,34 @@ def pair(
     return results
 
 
-def pairs_of(changes: dict[str, Any], options: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
+def run_pairs(changes: dict[str, Any], options: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
     """Run the requested number of pairs, or as many as the time permits."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    process = context.Process(target=look, args=(there, str(place), os.getpid()), daemon=True)
+    process = context.Process(target=serve_console, args=(there, str(place), os.getpid()), daemon=True)
     process.start()
     hit(changes, 0.5, place)  # compiles
     found: list[dict[str, Any]] = []
     until = time.monotonic() + 60.0 * (options.minutes or 0.0) / len(LOOPS)
     while len(found) < options.pairs if options.minutes is None else time.monotonic() < until:
-        found.append(pair(changes, options.seconds, place, here, console_first=len(found) % 2 == 1))
+        found.append(run_pair(changes, options.seconds, place, here, console_first=len(found) % 2 == 1))
     here.send("done")
     process.join()
     return found
 
 
-def of_median(values: list[float]) -> tuple[float, float]:
+def median_interval(values: list[float]) -> tuple[float, float]:
     """Return the 95 % bootstrap interval of a median."""
     drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values)))
     low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
     return float(low), float(high)
 
 
-def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     """Summarise the pairs: losses, lateness, and the effect that this number of pairs can detect."""
     without = [one["without"]["late_us"] for one in pairs]
     differences = [one["with"]["late_us"] - one["without"]["late_us"] for one in pairs]
-    low, high = of_median(differences)
+    low, high = median_interval(differences)
     usual = statistics.median(without)
     between = [abs(one - next_one) for one, next_one in pairwise(without)]
     return {
@@ -165,7 +165,7 @@ def concluded(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-async def stops(place: Path) -> list[float]:
+async def measure_stops(place: Path) -> list[float]:
     """Return the times from a page's STOP to the stop word of a loop with 10,000 rows a second (ms)."""
     from rig.realtime import control_words  # noqa: PLC0415
     from tests.conformance.console import served  # noqa: PLC0415
@@ -195,7 +195,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as directory:
         place = Path(directory)
         for name, changes in LOOPS.items():
-            results[name] = found = concluded(pairs_of(changes, options, place))
+            results[name] = found = summarise(run_pairs(changes, options, place))
             low, high = found["interval_us"]
             cost = (
                 "shows a cost"
@@ -207,7 +207,7 @@ def main() -> int:
                 f"with it {low:+.0f} to {high:+.0f} µs, which {cost}. {found}",
                 flush=True,
             )
-        took = sorted(asyncio.run(stops(place)))
+        took = sorted(asyncio.run(measure_stops(place)))
     results["stop_ms"] = {
         "median": statistics.median(took),
         "p90": took[int(0.9 * len(took))],

@@ -101,7 +101,7 @@ def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: f
     line.send((tried / seconds, opened / seconds))
 
 
-async def stops(address: str, token: str, seconds: float, begin: Callable[[], None]) -> list[float]:
+async def measure_stops(address: str, token: str, seconds: float, begin: Callable[[], None]) -> list[float]:
     """Return the times from STOP to its reply (ms), for a page that was connected before the flood."""
     from tests.conformance.console import Served  # noqa: PLC0415
 
@@ -119,7 +119,7 @@ async def stops(address: str, token: str, seconds: float, begin: Callable[[], No
     return took
 
 
-def measured(load: Any, options: argparse.Namespace, place: str) -> dict[str, float]:
+def measure_load(load: Any, options: argparse.Namespace, place: str) -> dict[str, float]:
     """Measure STOP under one load, with a new console."""
     ours, theirs = multiprocessing.Pipe()
     console = multiprocessing.Process(target=serve, args=(theirs, place), daemon=True)
@@ -129,7 +129,7 @@ def measured(load: Any, options: argparse.Namespace, place: str) -> dict[str, fl
     arguments = (address, load, options.rate, options.seconds + 1.0, sender)
     attacker = multiprocessing.Process(target=flood, args=arguments, daemon=True)
     begin = attacker.start if load is not None else lambda: None
-    took = sorted(asyncio.run(stops(address, token, options.seconds, begin)))
+    took = sorted(asyncio.run(measure_stops(address, token, options.seconds, begin)))
     tried, opened = (0.0, 0.0) if load is None else results.recv()
     ours.send("end")
     memory = ours.recv()
@@ -155,7 +155,7 @@ def main() -> int:
     found = {}
     with tempfile.TemporaryDirectory() as place:
         for name in options.load or LOADS:
-            found[name] = measured(LOADS[name], options, place)
+            found[name] = measure_load(LOADS[name], options, place)
             print(name, found[name], flush=True)
     print(json.dumps({"load": os.getloadavg()[0], **found}))
     return 0

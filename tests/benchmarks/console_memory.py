@@ -213,7 +213,7 @@ def resident_mb(pid: int) -> float:
 
 
 @asynccontextmanager
-async def opened(url: str, *arguments: str) -> AsyncIterator[Any]:
+async def open_console_page(url: str, *arguments: str) -> AsyncIterator[Any]:
     """Open the page of a console in a browser."""
     from playwright.async_api import async_playwright  # noqa: PLC0415
 
@@ -229,12 +229,12 @@ async def opened(url: str, *arguments: str) -> AsyncIterator[Any]:
         await browser.close()
 
 
-async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], dict[str, int]]:
+async def simulate_day(options: argparse.Namespace, place: Path) -> tuple[list[Look], dict[str, int]]:
     """Simulate the day and measure the memory regularly."""
     looks: list[Look] = []
     speed = 60.0 * options.hours / options.minutes
     with served(place) as (pid, url, hand):
-        async with opened(url, *UNCHAINED) as page:
+        async with open_console_page(url, *UNCHAINED) as page:
             visits = Visits(page, place)
             glass = await page.context.new_cdp_session(page)
             await page.evaluate(COUNTS)
@@ -248,7 +248,7 @@ async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], d
                     due += LOOK_S
                     if visit is not None:
                         visit.result()
-                    looks.append(await look(glass, pid, day.done / RATE_HZ / 3600))
+                    looks.append(await measure_memory(glass, pid, day.done / RATE_HZ / 3600))
                     print(asdict(looks[-1]), flush=True)
                     visit = asyncio.create_task(visits.go_through())
             if visit is not None:
@@ -259,7 +259,7 @@ async def watch(options: argparse.Namespace, place: Path) -> tuple[list[Look], d
     return looks, {**counts, "visits": visits.made - KEPT, "hits": visits.hits}
 
 
-async def look(glass: Any, pid: int, hours: float) -> Look:
+async def measure_memory(glass: Any, pid: int, hours: float) -> Look:
     """Measure the memory of server and page, after the page has collected its garbage."""
     await glass.send("HeapProfiler.collectGarbage")
     heap = await glass.send("Runtime.getHeapUsage")
@@ -275,7 +275,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=12.0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
-        looks, counts = asyncio.run(watch(options, Path(directory)))
+        looks, counts = asyncio.run(simulate_day(options, Path(directory)))
     summary: dict[str, Any] = {"hours": options.hours, "minutes": options.minutes, **counts}
     looks = looks[len(looks) // 8 :]
     for name in MOST:

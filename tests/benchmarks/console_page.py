@@ -29,7 +29,7 @@ import numpy as np
 
 from rig.realtime import control_words
 from rig.realtime.hand import SharedHand
-from tests.benchmarks.console_memory import Day, opened, served
+from tests.benchmarks.console_memory import Day, open_console_page, served
 
 RATE_HZ = 20_000
 STOPS = 40
@@ -54,7 +54,7 @@ addEventListener("keydown", press, true);
 """
 
 
-async def turn(day: Any, seconds: float) -> None:
+async def write_rows(day: Any, seconds: float) -> None:
     """Write the rows of a simulated loop for some seconds."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
@@ -62,12 +62,12 @@ async def turn(day: Any, seconds: float) -> None:
         await asyncio.sleep(0.002)
 
 
-async def stop(page: Any, day: Any) -> float:
+async def measure_stop(page: Any, day: Any) -> float:
     """Press Escape while a loop runs; return the time until the loop received STOP (ms)."""
-    await turn(day, SETTLE_S)
+    await write_rows(day, SETTLE_S)
     ring = day.begin()
     await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
-    await turn(day, SETTLE_S)
+    await write_rows(day, SETTLE_S)
     assert ring.get(control_words.STOP) == 0
     pressed = asyncio.create_task(page.keyboard.press("Escape"))
     while ring.get(control_words.STOP) == 0:
@@ -77,18 +77,18 @@ async def stop(page: Any, day: Any) -> float:
     return float(reached_ms - await page.evaluate("rigConsole.pressed"))
 
 
-async def measured(seconds: float, place: Path) -> tuple[list[float], list[float], int]:
+async def measure_delays(seconds: float, place: Path) -> tuple[list[float], list[float], int]:
     """Return the ages of rows (ms), the times of STOP (ms) and the number of frames."""
     with served(place, faster=1) as (_, url, hand):
-        async with opened(url) as page:
+        async with open_console_page(url) as page:
             day = Day(1.0, SharedHand.open(hand), RATE_HZ, run_s=math.inf)
             day.begin()
             await page.evaluate(f"rigConsole.scope.link.ask('look', {{ pid: {os.getpid()} }})")
-            await turn(day, 3.0)
+            await write_rows(day, 3.0)
             await page.evaluate(LISTENS)
-            await turn(day, seconds)
+            await write_rows(day, seconds)
             frames = await page.evaluate("rigConsole.ages")
-            stops = [await stop(page, day) for _ in range(STOPS)]
+            stops = [await measure_stop(page, day) for _ in range(STOPS)]
             day.close()
     return [age for newest, oldest in frames for age in np.linspace(newest, oldest, 10)], stops, len(frames)
 
@@ -99,7 +99,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=30.0)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as directory:
-        ages, stops, frames = asyncio.run(measured(options.seconds, Path(directory)))
+        ages, stops, frames = asyncio.run(measure_delays(options.seconds, Path(directory)))
     summary = {
         "row_to_pixel_ms": float(np.median(ages)),
         "row_to_pixel_p99_ms": float(np.percentile(ages, 99)),

@@ -144,13 +144,13 @@ def trial(experiment: Any, share: float, seed: int, broken: dict[str, float] | N
     return Found(
         alarm=any(text in message for text in ALARMS),
         over=Fault.OVER_CURRENT.text in message,
-        seconds=seen_for(rows, model, experiment.controller.position_rate, broken, at) if broken else None,
+        seconds=visible_s(rows, model, experiment.controller.position_rate, broken, at) if broken else None,
         observed=bool((rows["flags"][proper] & RowFlag.CURRENT_FOLLOWS).any()),
         trial=range(proper[0], proper[-1]) if len(proper) else range(0),
     )
 
 
-def seen_for(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at: int) -> float | None:
+def visible_s(rows: Any, model: RigModel, rate: int, broken: dict[str, float], at: int) -> float | None:
     """Return for how long before the end the currents differed by more than the threshold in every window (s)."""
     ticks, sensor = round(rate * WINDOW_S), current_sensor(model)
     moved = np.diff(rows["count"], prepend=rows["count"][:1]) * model.encoder.sign

@@ -69,7 +69,7 @@ class Participant:
         self.seen, self.since = "", time.monotonic()
         self.pressed_s: dict[str, float] = {}
 
-    def look(self) -> None:
+    def respond(self) -> None:
         """Press the key that the program requests; raise `TimeoutError` if it prints nothing new for long."""
         printed = self.terminal.fresh
         if printed != self.seen:
@@ -105,7 +105,7 @@ def session(options: argparse.Namespace, directory: Path) -> tuple[int, str, lis
         program = terminal.run(sys.executable, *command, *more, cwd=ROOT)
         try:
             while Path(f"/proc/{program.pid}/exe").exists():
-                participant.look()
+                participant.respond()
                 time.sleep(LOOK_S)
             return (*program.wait(), participant.trials)
         finally:

@@ -55,16 +55,16 @@ def areas(estimator: str, changes: dict[str, Any], inertia: float | None) -> tup
     """Return the tuned value, and the area (geometric mean of the offsets) without a hand and in each grip."""
     ground, pair, grid = Ground.of(RIG), Pair(estimator), ESTIMATORS[estimator].grid(20_000)
 
-    def found(settings: rule.Settings, grip: str, offset: float) -> float:
+    def best_area(settings: rule.Settings, grip: str, offset: float) -> float:
         own = {"inertia": inertia} if inertia and estimator == OBSERVER and grip != "none" else {}
         x = ground.experiment(pair, {**settings, **own}, grip, 0)
         return math.log(area(config.override(x, changes, "the benchmark"), grip, offset))
 
     best = max(
         grid[::3],
-        key=lambda one: sum(found(one, grip, rule.TUNING_OFFSET) for grip in rule.TUNING_CONDITIONS),
+        key=lambda one: sum(best_area(one, grip, rule.TUNING_OFFSET) for grip in rule.TUNING_CONDITIONS),
     )
-    means = {grip: math.exp(np.mean([found(best, grip, o) for o in OFFSETS])) for grip in rule.CONDITIONS}
+    means = {grip: math.exp(np.mean([best_area(best, grip, o) for o in OFFSETS])) for grip in rule.CONDITIONS}
     return float(next(iter(best.values()))), means
 
 

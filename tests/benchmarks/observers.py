@@ -69,18 +69,18 @@ def row_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: int =
     """Measure one row of the table."""
     name, lapse_rate, spread = case
     rule, settings = RULES[name]
-    make = partial(_made, rule, settings)
+    make = partial(_create_search, rule, settings)
     observer = Observer(threshold=THRESHOLD, spread=spread, lapse_rate=lapse_rate)
     found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
     return {
         "rule": name,
         "lapse_rate": lapse_rate,
         "spread": spread,
-        **{n: _rounded(getattr(found, n)) for n in NUMBERS},
+        **{n: _round(getattr(found, n)) for n in NUMBERS},
     }
 
 
-def _made(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
+def _create_search(rule: str, settings: Mapping[str, Any], *, seed: int) -> search.Rule:
     made = search.make(rule, levels=LEVELS, seed=seed, **settings)
     share = CATCH_SHARE.get(rule)
     return made if share is None else search.Catching(rule=made, levels=LEVELS, share=share, seed=seed)
@@ -90,10 +90,10 @@ def beyond_of(case: tuple[str, float, float], sessions: int = SESSIONS, seed: in
     """Measure one row for an observer whose K50 is above all levels: the share of sessions that report this."""
     name, lapse_rate, spread = case
     rule, settings = RULES[name]
-    make = partial(_made, rule, settings)
+    make = partial(_create_search, rule, settings)
     observer = Observer(threshold=BEYOND, spread=spread, lapse_rate=lapse_rate)
     found = performance(name, make, observer, sessions, seed=seed, off_lattice=OFF_LATTICE)
-    return {"rule": name, "lapse_rate": lapse_rate, "spread": spread, "marked": _rounded(found.above)}
+    return {"rule": name, "lapse_rate": lapse_rate, "spread": spread, "marked": _round(found.above)}
 
 
 PARTS: dict[str, tuple[Callable[..., Row], Callable[[], list[tuple[str, float, float]]]]] = {
@@ -200,7 +200,7 @@ def _signed(value: float) -> str:
     return f"{value:+.0f}".replace("-", "−") if abs(value) >= 0.5 else "0"
 
 
-def _rounded(value: float) -> float | None:
+def _round(value: float) -> float | None:
     return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
 
 

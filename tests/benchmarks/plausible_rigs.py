@@ -65,7 +65,7 @@ class Outcome:
     message: str  # of what ended the hit early, or still refused it
 
 
-def described(seed: int) -> tuple[str, dict[str, Any]]:
+def draw_rig(seed: int) -> tuple[str, dict[str, Any]]:
     """Draw a random rig; return its preset and the keys that change it."""
     random = np.random.default_rng(seed)
 
@@ -123,7 +123,7 @@ def described(seed: int) -> tuple[str, dict[str, Any]]:
 
 def experiment_of(seed: int) -> Experiment:
     """Return the experiment as its user loads it: a file of its own, or a preset with changes."""
-    preset, keys = described(seed)
+    preset, keys = draw_rig(seed)
     if "rig.name" in keys:
         return load.experiment_from_mapping({"preset": preset, **load.nest(keys)}, f"rig {seed}")
     return config.override(presets.load(preset), keys)

@@ -144,7 +144,7 @@ def pulsed(experiment: Experiment, fault: Fault, at: float, recording: Path) -> 
         return pulse(framed, experiment, recording=recording, verified=True, reference_count=0)
 
 
-def says(experiment: Experiment, fault: Fault, at: float, recording: Path) -> tuple[str, float]:
+def failures(experiment: Experiment, fault: Fault, at: float, recording: Path) -> tuple[str, float]:
     """Return the names of the checks that fail for a fault, and the measured scale."""
     try:
         found = pulsed(experiment, fault, at, recording)
@@ -171,7 +171,7 @@ def main() -> None:
             middle = 0.5 * (limits.position_maximum + limits.position_minimum)
             places = middle + half * random.uniform(-1.0, 1.0, trials)
             files = [Path(directory) / f"{name}-{what}-{n}.rigcap" for n in range(trials)]
-            found = [says(experiment, fault, at, file) for at, file in zip(places, files, strict=True)]
+            found = [failures(experiment, fault, at, file) for at, file in zip(places, files, strict=True)]
             right = sum(
                 named == "ok" if fault.named is None else fault.named in named.split(", ")
                 for named, _ in found

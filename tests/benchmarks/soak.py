@@ -137,7 +137,7 @@ class Watch:
     cpu: float = field(default_factory=time.process_time)
     minute_at: float = field(default_factory=time.monotonic)
 
-    def look(self, ring: Any, *, last: bool = False) -> None:
+    def read_rows(self, ring: Any, *, last: bool = False) -> None:
         """Read the lateness of the new rows; print a line after each minute and at the end."""
         head = ring.get(control_words.HEAD)
         backlog = head - ring.get(control_words.TAIL)
@@ -253,8 +253,8 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
                 if disk is not None and time.monotonic() > stall_at:
                     disk.stall(recorder._descriptor, options.stall)
                     stall_at += MINUTE_S
-                watch.look(ring)
-        watch.look(ring, last=True)
+                watch.read_rows(ring)
+        watch.read_rows(ring, last=True)
         end_of_loop = loop.end()
         trailer = recorder.finish({"reason": end_of_loop.reason.name.lower()}, timeout_s=60.0)
     found = {"end": end_of_loop.reason.name, "rate": rate, "rows": trailer["recorder"]["rows"]}
@@ -295,7 +295,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
             load.enter_context(workbench.interpreter_hogs())
         if time.monotonic() > looked[0] + LOOK_S:
             looked[0] = time.monotonic()
-            watch.look(rings[0])
+            watch.read_rows(rings[0])
 
     def watched(repeat: int, in_effect: Any) -> Any:
         found["rate"] = in_effect.controller.position_rate
@@ -318,7 +318,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
         except RigError as error:
             found |= {"end": type(error).__name__, "error": str(error)}
     if rings:
-        watch.look(rings[0], last=True)
+        watch.read_rows(rings[0], last=True)
         found["rows_lost"] = watch.before["rows_dropped"]
         rings[0].close()
     return found

@@ -93,13 +93,13 @@ def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts
     return go
 
 
-def ours(prepared: Any, counts: Any, out: Any) -> Any:
+def run_ours(prepared: Any, counts: Any, out: Any) -> Any:
     """Return a run of our estimator in the loop."""
     p = prepared
     return in_the_loop(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
 
 
-def theirs(library: Any, function: Any, parameters: Any, counts: Any, out: Any) -> Any:
+def run_theirs(library: Any, function: Any, parameters: Any, counts: Any, out: Any) -> Any:
     """Return a run of the C function in the same loop, and one in its own C loop."""
     f, i = np.zeros(16), np.zeros(512, np.int64)
     address = ctypes.cast(getattr(library, f"plug_{function}"), ctypes.c_void_p).value
@@ -131,8 +131,8 @@ def test_an_estimator_costs_about_what_it_costs_in_c(
 ) -> None:
     prepared = estimators.get(name).prepare(settings, DELTA, 1.0 / RATE)
     mine, c = np.zeros(len(counts)), np.zeros(len(counts))
-    run_mine = ours(prepared, counts, mine)
-    run_c, run_c_alone = theirs(in_c, function, prepared.parameters, counts, c)
+    run_mine = run_ours(prepared, counts, mine)
+    run_c, run_c_alone = run_theirs(in_c, function, prepared.parameters, counts, c)
     run_mine()
     for go in (run_c_alone, run_c):
         go()
@@ -152,7 +152,7 @@ def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts: Any)
 
     prepared = estimators.get("fdm-butterworth").prepare({}, DELTA, 1.0 / RATE)
     out = np.zeros(len(counts))
-    run_mine = ours(prepared, counts, out)
+    run_mine = run_ours(prepared, counts, out)
     run_mine()
     sos, slopes = (
         butter(2, 200.0, fs=RATE, output="sos"),
@@ -173,7 +173,7 @@ def test_a_call_per_sample_into_filterpy_could_not_keep_up_with_a_loop(counts: A
     filterpy = pytest.importorskip("filterpy.kalman", reason="filterpy is not installed")
     prepared = estimators.get("kalman").prepare({"bandwidth_hz": 300.0}, DELTA, 1.0 / RATE)
     out = np.zeros(len(counts))
-    run_mine = ours(prepared, counts, out)
+    run_mine = run_ours(prepared, counts, out)
     run_mine()
     p = prepared.parameters
     matrix = filterpy.KalmanFilter(dim_x=3, dim_z=1)  # in counts and periods

@@ -20,7 +20,7 @@ from rig.realtime.ring import Ring
 from tests.benchmarks.realtime.workbench import FULL
 
 
-def best_of(count: Any, command: Any, **options: Any) -> Any:
+def shortest_time(count: Any, command: Any, **options: Any) -> Any:
     """Return the shortest wall time of a command (s)."""
     times = []
     for _ in range(count):
@@ -32,7 +32,7 @@ def best_of(count: Any, command: Any, **options: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def bare() -> Any:
-    return best_of(7, [sys.executable, "-c", "pass"])
+    return shortest_time(7, [sys.executable, "-c", "pass"])
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def bare() -> Any:
 def test_quick_commands_stay_near_a_bare_interpreter(
     name: str, command: list[str], most: float, bare: Any
 ) -> None:
-    seconds = best_of(7, [sys.executable, *command])
+    seconds = shortest_time(7, [sys.executable, *command])
     print(f"\n{name}: {1e3 * seconds:.0f} ms, {seconds / bare:.1f} × python -c pass ({1e3 * bare:.0f} ms)")
     assert seconds / bare < most
 
@@ -125,7 +125,7 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
         [*run, "experiment", "preset", "koul-compliant"], check=True, capture_output=True, **options
     )
     (Path(options["cwd"]) / "mine.toml").write_bytes(preset.stdout)
-    numba = best_of(3, [sys.executable, "-c", "import numba"])
+    numba = shortest_time(3, [sys.executable, "-c", "import numba"])
     recording = str(next(Path(options["cwd"]).glob("recordings/*.parquet")))
     print("\nwarm, wall seconds (goal 1; a hit 2)")
     for name, most, *arguments in (
@@ -134,7 +134,7 @@ def test_commands_that_check_and_show_take_a_few_bare_interpreters(private: Any)
         ("rig session check", 7.0, "session", "check", "study.toml"),
         ("rig hit --no-plot", 9.0, "hit", "--no-plot"),
     ):
-        seconds = best_of(2, [*run, *arguments], **options)  # the first may compile
+        seconds = shortest_time(2, [*run, *arguments], **options)  # the first may compile
         print(f"  {name}: {seconds:.2f} s, {seconds / numba:.1f} × import numba")
         assert seconds < most * numba
 
@@ -165,7 +165,7 @@ def test_a_rehearsed_trial_costs_little_more_than_its_ticks(private: Any) -> Non
     (few, short_s), (many, long_s) = rehearsed(3.0), rehearsed(7.0)
     trial_s = (long_s - short_s) / (many - few)
     print(f"\na rehearsed trial at 20 kHz: {trial_s:.2f} s of CPU (goal 0.71), {many} trials in 7 s")
-    assert trial_s < 3.0 * best_of(3, [sys.executable, "-c", "import numba"])
+    assert trial_s < 3.0 * shortest_time(3, [sys.executable, "-c", "import numba"])
 
 
 def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> None:
@@ -174,7 +174,7 @@ def test_a_stop_reaches_the_loop_almost_as_soon_as_an_interpreter_starts() -> No
     bare, stop = [], []
     with Ring.allocate(1, info={}, shared=True) as ring:
         for _ in range(50 if FULL else 15):
-            bare.append(best_of(1, [sys.executable, "-c", "pass"]))
+            bare.append(shortest_time(1, [sys.executable, "-c", "pass"]))
             ring.put(control_words.STOP, 0)
             ring.put(control_words.LOOP_DONE, 0)
             started = time.perf_counter()

@@ -26,7 +26,7 @@ BUSY = [
 ]  # the last: a page that no message reached
 
 
-def recorded(place: Path) -> Recording:
+def wait_for_recording(place: Path) -> Recording:
     deadline = time.monotonic() + 60.0
     while not (found := sorted((place / "recordings").glob("*.parquet"))):
         assert time.monotonic() < deadline, f"nothing was sealed: {list(place.rglob('*'))}"
@@ -46,7 +46,7 @@ def state(page: Any, text: str) -> None:
     page.locator("#state", has_text=text).wait_for()
 
 
-def begun(page: Any) -> None:
+def wait_for_trial(page: Any) -> None:
     """Wait until the started run is in its trial."""
     ended = page.locator("[data-kind]", has_text="The play ended")
     page.locator("#state", has_text="trial").or_(ended).first.wait_for()
@@ -58,7 +58,7 @@ def begun(page: Any) -> None:
 def drag(page: Any, to: float = 0.6) -> None:
     """Start the simulated rig and drag its handle from its start into the wall."""
     page.get_by_role("button", name="Drag the handle").click()
-    begun(page)
+    wait_for_trial(page)
     box = page.locator("canvas.handle").bounding_box()
     height = box["y"] + box["height"] / 2
     page.mouse.move(box["x"] + 0.35 * box["width"], height)
@@ -75,7 +75,7 @@ def drag(page: Any, to: float = 0.6) -> None:
 
 def check_stopped(place: Path, since_ns: int | None = None, within_s: float = 0.0) -> None:
     """Require that the loop was stopped in the trial, with no sample later than `within_s` after `since_ns`."""
-    recording = recorded(place)
+    recording = wait_for_recording(place)
     assert reason_of(recording) == "stopped"
     assert recording.rows["phase"][-1] == Phase.TRIAL
     assert recording.rows["penetration"].max() > 0.0
@@ -128,7 +128,7 @@ def test_the_estimators_settings_are_checked_and_run(console_page: Any, tmp_path
     page.locator(".side .notice", has_text="out of range").wait_for(state="hidden")
     page.get_by_role("button", name="Automatic hit").click()
     page.locator(".verdict").wait_for()
-    rates = recorded(tmp_path).experiment["controller"]
+    rates = wait_for_recording(tmp_path).experiment["controller"]
     assert rates["estimator"] == "fdm-butterworth"
     assert rates["parameters"] == {"cutoff_hz": pytest.approx(316, rel=0.01)}
 

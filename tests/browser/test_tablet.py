@@ -23,7 +23,7 @@ class Finger:
         self._page = page
         self._glass = page.context.new_cdp_session(page)
 
-    def _say(self, kind: str, *points: tuple[float, float]) -> None:
+    def _dispatch_touch(self, kind: str, *points: tuple[float, float]) -> None:
         touches = [{"x": x, "y": y} for x, y in points]
         self._glass.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": touches})
 
@@ -33,12 +33,12 @@ class Finger:
         element.scroll_into_view_if_needed()
         box = element.bounding_box()
         x, y = (lambda share: box["x"] + share * box["width"]), box["y"] + box["height"] / 2
-        self._say("touchStart", (x(start), y))
+        self._dispatch_touch("touchStart", (x(start), y))
         for step in range(1, 26):
-            self._say("touchMove", (x(start + (end - start) * step / 25), y))
+            self._dispatch_touch("touchMove", (x(start + (end - start) * step / 25), y))
             self._page.wait_for_timeout(20)
         yield
-        self._say("touchEnd")
+        self._dispatch_touch("touchEnd")
 
 
 @pytest.fixture(params=SIZES, ids=["across", "upright"])

@@ -200,7 +200,7 @@ class BatchDevice:
 
     def _answer(self, message: m.Message) -> None:
         if isinstance(message, m.GetTime):
-            self._say(m.Time(message.nonce, message.host_sent, self._time(), self._time()))
+            self._send_frame(m.Time(message.nonce, message.host_sent, self._time(), self._time()))
             return
         key = type_id_of(type(message)), message.nonce  # type: ignore[attr-defined]
         if isinstance(message, m.SetCommit) and key in self._replies:
@@ -224,7 +224,7 @@ class BatchDevice:
             self._replies[key] = reply
         self._arrive(reply)
 
-    def _say(self, message: m.Message) -> None:
+    def _send_frame(self, message: m.Message) -> None:
         self._arrive(encode_frame(pack(message, session=self.session)))
 
     def commands(self) -> list[m.Command]:

@@ -84,7 +84,7 @@ class MemoryBus:
         pass
 
 
-def found(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> FittedDrive:
+def find_moteus(drive: SimulatedMoteus, model: RigModel, number: int = 1) -> FittedDrive:
     """Return what a bridge reads from a moteus before it runs."""
     return moteus.fit(moteus.find(moteus.MoteusConversation(MemoryBus(drive), number), number), model)
 
@@ -100,7 +100,7 @@ def write_endpoints(place: Path) -> Path:
     return place
 
 
-def found_odrive(
+def find_odrive(
     drive: SimulatedOdrive, model: RigModel, node: int = 0, numbers: odrive.Endpoints | None = None
 ) -> FittedDrive:
     """Return what a bridge reads from an ODrive before it runs."""
@@ -117,7 +117,7 @@ class Moteus:
 
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
         self.drive = SimulatedMoteus(model, MoteusOptions(settings={**MOTEUS_SETUP, **settings}))
-        self.found = replace(found(self.drive, model), switches=moteus.switches_of(switches))
+        self.found = replace(find_moteus(self.drive, model), switches=moteus.switches_of(switches))
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
         """Return the adapter of the line: CAN-FD or UART."""
@@ -154,7 +154,7 @@ class Odrive:
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
         assert not switches
         self.drive = SimulatedOdrive(model, OdriveOptions(settings={**ODRIVE_SETUP, **settings}))
-        self.found = found_odrive(self.drive, model)
+        self.found = find_odrive(self.drive, model)
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
         """Return the adapter of the line: a CAN bus."""
@@ -306,7 +306,7 @@ class Bridged:
 
     def step(self, end_ns: int) -> None:
         """Advance to the next event and process it."""
-        times = [end_ns, self._events[0][0] if self._events else end_ns, self._speaks_ns(end_ns)]
+        times = [end_ns, self._events[0][0] if self._events else end_ns, self._next_send_ns(end_ns)]
         if self.alive:
             times.append(-(-self.bridge.due * UNIT_TWICE_NS // 2))
         next_ns = self._at_ns = max(self._at_ns, min(times))
@@ -325,7 +325,7 @@ class Bridged:
         if self.alive and self.bridge.due <= self._now:
             self._to_drive(self.bridge.tick(self._now))
 
-    def _speaks_ns(self, otherwise_ns: int) -> int:
+    def _next_send_ns(self, otherwise_ns: int) -> int:
         """Return when the drive will send something without a request."""
         due = getattr(self.drive, "next_due", None)
         if due is None:

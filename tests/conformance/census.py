@@ -81,7 +81,7 @@ class Census:
         return {name: (old[name], new[name]) for name in old if old[name] != new[name]}
 
 
-def _settled() -> Census:
+def _wait_until_stable() -> Census:
     """Return a census that a second one confirms, because a joined thread may still be in the kernel."""
     deadline = time.monotonic() + SETTLED_S
     seen = Census.of_self()
@@ -98,7 +98,7 @@ def _settled() -> Census:
 def nothing_left() -> Iterator[None]:
     """Check that this process has the same resources after the block as before."""
     gc.collect()  # what earlier tests dropped goes before, not meanwhile
-    before = _settled()
+    before = _wait_until_stable()
     yield
     deadline = time.monotonic() + SETTLED_S
     while (changes := before.changes(Census.of_self())) and time.monotonic() < deadline:

@@ -179,13 +179,13 @@ def _shows_on_its_pins_what_commands_say(host: Host) -> None:
     """The sync pins change with the command's current, and reset when the command's lifetime ends."""
     host.begin(_unused_session())
     trial, inside, both = int(m.Sync.TRIAL), int(m.Sync.INSIDE), int(m.Sync.TRIAL | m.Sync.INSIDE)
-    _shows(host, trial, Input.SYNC_TRIAL)
-    _shows(host, both, Input.SYNC_TRIAL | Input.SYNC_INSIDE)
-    _shows(host, 0xFF & ~trial, Input.SYNC_INSIDE)
-    _shows(host, 0xFF, 0, m.Mode.STOP)
-    _shows(host, trial, Input.SYNC_TRIAL)
-    _shows(host, 0xFF, 0, m.Mode.SUPERVISE)  # no law runs here
-    _shows(host, inside, Input.SYNC_INSIDE)
+    _expect_pins(host, trial, Input.SYNC_TRIAL)
+    _expect_pins(host, both, Input.SYNC_TRIAL | Input.SYNC_INSIDE)
+    _expect_pins(host, 0xFF & ~trial, Input.SYNC_INSIDE)
+    _expect_pins(host, 0xFF, 0, m.Mode.STOP)
+    _expect_pins(host, trial, Input.SYNC_TRIAL)
+    _expect_pins(host, 0xFF, 0, m.Mode.SUPERVISE)  # no law runs here
+    _expect_pins(host, inside, Input.SYNC_INSIDE)
     while host.states[-1].state == State.RUNNING and not host.states[-1].limits & LimitFlag.RAMPING:
         assert host.states[-1].inputs & Input.SYNC_INSIDE
         host.next_state()
@@ -193,7 +193,7 @@ def _shows_on_its_pins_what_commands_say(host: Host) -> None:
     host.disarm(clear_fault=True)
 
 
-def _shows(host: Host, flags: int, wanted: int, mode: int = m.Mode.CURRENT) -> None:
+def _expect_pins(host: Host, flags: int, wanted: int, mode: int = m.Mode.CURRENT) -> None:
     """Send commands until the pins are as wanted; begin a new session if a delay exceeded the command's lifetime."""
     for _ in range(40):
         host.command(0, mode=mode, flags=flags)

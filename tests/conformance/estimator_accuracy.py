@@ -74,7 +74,7 @@ def row_of(found: Score, tuned: str | None) -> Row:
     }
     if found.refused is not None:
         return {**row, "refused": True}
-    return {**row, **{n: _rounded(getattr(found, n)) for n in NUMBERS}}
+    return {**row, **{n: _round(getattr(found, n)) for n in NUMBERS}}
 
 
 def measure(name: str) -> list[Row]:
@@ -203,11 +203,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = [word for word in words if word not in options]
     if not options & {"--check", "--guide"}:
         fresh = make_table(chosen or scored())
-        write_table(_merged(fresh) if chosen else fresh)
+        write_table(_merge(fresh) if chosen else fresh)
     return guides.publish(GUIDE, SECTIONS, REGENERATE, check="--check" in options)
 
 
-def _merged(fresh: dict[str, Any]) -> dict[str, Any]:
+def _merge(fresh: dict[str, Any]) -> dict[str, Any]:
     """Return the committed table with the rows of `fresh` in place of older ones."""
     if not TABLE.exists():
         return fresh
@@ -263,7 +263,7 @@ def _micrometres(resolution: float) -> str:
     return f"{1e6 * resolution:g} µm"
 
 
-def _rounded(value: float) -> float | None:
+def _round(value: float) -> float | None:
     return None if math.isnan(value) else float(f"{value:.{DIGITS}g}")
 
 

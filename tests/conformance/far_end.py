@@ -235,7 +235,7 @@ class FaultyPort:
         self._begin()
         tick = self._device.sample_index
         self._line.send(Direction.TO_DEVICE, data, tick)
-        self._look()
+        self._record_tick()
         return self._line.receive(Direction.TO_DEVICE, tick)
 
     def _wait_for_the_host(self) -> bytes:
@@ -264,7 +264,7 @@ class FaultyPort:
         self._begin()
         tick = self._device.sample_index
         self._line.send(Direction.TO_HOST, frames, tick)
-        self._look()
+        self._record_tick()
         return self._line.receive(Direction.TO_HOST, tick)
 
     def _begin(self) -> None:
@@ -275,7 +275,7 @@ class FaultyPort:
                 for fault in self._script.frames
             )
 
-    def _look(self) -> None:
+    def _record_tick(self) -> None:
         self._witness[0]["acted"] = sum(self._line.acted.values())
         if self._line.unplugged and not self._gone:
             self._gone = True

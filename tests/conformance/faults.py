@@ -204,7 +204,7 @@ def check_ineffective(make_far_end: MakeFarEnd, name: str) -> None:
     far.command()
     lifetime, ramp = far.ticks_of(far.lifetime_us), far.ticks_of(far.ramp_us)
     efforts = far.watch(lifetime + ramp + 1 + far.late, lambda: far.host.link.write(make(far)))
-    assert efforts[: lifetime - 1] == _undisturbed(make_far_end, far, lifetime - 1), "the command lives"
+    assert efforts[: lifetime - 1] == _reference_effort(make_far_end, far, lifetime - 1), "the command lives"
     for tick, effort in enumerate(efforts[lifetime + far.late :]):
         assert abs(effort) <= far.most * max(0.0, 1.0 - tick / ramp) + 1.0 + far.grain, tick
     assert efforts[-1] == 0.0
@@ -227,12 +227,12 @@ def check_ineffective_beside_commands(make_far_end: MakeFarEnd) -> None:
         far.host.link.write(beside[-1](far))
 
     ticks = 3 * len(beside) * far.send_every
-    expected = _undisturbed(make_far_end, far, ticks)
+    expected = _reference_effort(make_far_end, far, ticks)
     assert far.watch(ticks, disturb) == expected
     assert far.state.fault == Fault.NONE
 
 
-def _undisturbed(make_far_end: MakeFarEnd, far: FarEnd, ticks: int) -> Any:
+def _reference_effort(make_far_end: MakeFarEnd, far: FarEnd, ticks: int) -> Any:
     """Return the effort of a device that receives every command; with a law on the device, of a twin."""
     if far.mode is Mode.CURRENT:
         return pytest.approx([far.current] * ticks, abs=far.grain)

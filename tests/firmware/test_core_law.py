@@ -62,7 +62,7 @@ def expected(law: LawLibrary, values: Mapping[str, Value], samples: list[Sample]
     return currents
 
 
-def driven(samples: list[Sample]) -> list[int]:
+def resulting_currents(samples: list[Sample]) -> list[int]:
     """Return the current after each sample but the last: the one that the next sample reports."""
     return [sample.commanded for sample in samples[1:]]
 
@@ -197,7 +197,7 @@ def test_a_supervised_hit_is_the_hit_of_the_law_alone(
             break
     rig.command(Mode.STOP)
     currents = expected(law, p, rig.samples)
-    assert driven(rig.samples) == currents[:-1]
+    assert resulting_currents(rig.samples) == currents[:-1]
     first = rig.samples[0].index
     assert [sample.index for sample in rig.samples] == [*range(first, first + len(rig.samples))]
     assert {state.phase for state in rig.states} >= {Phase.HOMING, Phase.TRIAL, Phase.RELEASE, Phase.DONE}
@@ -227,7 +227,7 @@ def test_an_excitation_is_played_from_the_table_that_the_device_worked_out(
     board.run([0] * 1_600)
     board.command(Mode.STOP)
     currents = expected(law, p, board.samples)
-    assert driven(board.samples) == currents[:-1]
+    assert resulting_currents(board.samples) == currents[:-1]
     assert max(currents) > 60
     assert currents[100:800] == currents[800:1500]
 
@@ -304,7 +304,7 @@ def test_missed_ticks_have_passed_for_the_law_too(library: ctypes.CDLL, law: Law
             board.missed = 1
         board.run([100 + step])
     board.command(Mode.STOP)
-    assert driven(board.samples) == expected(law, p, board.samples)[:-1]
+    assert resulting_currents(board.samples) == expected(law, p, board.samples)[:-1]
     assert board.states[-1].phase == Phase.DONE
 
 
@@ -371,12 +371,12 @@ def test_another_command_ends_the_law_and_supervision_begins_it_anew(
     board.tick()
     assert board.core.status.current == (0 if mode is Mode.STOP else 7)
     first = board.samples
-    assert driven(first) == expected(law, p, first)[:-1]
+    assert resulting_currents(first) == expected(law, p, first)[:-1]
     board.frames.clear()
     board.run([5] * 50)
     board.command(Mode.STOP)
     again = board.samples
-    assert driven(again) == expected(law, p, again)[:-1]
+    assert resulting_currents(again) == expected(law, p, again)[:-1]
     assert board.states[-1].phase == Phase.DONE
 
 
@@ -433,7 +433,7 @@ def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary
         board.run([0] * 40)
         assert board.states[-1].phase == Phase.DONE
         board.disarm()
-        assert driven(board.samples) == expected(law, p, board.samples)[:-1]
+        assert resulting_currents(board.samples) == expected(law, p, board.samples)[:-1]
         assert board.arm().status == Status.OK
         board.tick()
         assert board.states[-1].phase == Phase.WAIT
@@ -555,7 +555,7 @@ def test_a_wall_changes_at_the_tick_that_the_answer_names(
             assert bytes(other) != bytes(p)
             p = other
         currents.append(law.tick(state, p, sample.count, active=sample.commanded).current)
-    assert driven(board.samples) == currents[:-1]
+    assert resulting_currents(board.samples) == currents[:-1]
     assert min(currents) < 0
     assert board.disarm().status == Status.OK
     board.crc = ack.crc
@@ -653,7 +653,7 @@ def test_a_wall_changes_piece_by_piece_while_the_law_runs_on(library: ctypes.CDL
         if sample.index == ack.sample_index:
             p = other
         currents.append(law.tick(state, p, sample.count, active=sample.commanded).current)
-    assert driven(board.samples) == currents[:-1]
+    assert resulting_currents(board.samples) == currents[:-1]
     assert currents[-1] == 50 - 7 * 15
     board.disarm()
     board.crc = ack.crc

@@ -214,7 +214,7 @@ def test_samples_arrive_in_the_ramp_too() -> None:
     assert all(after.index - before.index == 1 for before, after in pairwise(far.samples))
 
 
-def jammed(plant: PlantArguments) -> PlantArguments:
+def jam(plant: PlantArguments) -> PlantArguments:
     """Return the plant with friction above every effort."""
     parameters = plant.parameters.copy()
     parameters[[COULOMB, COULOMB_LINK]] = 5.0
@@ -227,7 +227,7 @@ def test_a_mechanism_that_jams_under_a_large_effort_is_a_runaway() -> None:
         far.watch(1, far.command)
         assert far.device.sample_index < RATE
     hardware = far.device.hardware
-    hardware._moving, hardware._handle = jammed(hardware._moving), 0
+    hardware._moving, hardware._handle = jam(hardware._moving), 0
     far.ticks_to_fault(RATE)
     far.check_at_rest(Fault.RUNAWAY)
 

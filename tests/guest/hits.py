@@ -69,7 +69,7 @@ def whole_hit(
         (result,) = hit(request, admit)
         return result.path
 
-    return _ended(run)
+    return _run_until_begun(run)
 
 
 def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: int = 20) -> Ended:
@@ -89,10 +89,10 @@ def struck_trial(url: str, output: Path, strike: Callable[[], None], at_tick: in
         with open_device(url) as device:
             return trial_on(device, experiment, recording, progress=progress, sealed=False).recording
 
-    return _ended(run)
+    return _run_until_begun(run)
 
 
-def _ended(run: Callable[[], Path]) -> Ended:
+def _run_until_begun(run: Callable[[], Path]) -> Ended:
     """Run a hit; repeat it if it did not begin, because a busy emulator can exceed the request timeout of 0.1 s."""
     for _ in range(ATTEMPTS):
         started = time.monotonic()

@@ -87,7 +87,7 @@ def test_rig_finds_it_and_reads_its_dictionary(board: Any) -> None:
         assert device.dictionary.device == pico.RIG
 
 
-def supervised(host: Host, frames: int) -> list[m.Batch]:
+def supervise_until(host: Host, frames: int) -> list[m.Batch]:
     """Send SUPERVISE commands until this many BATCH frames have arrived, and return them."""
     batches: list[m.Batch] = []
     deadline = time.monotonic() + LONG_S
@@ -118,7 +118,7 @@ def test_a_law_on_the_board_sends_its_ticks_and_leaves_no_current(board: Any) ->
     try:
         host = Host(link)
         host.begin(**{**law, "batch_samples": 10})
-        batches = supervised(host, BATCHES)
+        batches = supervise_until(host, BATCHES)
         host.command(mode=m.Mode.STOP)
         assert host.disarm().status == 0
     finally:

@@ -23,7 +23,7 @@ RATES = "500,1000,1500,2000,2500"
 IDLE_LOAD = 0.3  # running programs above which a machine is not idle
 
 
-def waited() -> str:
+def cpu_pressure() -> str:
     """Return the share of the last ten seconds in which a program waited for a processor (%); "?" if unknown."""
     try:
         some = Path("/proc/pressure/cpu").read_text().split()
@@ -42,9 +42,9 @@ def measure(rates: list[int], seconds: float, *, as_a_board: bool) -> list[tuple
             for rate in rates:
                 took, never = by_a_client(client, line, rate, seconds, before)
                 lost = never + int(np.sum(took * rate // 1_000_000))
-                rows.append(("C client", rate, lost, "", round(took.max()), waited()))
+                rows.append(("C client", rate, lost, "", round(took.max()), cpu_pressure()))
                 facts = by_the_bridge(line, rate, seconds, as_a_board=as_a_board)
-                rows.append(("bridge", rate, facts.lost, facts.skipped, facts.longest_us, waited()))
+                rows.append(("bridge", rate, facts.lost, facts.skipped, facts.longest_us, cpu_pressure()))
     return rows
 
 

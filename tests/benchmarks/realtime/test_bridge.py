@@ -48,7 +48,7 @@ def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
         os.close(slave)
 
 
-def by_a_client(
+def run_client(
     client: Path, line: int, rate: int, seconds: float = SECONDS, before: Sequence[str] = ()
 ) -> tuple[np.ndarray, int]:
     """Return the round trips of a C program (µs) and the number of lost replies."""
@@ -63,7 +63,7 @@ def by_a_client(
     return took[took >= 0] / 1e3, int(np.sum(took < 0))
 
 
-def by_the_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
+def run_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
     """Run the bridge for the same number of periods, without a host; return its statistics."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()
@@ -107,8 +107,8 @@ def test_a_bridge_costs_little_more_than_its_bytes(rate: int, tmp_path: Path) ->
     rows, ratios = [], []
     with drive(end) as line:
         for _ in range(TRIES):
-            took, lost = by_a_client(client, line, rate)
-            facts = by_the_bridge(line, rate)
+            took, lost = run_client(client, line, rate)
+            facts = run_bridge(line, rate)
             middle_of_bin = facts.quantile_us(0.5) - BIN_US / 2
             ratios.append(middle_of_bin / float(np.median(took)))
             rows.append(("C client", *(f"{one:.0f}" for one in quantiles(took)), lost, ""))

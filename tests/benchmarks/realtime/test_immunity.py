@@ -59,7 +59,7 @@ def busy() -> Iterator[None]:
         yield
 
 
-def recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
+def run_recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
     """Run loop and recorder for `SECONDS`; return ticks due, run, dropped and recorded, and the lateness."""
     ring = Ring.allocate(round(RING_SECONDS * rate))
     with Recorder(path, example_header(), ring) as recorder:
@@ -86,7 +86,7 @@ def recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
     }
 
 
-def cyclictest_loop(program: str, rate: int, directory: Path) -> dict[str, float]:
+def run_cyclictest(program: str, rate: int, directory: Path) -> dict[str, float]:
     """Return the same figures of cyclictest, whose wake-ups show what the machine permits."""
     with busy():
         late = cyclictest_latency(program, rate, SECONDS, directory)
@@ -95,7 +95,7 @@ def cyclictest_loop(program: str, rate: int, directory: Path) -> dict[str, float
     return {"due": len(late) + passed, "run": len(late), "p99": p99, "p99.9": p999, "max": greatest}
 
 
-def python_loop(rate: int) -> dict[str, float]:
+def run_python_loop(rate: int) -> dict[str, float]:
     """Return the same figures of a plain Python loop."""
     period = 1_000_000_000 // rate
     late: list[int] = []
@@ -126,17 +126,17 @@ def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) 
     rows, shares, of_python = [], [], []
     for rate in RATES:
         for _ in range(TRIES):
-            mine = recorded_loop(near, rate, tmp_path / f"{time.monotonic_ns()}.rigcap")
+            mine = run_recorded_loop(near, rate, tmp_path / f"{time.monotonic_ns()}.rigcap")
             assert mine["rows lost"] == mine["gaps"] == 0, "the recorder lost rows"
             assert mine["after stop"] <= 2, "the loop ran on after its stop word"
             found, possible = {"rig": mine}, 1.0
             if program is not None:
-                found["cyclictest"] = theirs = cyclictest_loop(program, rate, tmp_path)
+                found["cyclictest"] = theirs = run_cyclictest(program, rate, tmp_path)
                 possible = theirs["run"] / theirs["due"]
             share_of_possible = mine["run"] / mine["due"] / possible
             if share_of_possible > LEAST_RUN:
                 break
-        found["plain Python"] = python_loop(rate)
+        found["plain Python"] = run_python_loop(rate)
         shares.append(share_of_possible)
         of_python.append(found["plain Python"]["run"] / found["plain Python"]["due"])
         for name, one in found.items():

@@ -234,7 +234,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {name: str(compile_c(directory, name)) for name in ("far_end", "client")}
 
 
-def measured(link: str, programs: dict[str, str], priority: int) -> dict[str, list[list[float]]]:
+def measure_link(link: str, programs: dict[str, str], priority: int) -> dict[str, list[list[float]]]:
     """Return for each contestant and round the trips per second, then p50, p99, p99.9 and maximum (µs)."""
     names = ("ours", "c", "python")
     found: dict[str, list[list[float]]] = {name: [] for name in names}
@@ -265,7 +265,7 @@ def test_round_trips_a_second_beside_c_and_pyserial(programs: dict[str, str], lo
         for link in LINKS:
             tries = TRIES if link != "pty" or load == "idle" else 1
             for _ in range(tries):
-                found = measured(link, programs, priority)
+                found = measure_link(link, programs, priority)
                 ratio = ratio_of(found, "c")
                 if ratio > LEAST_OF_C:
                     break

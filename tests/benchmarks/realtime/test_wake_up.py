@@ -53,7 +53,7 @@ def near(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compile_c(tmp_path_factory.mktemp("c"), "near", "-fPIC", "-shared")
 
 
-def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
+def loop_lateness(near: Path, rate: int, spin_ns: int) -> np.ndarray:
     """Return the lateness of each tick of the loop against the grid point that it slept for (ns)."""
     ring = Ring.allocate(round(2 * SECONDS * rate))
     with running_loop(NearLink(near, rate), rate, ring, host_paced=True, spin_ns=spin_ns):
@@ -61,7 +61,7 @@ def of_the_loop(near: Path, rate: int, spin_ns: int) -> np.ndarray:
     return ring.rows["lateness"][: ring.get(control_words.HEAD)].copy()
 
 
-def of_python(rate: int) -> np.ndarray:
+def python_lateness(rate: int) -> np.ndarray:
     """Return the lateness of each turn of a plain Python loop (ns), without real-time priority."""
     period = 1_000_000_000 // rate
     late: list[int] = []
@@ -90,9 +90,9 @@ def test_the_loop_wakes_as_cyclictest_does(near: Path, tmp_path: Path, load: str
     for rate in RATES:
         contestants: dict[str, Callable[[], np.ndarray]] = {
             "cyclictest": lambda rate=rate: cyclictest_latency(cyclictest, rate, SECONDS, tmp_path),
-            "rig": lambda rate=rate: of_the_loop(near, rate, 0),
-            SPINNING: lambda rate=rate: of_the_loop(near, rate, SPIN_NS),
-            "plain Python": lambda rate=rate: of_python(rate),
+            "rig": lambda rate=rate: loop_lateness(near, rate, 0),
+            SPINNING: lambda rate=rate: loop_lateness(near, rate, SPIN_NS),
+            "plain Python": lambda rate=rate: python_lateness(rate),
         }
         found: dict[str, list[tuple[float, ...]]] = {name: [] for name in contestants}
         with processor_hogs(len(CPUS) if load == "loaded" else 0):

@@ -41,7 +41,7 @@ async def beating(hold: ClientConnection) -> AsyncIterator[None]:
         task.cancel()
 
 
-async def dragged(page: Page) -> None:
+async def drag_into_wall(page: Page) -> None:
     """Start a run and drag the handle slightly into the wall."""
     answer = await page.ask("run", job="play", duration_s=30)
     assert "result" in answer, answer
@@ -70,7 +70,7 @@ def phase(page: Page) -> str:
     return "" if loop is None or loop["ended"] else str(loop["phase"])
 
 
-def recorded(place: Path) -> Recording:
+def wait_for_recording(place: Path) -> Recording:
     """Return the recording of a run that has ended, as soon as it is sealed."""
     deadline = time.monotonic() + 30.0
     while not (found := list(place.glob("*.parquet"))):
@@ -90,7 +90,7 @@ def check_zero(recording: Recording, reason: str) -> None:
 def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
     async def scenario(console: Served) -> tuple[dict[str, Any], dict[str, Any]]:
         async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
-            await dragged(page)
+            await drag_into_wall(page)
             changed = await page.ask("set", changes={"wall.damping": 0.25})
             state: dict[str, Any] = page.newest("state") or {}
         async with console.page("another-page") as page:  # closed: no beat comes any more
@@ -102,7 +102,7 @@ def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
             return await scenario(console)
 
     changed, state = asyncio.run(whole())
-    recording = recorded(tmp_path)
+    recording = wait_for_recording(tmp_path)
     check_zero(recording, "stopped")  # first: a run that lost its device took no change
     assert changed["result"]["number"] == 1
     assert state["operates"]
@@ -124,7 +124,7 @@ def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
                 await over(page)
 
     asyncio.run(whole())
-    assert recorded(tmp_path).trailer["reason"] == "finished"
+    assert wait_for_recording(tmp_path).trailer["reason"] == "finished"
 
 
 @pytest.mark.quiet
@@ -141,9 +141,9 @@ def test_a_killed_console_leaves_nothing_that_moves(tmp_path: Path) -> None:
                 beating(hold),
                 console.page(NAME) as page,
             ):
-                await dragged(page)
+                await drag_into_wall(page)
                 process.send_signal(signal.SIGKILL)
                 await page.socket.wait_closed()
 
         asyncio.run(whole())
-    check_zero(recorded(tmp_path), "stopped")
+    check_zero(wait_for_recording(tmp_path), "stopped")

@@ -47,7 +47,7 @@ class FakeTalk:
         self.sent.append(("progress", content))
 
 
-def started(**fields: Any) -> dict[str, Any]:
+def job_content(**fields: Any) -> dict[str, Any]:
     """Return the content of the job that a page's request starts."""
     request = request_of(
         json.dumps({"do": "map-run", **fields}),
@@ -224,7 +224,7 @@ def test_the_page_starts_the_map_that_the_command_starts(
     held = (
         {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
     )  # the page's choice
-    content = started(**{**fields, "changes": {**held, **fields.get("changes", {})}})
+    content = job_content(**{**fields, "changes": {**held, **fields.get("changes", {})}})
     with pytest.raises(ConfigError, match="not in this test"):
         map_jobs.zwidth({**content, "output": str(tmp_path)}, FakeTalk())
     (by_command, there), (by_page, here) = asked
@@ -241,7 +241,7 @@ def test_a_job_names_its_directory_once_it_is_there_and_ends_with_it(tmp_path: P
         "offsets": "0.1",
     }
     talk = FakeTalk()
-    done = map_jobs.zwidth({**started(**fields, changes=SHORT), "output": str(tmp_path)}, talk)
+    done = map_jobs.zwidth({**job_content(**fields, changes=SHORT), "output": str(tmp_path)}, talk)
     (named,) = [content["map"] for say, content in talk.sent if say == "mapping"]
     assert done == {"map": named}
     assert map_errands.growth(str(tmp_path / named), 0)["state"] == "finished"
@@ -269,4 +269,4 @@ def test_only_the_operating_page_starts_and_ends_maps_and_no_page_chooses_a_prog
 )
 def test_an_impossible_plan_is_refused_before_a_process_starts(field: dict[str, Any]) -> None:
     with pytest.raises(RigError, match="map-run"):
-        started(**field)
+        job_content(**field)

@@ -42,7 +42,7 @@ class Here:
 
         monkeypatch.setattr(asyncio, "create_subprocess_exec", ours)
 
-    async def ended(self) -> None:
+    async def wait_for_end(self) -> None:
         async with asyncio.timeout(PATIENCE_S):
             while {"say": "ended"} not in self.messages:
                 await asyncio.sleep(0.01)
@@ -70,7 +70,7 @@ def test_a_stop_that_comes_while_a_job_starts_ends_it(monkeypatch: pytest.Monkey
         await here.begun.wait()
         here.jobs.end()
         await starting
-        await here.ended()
+        await here.wait_for_end()
         assert here.jobs.running is None
 
     play(WAITS, monkeypatch, body)
@@ -90,7 +90,7 @@ def test_a_stop_ends_our_job_also_where_no_other_loop_can_be_looked_for(
             live = Live(shared, hand, Terminal(), own=True)
             with pytest.raises(OSError, match="Too many"):
                 live.stop_all()
-        await here.ended()
+        await here.wait_for_end()
 
     play(WAITS, monkeypatch, body)
 
@@ -117,13 +117,13 @@ def test_a_job_without_an_operator_ends_unless_it_is_detached(
             shared.lease.take("a-page-here")
             await here.jobs.start("play", {})
             shared.lease.release("a-page-here")  # the page may close then
-            await here.ended()
+            await here.wait_for_end()
             here.messages.clear()
             going = await here.jobs.start("hit", {}, is_detached=True)
             await asyncio.sleep(0.3)
             assert here.jobs.running is going
             going.end()
-            await here.ended()
+            await here.wait_for_end()
             beats.cancel()
 
     play(WAITS, monkeypatch, body)
@@ -139,7 +139,7 @@ def test_a_console_that_cannot_watch_ends_its_jobs_also_detached_ones(
             shared = ServiceContext(set(), Lease(), here.jobs, tmp_path)
             with pytest.raises(KeyError):
                 await runs(shared, hand).every_beat()
-        await here.ended()
+        await here.wait_for_end()
 
     play(WAITS, monkeypatch, body)
 
@@ -154,7 +154,7 @@ def test_output_that_is_no_message_is_ignored(monkeypatch: pytest.MonkeyPatch) -
 
     async def body(here: Here) -> None:
         await here.jobs.start("hit", {})
-        await here.ended()
+        await here.wait_for_end()
         up, failed, ended = here.messages
         assert (up, ended) == ({"say": "up"}, {"say": "ended"})
         assert failed["remedy"] == "the last word"
@@ -171,7 +171,7 @@ def test_a_job_that_cannot_be_followed_ends(monkeypatch: pytest.MonkeyPatch) -> 
 
         here.jobs = Jobs(tell)
         job = await here.jobs.start("hit", {}, is_detached=True)
-        await here.ended()
+        await here.wait_for_end()
         assert [one["say"] for one in here.messages] == ["up", "failed", "ended"]
         assert "a defect" in here.messages[1]["error"]
         assert not Path(f"/proc/{job.pid}").exists()
@@ -193,7 +193,7 @@ def test_a_job_that_is_stopped_while_it_imports_was_stopped(monkeypatch: pytest.
             while {"say": "progress"} not in here.messages:
                 await asyncio.sleep(0.01)
         here.jobs.end()
-        await here.ended()
+        await here.wait_for_end()
         failed.extend(one for one in here.messages if one["say"] == "failed")
 
     play(IMPORTS, monkeypatch, body)

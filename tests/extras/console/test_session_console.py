@@ -258,7 +258,7 @@ def eventually(condition: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"it never came: {what}")
 
 
-def pressing(pid: int) -> bool:
+def is_pressing(pid: int) -> bool:
     """Return True if the loop of a process renders its wall to a pressing hand."""
     ring = running.memory_of(pid)
     if ring is None:
@@ -282,10 +282,10 @@ def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
             return
         terminal.type(REACH)
         eventually(
-            lambda: pressing(engine) or "[g] go" in terminal.fresh or operator.over,
+            lambda: is_pressing(engine) or "[g] go" in terminal.fresh or operator.over,
             "a hand on the wall",
         )
-        if pressing(engine):
+        if is_pressing(engine):
             return
         terminal.type(LET_GO)
     operator.close()

@@ -19,7 +19,7 @@ from rig.core.model import Encoder, Reference, RigModel
 from rig.extras.drives.bus import CanFrame
 from rig.extras.drives.moteus import MoteusConversation, find, fit, switches_of
 from sim_backend.drives.moteus import MoteusOptions, SimulatedMoteus
-from tests.conformance.bridged import MOTEUS_SETUP, Bridged, MemoryBus, bridged_rig, found
+from tests.conformance.bridged import MOTEUS_SETUP, Bridged, MemoryBus, bridged_rig, find_moteus
 from tests.conformance.host import RUN_PARAMETERS, Host
 from tests.extras.drives.conftest import other
 
@@ -35,13 +35,13 @@ def refusal(
     drive: SimulatedMoteus, model: RigModel | None = None, kind: type[RigError] = DeviceRefusedError
 ) -> str:
     with pytest.raises(kind) as caught:
-        found(drive, model or bridged_rig())
+        find_moteus(drive, model or bridged_rig())
     assert caught.value.remedy
     return str(caught.value)
 
 
 def test_a_drive_that_fits_is_described() -> None:
-    drive = found(moteus(), bridged_rig())
+    drive = find_moteus(moteus(), bridged_rig())
     assert drive.firmware == "moteus 1.0.0"
     assert drive.counts_per_turn == TURN
     assert drive.transmission == pytest.approx(2.0)  # turns of its output for one of the link
@@ -108,7 +108,7 @@ def test_a_firmware_without_a_setting() -> None:
 
 def test_another_id_on_the_bus() -> None:
     with pytest.raises(DeviceNotFoundError, match="no reply from the moteus 7 at memory"):
-        found(moteus(), bridged_rig(), number=7)
+        find_moteus(moteus(), bridged_rig(), number=7)
 
 
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
@@ -142,7 +142,7 @@ def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
     drive.run(drive.ticks + 3000)
     drive.happen("expire", 0.0)
     drive.run(drive.ticks + 30)
-    assert found(drive, bridged_rig()).id == 1
+    assert find_moteus(drive, bridged_rig()).id == 1
 
 
 @pytest.mark.parametrize(

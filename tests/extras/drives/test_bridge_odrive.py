@@ -37,7 +37,7 @@ from tests.conformance.bridged import (
     armed,
     bridged_rig,
     endpoints,
-    found_odrive,
+    find_odrive,
     push,
     write_endpoints,
 )
@@ -56,14 +56,14 @@ def refusal(
 ) -> str:
     """Return the message of a rejection; the drive stays at rest."""
     with pytest.raises(kind) as caught:
-        found_odrive(drive, model or bridged_rig())
+        find_odrive(drive, model or bridged_rig())
     assert caught.value.remedy
     assert drive.motor.torque == 0.0
     return str(caught.value)
 
 
 def test_a_drive_that_fits_is_described() -> None:
-    drive = found_odrive(drive_with(), bridged_rig())
+    drive = find_odrive(drive_with(), bridged_rig())
     assert drive.firmware == "ODrive 0.6.11"
     assert (drive.counts_per_turn, drive.transmission) == (TURN, pytest.approx(2.0))
     assert drive.settings["torque_constant"] == pytest.approx(0.05)  # 0.1 N·m/A at the link, geared 1:2
@@ -122,7 +122,7 @@ def test_an_experiment_that_is_about_another_rig(model: RigModel, says: str) -> 
 def test_all_that_is_wrong_is_named_at_once_with_what_to_type() -> None:
     drive = SimulatedOdrive(bridged_rig(), OdriveOptions())  # as the maker delivers it
     with pytest.raises(DeviceRefusedError) as caught:
-        found_odrive(drive, bridged_rig())
+        find_odrive(drive, bridged_rig())
     for path in (odrive.WATCHDOG, odrive.VELOCITY_LIMITED, odrive.TORQUES_MS, odrive.HEARTBEAT_MS):
         assert path in str(caught.value)
         assert f"odrv0.{path} = " in str(caught.value.remedy)
@@ -134,14 +134,14 @@ def test_another_version_of_firmware_or_of_the_file() -> None:
     assert "firmware 0.6.9, but flat_endpoints.json is for 0.6.11" in text
     numbers = replace(endpoints(), by_path={})
     with pytest.raises(IncompatibleDeviceError, match=r"has no parameter axis0\.config"):
-        found_odrive(drive_with(), bridged_rig(), numbers=numbers)
+        find_odrive(drive_with(), bridged_rig(), numbers=numbers)
 
 
 def test_another_node_on_the_bus() -> None:
     with pytest.raises(
         DeviceNotFoundError, match="no reply from the ODrive 7 at memory; nodes seen on this bus: 0"
     ):
-        found_odrive(drive_with(), bridged_rig(), node=7)
+        find_odrive(drive_with(), bridged_rig(), node=7)
 
 
 def test_a_second_master_is_found_before_the_first_frame_is_sent() -> None:
@@ -165,7 +165,7 @@ def test_a_drive_after_a_killed_bridge_is_accepted() -> None:
     left = drive_with()
     left.receive(Frame(CanSimpleCommand.SET_AXIS_STATE, struct.pack("<I", 8)))
     left.run(left.ticks + 80)  # its watchdog has ended it
-    assert found_odrive(left, bridged_rig()).id == 0
+    assert find_odrive(left, bridged_rig()).id == 0
 
 
 def test_an_answer_that_takes_longer_than_half_a_period_is_a_slow_bus() -> None:
@@ -197,7 +197,7 @@ def test_its_limits_are_those_of_the_device() -> None:
         odrive.TOLERANCE: "1.5",
         odrive.MOST_TORQUE: "0.02",
     }
-    drive = found_odrive(drive_with(settings), bridged_rig())
+    drive = find_odrive(drive_with(settings), bridged_rig())
     assert drive.ranges["speed_limit"] == (0, 3 * TURN)
     assert drive.ranges["current_limit"] == (0, 400)  # quanta of 1 mA: 0.02 N·m at 0.05 N·m/A
     assert drive.ranges["position_rate"] == (400, 1000)  # two periods at least within its watchdog's 5 ms

@@ -68,13 +68,13 @@ def test_where_it_drops_is_compared_with_the_paper_within_a_quarter() -> None:
 
 
 def test_limited_means_clearly_less_and_by_about_the_papers_factor() -> None:
-    def judged(*ranges: float) -> ClaimStatus:
+    def status_of(*ranges: float) -> ClaimStatus:
         return chawda_rules.limited(dict(zip("ab", ranges, strict=False)), 100.0, 1.6).status
 
-    assert judged(65.0) is ClaimStatus.REPRODUCED
-    assert judged(65.0, 7.0) is ClaimStatus.PARTLY  # a factor 14: the direction alone
-    assert judged(20.0, 100.0) is ClaimStatus.NOT
-    assert judged(90.0) is ClaimStatus.NOT
+    assert status_of(65.0) is ClaimStatus.REPRODUCED
+    assert status_of(65.0, 7.0) is ClaimStatus.PARTLY  # a factor 14: the direction alone
+    assert status_of(20.0, 100.0) is ClaimStatus.NOT
+    assert status_of(90.0) is ClaimStatus.NOT
 
 
 def test_table_one_wants_every_number_near() -> None:

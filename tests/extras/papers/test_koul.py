@@ -80,21 +80,21 @@ def test_levelling_off_needs_the_lag_when_the_control_keeps_rising() -> None:
 
 
 def test_a_stiffness_far_from_the_papers_is_reproduced_in_its_size_alone() -> None:
-    def judged(fitted: float, unfitted: float) -> ClaimStatus:
+    def status_of(fitted: float, unfitted: float) -> ClaimStatus:
         return koul_rules.level({"fitted": fitted, "unfitted": unfitted}, 560.0).status
 
-    assert judged(560.0, 620.0) is ClaimStatus.REPRODUCED
-    assert judged(620.0, 819.0) is ClaimStatus.PARTLY
-    assert judged(620.0, 5000.0) is ClaimStatus.NOT
+    assert status_of(560.0, 620.0) is ClaimStatus.REPRODUCED
+    assert status_of(620.0, 819.0) is ClaimStatus.PARTLY
+    assert status_of(620.0, 5000.0) is ClaimStatus.NOT
 
 
 def test_peaks_in_another_order_are_reproduced_in_their_size_alone() -> None:
-    def judged(*stiffnesses: float) -> ClaimStatus:
+    def status_of(*stiffnesses: float) -> ClaimStatus:
         return koul_rules.peaks({("rigid", "1 kHz"): stiffnesses}, (780.0, 560.0, 350.0)).status
 
-    assert judged(800.0, 577.0, 384.0) is ClaimStatus.REPRODUCED
-    assert judged(577.0, 865.0, 384.0) is ClaimStatus.PARTLY
-    assert judged(577.0, 2000.0, 384.0) is ClaimStatus.NOT
+    assert status_of(800.0, 577.0, 384.0) is ClaimStatus.REPRODUCED
+    assert status_of(577.0, 865.0, 384.0) is ClaimStatus.PARTLY
+    assert status_of(577.0, 2000.0, 384.0) is ClaimStatus.NOT
 
 
 def test_a_claim_that_depends_on_what_the_paper_leaves_open_is_undecided() -> None:
@@ -104,22 +104,22 @@ def test_a_claim_that_depends_on_what_the_paper_leaves_open_is_undecided() -> No
 
 
 def test_a_lower_cutoff_counts_where_both_walls_are_stable() -> None:
-    def judged(*errors: float | None) -> ClaimStatus:
+    def status_of(*errors: float | None) -> ClaimStatus:
         return koul_rules.sometimes_better({"a": errors, "b": (1.0, 0.95)}).status
 
-    assert judged(1.0, 2.0, 0.8) is ClaimStatus.REPRODUCED
-    assert judged(1.0, 2.0, None) is judged(None, 0.1) is judged(1.0, None) is ClaimStatus.NOT
+    assert status_of(1.0, 2.0, 0.8) is ClaimStatus.REPRODUCED
+    assert status_of(1.0, 2.0, None) is status_of(None, 0.1) is status_of(1.0, None) is ClaimStatus.NOT
 
 
 def test_the_best_estimator_of_a_rate_may_depend_on_the_resolution() -> None:
-    def judged(slow: float, other: float, fast: float) -> str:
+    def status_of(slow: float, other: float, fast: float) -> str:
         errors = {("1 µm", 1000): (slow, 1.0), ("20 µm", 1000): (other, 1.0), ("1 µm", 20_000): (fast, 1.0)}
         return str(koul_rules.best_below(errors).status)
 
-    assert judged(0.9, 0.9, 1.2) == "reproduced"
-    assert judged(0.9, 0.9, 0.9) == "reproduced in part:"
-    assert judged(1.0, 0.9, 0.9) == "undecided"
-    assert judged(1.0, 1.0, 0.9) == "not reproduced"
+    assert status_of(0.9, 0.9, 1.2) == "reproduced"
+    assert status_of(0.9, 0.9, 0.9) == "reproduced in part:"
+    assert status_of(1.0, 0.9, 0.9) == "undecided"
+    assert status_of(1.0, 1.0, 0.9) == "not reproduced"
 
 
 def test_equal_ranges_are_equal_in_every_case() -> None:
@@ -137,15 +137,15 @@ def test_equal_ranges_of_random_plants_want_most_of_them() -> None:
 
 
 def test_half_is_half_and_not_less() -> None:
-    def judged(step: float = 1.0, **ratios: float) -> str:
+    def status_of(step: float = 1.0, **ratios: float) -> str:
         cases = {("rigid", cutoff, "felt"): ratio for cutoff, ratio in ratios.items()}
         return koul_rules.half(cases, step).verdict
 
-    assert judged(a=0.5, b=0.4) == "reproduced"
-    assert judged(a=0.5, b=0.2) == "reproduced only with a"
-    assert judged(a=7.6) == "not reproduced"
-    assert judged(a=0.7) == "not reproduced"
-    assert judged(1.2, a=0.7) == "reproduced"  # within a step of its search
+    assert status_of(a=0.5, b=0.4) == "reproduced"
+    assert status_of(a=0.5, b=0.2) == "reproduced only with a"
+    assert status_of(a=7.6) == "not reproduced"
+    assert status_of(a=0.7) == "not reproduced"
+    assert status_of(1.2, a=0.7) == "reproduced"  # within a step of its search
     assert koul_rules.half_of_plants([(0.5, 1.0)] * 10).status is ClaimStatus.REPRODUCED
     assert koul_rules.half_of_plants([(0.5, 1.0), (7.0, 1.0)]).status is ClaimStatus.NOT
 
@@ -169,24 +169,24 @@ RISES = [(0.0, 200.0), (1.0, 300.0), (2.0, 250.0), (3.0, 0.0)]
 
 
 def test_stiffness_is_lost_once_damping_is_added() -> None:
-    def judged(curve: koul_rules.Curve, other: koul_rules.Curve = FALLS) -> str:
+    def status_of(curve: koul_rules.Curve, other: koul_rules.Curve = FALLS) -> str:
         return koul_rules.loses({("r", "2 kHz", "felt"): curve, ("r", "1 kHz", "felt"): other}).verdict
 
-    assert judged(FALLS) == "reproduced"  # a hundredth of the range does not count
-    assert judged(RISES) == "reproduced only with 1 kHz"
-    assert judged(RISES, RISES) == "not reproduced"
-    assert judged([(0.0, 500.0), (1.0, 490.0)], RISES) == "not reproduced"
-    assert judged([(0.0, 0.0), (1.0, 0.0)], RISES) == "not reproduced"  # nothing to lose
+    assert status_of(FALLS) == "reproduced"  # a hundredth of the range does not count
+    assert status_of(RISES) == "reproduced only with 1 kHz"
+    assert status_of(RISES, RISES) == "not reproduced"
+    assert status_of([(0.0, 500.0), (1.0, 490.0)], RISES) == "not reproduced"
+    assert status_of([(0.0, 0.0), (1.0, 0.0)], RISES) == "not reproduced"  # nothing to lose
 
 
 def test_stiffness_rises_to_a_peak() -> None:
-    def judged(curve: koul_rules.Curve, step: float = 1.0) -> str:
+    def status_of(curve: koul_rules.Curve, step: float = 1.0) -> str:
         return koul_rules.first_rises({("r", "felt"): curve}, step).verdict
 
-    assert judged(RISES) == "reproduced"
-    assert judged(FALLS) == "not reproduced"
-    assert judged([(0.0, 200.0), (1.0, 150.0), (2.0, 300.0)]) == "not reproduced"  # it falls first
-    assert judged([(0.0, 200.0), (1.0, 220.0)], step=1.35) == "not reproduced"  # less than half a rung
+    assert status_of(RISES) == "reproduced"
+    assert status_of(FALLS) == "not reproduced"
+    assert status_of([(0.0, 200.0), (1.0, 150.0), (2.0, 300.0)]) == "not reproduced"  # it falls first
+    assert status_of([(0.0, 200.0), (1.0, 220.0)], step=1.35) == "not reproduced"  # less than half a rung
 
 
 def test_penetration_with_dual_rate_is_clearly_the_lowest() -> None:
@@ -279,7 +279,7 @@ def test_a_grid_gives_the_results_of_ladder_and_bisection() -> None:
         dampings=(0.0,),
         search=search,
         offsets=(0.1,),
-        judged="true",
+        status_of="true",
     )
     rows = [{"stiffness": k, "passes_any_true": k not in (2.0, 64.0)} for k in search.rungs]
     for row in rows:

@@ -125,7 +125,7 @@ def test_win_and_tie() -> None:
     assert math.log(found.high) == pytest.approx(logs.mean() + half, abs=0.02)
 
 
-def made(rig: str, **areas: float) -> RigResults:
+def make_results(rig: str, **areas: float) -> RigResults:
     """Return results in which each pair has the same area under all conditions."""
     keys = [f"{grip}/{delay}" for grip in rule.CONDITIONS for delay in rule.DELAYS]
     return RigResults(
@@ -138,18 +138,18 @@ def made(rig: str, **areas: float) -> RigResults:
 
 
 def test_the_best_pair_is_recommended_and_ties_are_not() -> None:
-    found = made("a", x=2.0, y=1.0, z=0.5)
+    found = make_results("a", x=2.0, y=1.0, z=0.5)
     assert found.recommended("0") == ["x"]
-    assert made("a", x=2.0, y=1.9).recommended("0") == []
-    assert made("a", x=2.0, y=1.9).never_lose("0") == ["x", "y"]
+    assert make_results("a", x=2.0, y=1.9).recommended("0") == []
+    assert make_results("a", x=2.0, y=1.9).never_lose("0") == ["x", "y"]
     assert found.best("firm", "0", ["y", "z"]) == "y"
-    tied = made("a", **{"x": 2.0, "x, passive": 1.9, "y": 1.0})
+    tied = make_results("a", **{"x": 2.0, "x, passive": 1.9, "y": 1.0})
     assert tied.recommended("0") == []
     assert tied.recommended("0", own_laws=False) == ["x", "x, passive"]
 
 
 def test_the_stability_is_the_tau_of_the_rankings() -> None:
-    same, other = made("a", x=3.0, y=2.0, z=1.0), made("b", x=1.0, y=2.0, z=30.0)
+    same, other = make_results("a", x=3.0, y=2.0, z=1.0), make_results("b", x=1.0, y=2.0, z=30.0)
     assert compare.stability([same, same, same], "0")["a"] == pytest.approx(1.0)
     taus = compare.stability([same, other], "0")  # both: z, y, x; b alone z, y, x; a alone x, y, z
     assert taus == {"a": pytest.approx(1.0), "b": pytest.approx(-1.0)}
@@ -223,7 +223,7 @@ def test_the_command_writes_results_and_the_page_that_follows_from_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     areas = {pair.name: 2.0**n for n, pair in enumerate(Ground.of("hapkit").pairs)}
-    found = asdict(made("hapkit", **areas))
+    found = asdict(make_results("hapkit", **areas))
     asked: list[Any] = []
 
     def measure_rig(rig: str, **given: Any) -> dict[str, Any]:

@@ -60,7 +60,7 @@ REQUIRED = {"TaskName", "SamplingFrequency"}  # of a motion file's JSON, BIDS 1.
 UNITS = {"s", "rad", "rad/s", "m", "m/s", "N.m", "N", "A"}
 
 
-def recorded(directory: Any, preset: Any, **changes: Any) -> Any:
+def record_hit(directory: Any, preset: Any, **changes: Any) -> Any:
     """Return a sealed hit of a rig at a low rate."""
     experiment = config.override(presets.load(preset), {**QUICK, **changes})
     with FramedDevice(MemoryLink(SimulatedDevice(config.rig_model(experiment)))) as device:
@@ -69,7 +69,7 @@ def recorded(directory: Any, preset: Any, **changes: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def hit(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return recorded(tmp_path_factory.mktemp("hit"), "koul-compliant")
+    return record_hit(tmp_path_factory.mktemp("hit"), "koul-compliant")
 
 
 @pytest.fixture(scope="module")

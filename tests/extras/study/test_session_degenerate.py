@@ -40,7 +40,7 @@ def people(*limits: tuple[float, float], **settings: Any) -> dict[str, Person]:
     }
 
 
-def inferred(found: StudyAnalysis) -> list[float]:
+def reported_inferences(found: StudyAnalysis) -> list[float]:
     """Return every p value and interval of differences that an analysis reports."""
     differences = [*found.paired, *(one for model in found.mixed for one in model.contrasts)]
     values = [value for one in differences for value in (one.low, one.high, one.p, one.holm)]
@@ -52,7 +52,7 @@ def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(t
     mapping = protocol(search=LADDER, order={"repeats": 1})
     write_study(tmp_path, mapping, people((85.0, 115.0), (105.0, 135.0), (125.0, 155.0)))
     found = analyse([tmp_path])
-    assert inferred(found) == []
+    assert reported_inferences(found) == []
     (rule,) = [one for one in found.paired if one.measure == "rule"]
     assert rule.difference == pytest.approx(30.0)
     (model,) = [one for one in found.mixed if one.measure == "rule"]
@@ -92,7 +92,7 @@ def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: P
     for draw in pictures(found).values():
         draw(found).draw_without_rendering()
     if len(of) < 3 or len({one.threshold("dual", 0.0) for one in of.values()}) == 1:
-        assert inferred(found) == []
+        assert reported_inferences(found) == []
 
 
 @pytest.mark.exhaustive("::test_a_degenerate_study_has_its_tables_and_its_report")

@@ -17,7 +17,7 @@ HALF = Fraction(1, 2)
 ENDS = RowFlag.NONFINITE | RowFlag.OUT_OF_WINDOW | RowFlag.HOMING_FAILED
 
 
-def within(value: Any, limit: Any) -> Any:
+def clamp(value: Any, limit: Any) -> Any:
     return sorted((-limit, value, limit))[1]
 
 
@@ -63,15 +63,15 @@ class ExactLaw:
             return 0, int(self.flags), int(self.phase)
         wanted = Fraction(clipped(math.floor(wanted * 2**15), 32), 2**15)
         if abs(wanted) > p.current_limit:
-            wanted = within(wanted, Fraction(p.current_limit))
+            wanted = clamp(wanted, Fraction(p.current_limit))
             self.flags |= RowFlag.SATURATED
         slew = w.homing_slew if self.phase in (Phase.HOMING, Phase.SETTLE) else w.trial_slew
         step = Fraction(min(slew * elapsed, 2**31 - 1), 2**15)
-        bound = self.limited + within(wanted - self.limited, step)
+        bound = self.limited + clamp(wanted - self.limited, step)
         if bound != wanted:
             self.flags |= RowFlag.SLEW_BOUND
         self.limited = bound
-        return within(math.floor(bound + HALF), p.current_limit), int(self.flags), int(self.phase)
+        return clamp(math.floor(bound + HALF), p.current_limit), int(self.flags), int(self.phase)
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self.phase_ticks = phase, 0
@@ -109,10 +109,10 @@ class ExactLaw:
         """Return the unlimited effort (quanta)."""
         p, w = self.p, self.w
         if self.phase in (Phase.HOMING, Phase.SETTLE):
-            self.setpoint += within(p.home_target - self.setpoint, p.home_step * min(elapsed, 65535))
+            self.setpoint += clamp(p.home_target - self.setpoint, p.home_step * min(elapsed, 65535))
             error = clipped(math.floor(Fraction(self.setpoint - travel * 2**24, 2**16)), 32)
             effort = w.home_stiffness * error - w.home_damping * p.sense * self.velocity
-            return Fraction(within(effort, w.home_effort), 2**w.home_shift)
+            return Fraction(clamp(effort, w.home_effort), 2**w.home_shift)
         if self.phase not in (Phase.TRIAL, Phase.RELEASE):
             return Fraction(0)
         total = w.constant - w.side * self._reaction(depth)

@@ -22,7 +22,7 @@ PERIOD_S, DELTA = 1 / 2000, 1e-6
 WIDE = 3.0e38
 
 
-def bare(prepared: Any, divider: int = 1) -> Any:
+def estimator_only(prepared: Any, divider: int = 1) -> Any:
     """Return float parameters of a law in which only the estimator has an effect."""
     p = Parameters(arithmetic=FLOAT, sense=1, velocity_divider=divider, slow_multiple=1, release_ticks=1)
     p.window_minimum, p.window_maximum = -(2**31), 2**31 - 1
@@ -44,10 +44,10 @@ def motion(seed: Any, samples: int = 1500) -> Any:
     return (np.floor(place) + 2**31 - 3000).astype(np.int64), elapsed  # wraps on its way
 
 
-def both(law: Any, name: Any, counts: Any, elapsed: Any, **given: Any) -> Any:
+def run_both(law: Any, name: Any, counts: Any, elapsed: Any, **given: Any) -> Any:
     """Return velocities (counts per period) and windows of the host's estimator and of the one in C."""
     prepared = estimators.get(name).prepare(given, DELTA, PERIOD_S)
-    p = bare(prepared)
+    p = estimator_only(prepared)
     table = inputs(counts, elapsed)
     table["active"] = np.random.default_rng(7).integers(-500, 501, len(counts))  # quanta, of 1 N each
     ticks = law.run(p, table)
@@ -86,7 +86,7 @@ CASES = {
 @pytest.mark.parametrize("seed", first_by_default([1, 2]))
 def test_float_velocity_equals_the_host_to_rounding(law: Any, case: Any, seed: int) -> None:
     name, settings_, allowed = CASES[case]
-    host, windows, ticks = both(law, name, *motion(seed), **settings_)
+    host, windows, ticks = run_both(law, name, *motion(seed), **settings_)
     worst = np.abs(ticks["velocity"] - host).max() / (EPS * np.abs(host).max())
     assert worst <= allowed, worst
     assert (ticks["window"] == windows).all()
@@ -104,7 +104,7 @@ def test_windows_of_foaw_are_the_hosts(law: Any, name: str, data: st.DataObject)
         "window_limit": float(data.draw(st.integers(1, 64))),
         "stop": data.draw(st.sampled_from(["first", "global"])),
     }
-    host, windows, ticks = both(law, name, np.cumsum(steps), np.array(elapsed), **given_)
+    host, windows, ticks = run_both(law, name, np.cumsum(steps), np.array(elapsed), **given_)
     assert ticks["window"].tolist() == windows.tolist()
     assert np.abs(ticks["velocity"] - host).max() <= 3 * EPS * max(1.0, np.abs(host).max())
 
@@ -116,7 +116,7 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
     counts, elapsed = motion(3)
     given_ = {"discretisation": discretisation, "output": output, "lipschitz": 20.0}
     prepared = estimators.get("levant").prepare(given_, DELTA, PERIOD_S)
-    p = bare(prepared)
+    p = estimator_only(prepared)
     state = law.reset(p)
     update, worst, scale = prepared.estimator.update, 0.0, scale_of(prepared)
     for count, periods in zip(counts.tolist(), elapsed.tolist(), strict=True):
@@ -136,7 +136,7 @@ def test_levant_equals_the_host_step_by_step(law: Any, discretisation: str, outp
 @settings(max_examples=25)
 def test_fixed_velocity_is_exact_after_gaps(law: Any, data: st.DataObject) -> None:
     vectors = golden_vectors(data.draw(st.integers(0, 1000)), ticks=1)
-    p = bare(estimators.get("fdm").prepare({}, 1.0, 1.0))
+    p = estimator_only(estimators.get("fdm").prepare({}, 1.0, 1.0))
     _set_biquad(p, vectors.filter)
     counts = data.draw(st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=30))
     gaps = st.sampled_from([1, 1, 1, 2, 3, 7, 40, 1000, 5000])

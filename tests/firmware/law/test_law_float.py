@@ -89,7 +89,7 @@ def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     assert np.abs(ticks["current"] - currents).max() <= 1
 
 
-def drawn_controller(random: Any) -> Any:
+def draw_controller(random: Any) -> Any:
     """Draw a controller with every option and limit, such that each limit is reached sometimes."""
     control = np.zeros(1, CONTROL)
     count, quantum = 1.5707963e-4, 2.34e-4
@@ -147,7 +147,7 @@ def test_every_option_and_limit_is_the_hosts(law: Any) -> None:
     seen = set()
     for seed in range(80):
         random = np.random.default_rng(seed)
-        host = drawn_controller(random)
+        host = draw_controller(random)
         c = host.control[0]
         ticks = 120
         drift = np.cumsum(random.normal(0.0, 0.3, ticks))

@@ -44,7 +44,7 @@ def url(built: BuildResult) -> Iterator[str]:
         yield f"serial://{port[0]}"
 
 
-def met(device: FramedDevice) -> None:
+def wait_for_device(device: FramedDevice) -> None:
     """Wait until the device replies: the emulator notices an open pseudo-terminal after about a second."""
     deadline = time.monotonic() + BOOT_S
     while True:
@@ -57,7 +57,7 @@ def met(device: FramedDevice) -> None:
 
 def test_a_host_talks_with_the_board(built: BuildResult, url: str) -> None:
     with open_device(url) as device:
-        met(device)
+        wait_for_device(device)
         found = about(url, device.dictionary, device.dictionary_hash, None)
         assert found.compatible
         assert (found.firmware, found.dictionary_hash) == (built.firmware, built.dictionary_hash)

@@ -107,7 +107,7 @@ class Ticks:
 _idle: list[subprocess.Popen[str]] = []
 
 
-def _taken() -> subprocess.Popen[str]:
+def _take_process() -> subprocess.Popen[str]:
     """Return an idle emulator process, or a new one."""
     if _idle:
         return _idle.pop()
@@ -155,7 +155,7 @@ class Pico:
         start_us: float = START_US,
         **power: Any,
     ) -> None:
-        self._process = _taken()
+        self._process = _take_process()
         self._ticks = Ticks(*[np.zeros(0, dtype=np.int64)] * 7)
         self.ask(
             "power",
@@ -229,7 +229,7 @@ def plant_of(model: RigModel) -> dict[str, Any]:
 
 def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:
     """Return position, velocity and effort of plant.js after each step with one of the efforts (N·m)."""
-    process = _taken()
+    process = _take_process()
     try:
         plant = {**plant_of(model), "position": position}
         states: list[list[float]] = _asked(process, "plant", {"plant": plant, "commands": efforts})["states"]
