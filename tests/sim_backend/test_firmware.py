@@ -39,6 +39,7 @@ from tests.conformance.firmware import need_compiler
 from tests.conformance.host import Host
 from tests.conformance.link import check_link
 from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.tiers import first_by_default
 
 if numba.config.DISABLE_JIT:
     pytest.skip("many ticks in one call are compiled code", allow_module_level=True)
@@ -206,7 +207,7 @@ def by_runs(device: FirmwareDevice, ticks: int, most: int, enough: int) -> bytes
     return sent
 
 
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", first_by_default(RIGS))
 @settings(max_examples=4)
 @given(data=st.data())
 def test_a_run_is_its_ticks(rig: str, data: st.DataObject) -> None:
@@ -234,7 +235,7 @@ def test_a_run_is_its_ticks(rig: str, data: st.DataObject) -> None:
     assert devices[0].elapsed_ns == devices[1].elapsed_ns
 
 
-@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("rig", first_by_default(RIGS))
 def test_its_truth_is_that_of_the_readable_device(rig: str) -> None:
     model = RIGS[rig]()
     devices = [

@@ -127,7 +127,7 @@ def test_rig_without_a_reach_has_no_script() -> None:
 # The held plant
 
 
-@pytest.mark.parametrize("mechanics", [RIGID, TWO_MASS], ids=["rigid", "two-mass"])
+@pytest.mark.parametrize("mechanics", first_by_default([RIGID, TWO_MASS]), ids=["rigid", "two-mass"])
 @pytest.mark.parametrize("lag_s", first_by_default([1e-4, 0.0]))
 def test_a_hand_that_does_not_touch_leaves_the_rig_as_it_is(mechanics: Mechanics, lag_s: float) -> None:
     # The kernel of the held plant and those of the free ones are the same mechanics, with friction and edges.

@@ -105,7 +105,7 @@ def hit(
         return trial_on(device, experiment, directory / "hit.rigcap", sealed=sealed).recording
 
 
-@pytest.mark.parametrize("ppm", [0.0, 120.0, -120.0])
+@pytest.mark.parametrize("ppm", first_by_default([0.0, 120.0, -120.0]))
 def test_a_recording_has_both_clocks(tmp_path: Path, ppm: float) -> None:
     """In lock-step a sample is received when it is taken, and answered at once: the ledger must find that again."""
     recording = open_recording(hit(tmp_path, ppm, ticks_before=1000))

@@ -155,7 +155,7 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
         run(device, tmp_path_factory.mktemp("warm"), *EXITS["finished"])
 
 
-@pytest.mark.parametrize("exit_kind", EXITS)
+@pytest.mark.parametrize("exit_kind", first_by_default(EXITS, 4))
 @pytest.mark.signals
 def test_nothing_is_left_in_virtual_time(exit_kind: Any, warm: Any, tmp_path: Path) -> None:
     with nothing_left(), in_memory() as device:

@@ -25,6 +25,7 @@ from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import read
 from rig.session.engine._rehearsal import Person
 from rig.session.engine._run import rehearsal_desk, run_session
+from tests.conformance.tiers import first_by_default
 from tests.system.session_study import PROTOCOL
 
 COUNTED: dict[str, Callable[..., Any]] = {
@@ -62,7 +63,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return calls
 
 
-@pytest.mark.parametrize("loop", ["host", "device"])
+@pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_a_hit_validates_designs_judges_and_reads_back_once(
     loop: str, seen: Counter[str], tmp_path: Path
 ) -> None:
@@ -85,7 +86,7 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     }
 
 
-@pytest.mark.parametrize("loop", ["host", "device"])
+@pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
     experiment = override(presets.load("koul-rigid"), {"controller.loop": loop})
     run = plan.make_plan(experiment).run

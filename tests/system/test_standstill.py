@@ -21,6 +21,7 @@ from rig.core.sample import Phase, RowFlag
 from sim_backend.bare.trial import Trace, run_arguments, run_ticks
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant, advance
+from tests.conformance.tiers import first_by_default
 from tests.system.test_dead_encoder import DEAD
 
 Count = Callable[[int], int]
@@ -123,7 +124,7 @@ def test_with_an_encoder_that_dies_the_handle_of_any_rig_stays_slow(
     assert_bounded(x, ran, dies)
 
 
-@pytest.mark.parametrize("name", presets.names())
+@pytest.mark.parametrize("name", first_by_default(presets.names(), 2))
 def test_a_homing_servo_below_the_check_of_the_device_is_stopped(name: str) -> None:
     x = presets.load(name)
     friction = moved_mechanics(config.rig_model(x)).friction

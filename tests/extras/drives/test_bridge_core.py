@@ -383,7 +383,7 @@ def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_on
 
 
 @both
-@pytest.mark.parametrize("awaits", [False, True])
+@pytest.mark.parametrize("awaits", first_by_default([False, True]))
 def test_a_computer_that_stands_still_loses_samples_and_has_no_old_ones(kind: str, awaits: bool) -> None:
     """Pauses shorter than a command's lifetime are counted, longer ones end the run; index and clock agree."""
     faults = {}

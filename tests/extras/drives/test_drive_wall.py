@@ -43,7 +43,7 @@ RUN_MS = 8
 # ---------------------------------------------------------------------- physics
 
 
-@pytest.mark.parametrize(("side", "sign", "ratio"), [(1, 1, 1.0), (-1, -1, 2.0)])
+@pytest.mark.parametrize(("side", "sign", "ratio"), first_by_default([(1, 1, 1.0), (-1, -1, 2.0)]))
 def test_the_static_slope_is_the_stiffness(side: int, sign: int, ratio: float) -> None:
     """Two pushes come to rest Δτ/K apart, for either encoder sign and any ratio."""
     keys = {
@@ -116,7 +116,7 @@ def k_max(x: Experiment, damping: float) -> float:
     return low
 
 
-@pytest.mark.parametrize("where", ["drive", "float32"])
+@pytest.mark.parametrize("where", first_by_default(["drive", "float32"]))
 def test_the_drive_holds_stiffer_walls_than_a_law_behind_the_bridge(where: str) -> None:
     """Predicted before: up to 6.1 N·m/rad by the drive, 2.1 by the same wall with 1 ms of delay at 1 kHz."""
     keys = {

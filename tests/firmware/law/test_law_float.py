@@ -52,7 +52,9 @@ ERROR = 12 * EPS  # of an effort, against the limit; three times what was measur
 # single steps compare (test_law_estimators.py), and what a hit is judged by (below).
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    [(n, s) for s in SCHEMES for n in SUITS.get(s, ESTIMATORS) if (n, s) != ("levant", "uniform")],
+    first_by_default(
+        [(n, s) for s in SCHEMES for n in SUITS.get(s, ESTIMATORS) if (n, s) != ("levant", "uniform")], 6
+    ),
 )
 def test_a_tick_equals_the_hosts(law: Any, name: Any, scheme: Any) -> None:
     """With a tenth of the counts missing, phases and flags are equal, and efforts up to rounding."""

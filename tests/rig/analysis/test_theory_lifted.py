@@ -148,7 +148,7 @@ CASES = {  # the first three run by default
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", first_by_default(CASES, 3))
+@pytest.mark.parametrize("case", first_by_default(CASES))
 def test_simulation_grows_beyond_the_limit_and_decays_below(case: Any) -> None:
     model, scheme, timing, damping, seconds, grip = CASES[case]
     timing = {**timing, "seconds": seconds, "hand": None if grip is None else GRIPS[grip]}
@@ -280,7 +280,9 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     assert kalman.controller.parameters == {"bandwidth_hz": 100.0}
 
 
-@pytest.mark.parametrize("scheme", ["dual:20k/2k", "uniform:20k", "uniform:1k,estimator=fdm"])
+@pytest.mark.parametrize(
+    "scheme", first_by_default(["dual:20k/2k", "uniform:20k", "uniform:1k,estimator=fdm"])
+)
 @pytest.mark.parametrize(
     ("rig", "operator"), [("koul-compliant", "normal"), ("koul-rigid", "none"), ("cogged", "none")]
 )

@@ -15,6 +15,7 @@ from rig.analysis.theory import _limits as limits
 from rig.config import presets
 from rig.core.errors import ConfigError
 from rig.core.model import Mechanics
+from tests.conformance.tiers import first_by_default
 
 KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
@@ -64,7 +65,7 @@ def test_koul_by_hand_at_20_khz_without_damping() -> None:
     assert late.stiffness == pytest.approx(359, rel=0.01)
 
 
-@pytest.mark.parametrize("rig", ["koul-rigid", "koul-compliant", "chawda-linear"])
+@pytest.mark.parametrize("rig", first_by_default(["koul-rigid", "koul-compliant", "chawda-linear"]))
 @pytest.mark.parametrize("operator", ["none", "normal"])
 def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, operator: str) -> None:
     """Koul's first claim: set by T2, the filter and inertia, not by T1."""

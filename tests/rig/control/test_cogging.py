@@ -17,6 +17,7 @@ from rig.control.cogging import FADE, around, bounded_at, compensate_cogging
 from rig.core.model import Cogging
 from rig.core.sample import Phase
 from rig.testing import Hits
+from tests.conformance.tiers import first_by_default
 
 MAP = Cogging(
     period=0.0628, orders=(1, 3), cosine=(0.0, 0.004), sine=(-0.02, 0.006), minimum=-0.04, maximum=0.05
@@ -59,7 +60,7 @@ def test_compensation_is_the_map_within_range_and_limit(x: Any, limit: Any) -> N
     assert abs(taken(x + 1e-6, limit) - found) <= 1.01 * steepest * 1e-6, "it fades, and steps nowhere"
 
 
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("side", first_by_default([1, -1]))
 def test_the_wall_stays_the_wall_and_the_motor_pushes_against_its_cogging(side: int) -> None:
     """A reaction is an effort against the side; so side · F(x) of it is the effort −F(x)."""
     plain = laws.get("spring-damper")

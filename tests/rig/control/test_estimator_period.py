@@ -13,6 +13,7 @@ from rig.control import estimators
 from rig.control.estimators.arrays import run
 from rig.control.estimators.estimator import WINDOW
 from rig.core.errors import ConfigError
+from tests.conformance.tiers import first_by_default
 
 RESOLUTION, PERIOD = 1e-5, 5e-4
 TICK = 62.5e-9  # of the edge time on the wire
@@ -123,7 +124,7 @@ def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s: floa
     assert v[-1] < -0.1
 
 
-@pytest.mark.parametrize("frequency_hz", [3.0, 17.0])
+@pytest.mark.parametrize("frequency_hz", first_by_default([3.0, 17.0]))
 def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(frequency_hz: float) -> None:
     """Against the true velocity, where edges come every few periods at least."""
     amplitude, omega = 150.3, 2 * math.pi * frequency_hz

@@ -21,6 +21,7 @@ from rig.core.sample import Phase, RowFlag
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
 from tests.conformance.estimator import REQUIRED
+from tests.conformance.tiers import first_by_default
 
 ROOT = Path(__file__).parents[3]
 DELTA = 1e-6  # 1 µm
@@ -523,7 +524,7 @@ def press(
     return np.array(positions), np.array(efforts)
 
 
-@pytest.mark.parametrize("estimator", estimators.names())
+@pytest.mark.parametrize("estimator", first_by_default(estimators.names(), 4))
 def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator: Any) -> None:
     tick = Tick(
         estimator=estimator,

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from rig.control.estimators import quantise
 from rig.experiments.estimation._signals import SIGNALS, Signal, edge_times, sine, wall_bounce
+from tests.conformance.tiers import first_by_default
 
 FINE = 1e-6  # step of the brute-force oracles (s)
 
@@ -59,7 +60,7 @@ def brute_force_edges(signal: Signal, times: np.ndarray, resolution: float, offs
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-@pytest.mark.parametrize("offset", [0.5, 0.13])
+@pytest.mark.parametrize("offset", first_by_default([0.5, 0.13]))
 def test_edges_are_where_a_finely_sampled_encoder_changes(name: Any, offset: float) -> None:
     signal, resolution = SIGNALS[name], 2e-5
     times = np.arange(0.0, min(signal.end_s, 0.5), 1e-3)

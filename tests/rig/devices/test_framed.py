@@ -30,6 +30,7 @@ from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.rigs import linear_rig, rotary_rig
+from tests.conformance.tiers import first_by_default
 
 
 class Wire:
@@ -114,7 +115,7 @@ def test_a_request_without_reply_is_sent_four_times_and_the_link_is_lost() -> No
     assert caught.value.exit_code == 6
 
 
-@pytest.mark.parametrize("direction", Direction)
+@pytest.mark.parametrize("direction", first_by_default(Direction))
 def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direction: Any) -> None:
     _, clean, device = make(faults=Faults())
     echo = device.configure(RUN_PARAMETERS)
@@ -199,7 +200,7 @@ def test_a_device_of_another_major_version_is_named_with_both_versions() -> None
     assert caught.value.exit_code == 4
 
 
-@pytest.mark.parametrize("answer", [garbage, wrong_hash, changing])
+@pytest.mark.parametrize("answer", first_by_default([garbage, wrong_hash, changing]))
 def test_a_dictionary_that_makes_no_sense_is_an_incompatible_device(answer: Any) -> None:
     device = FramedDevice(Answering(answer))
     with pytest.raises(IncompatibleDeviceError, match="sends invalid data"):

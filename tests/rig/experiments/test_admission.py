@@ -114,7 +114,7 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
     raise AssertionError("a hit begins or is refused")
 
 
-@pytest.mark.parametrize("claims", ["simulated", "real"])
+@pytest.mark.parametrize("claims", first_by_default(["simulated", "real"]))
 @pytest.mark.parametrize("board", first_by_default(SERVED))
 def test_doctor_gate_and_hit_agree(
     board: str, claims: str, made_up: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -101,13 +101,15 @@ def test_arrays_that_cannot_be_judged_are_refused(changes: Any, message: str) ->
 # --- scores -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rate", [1000, 2000, 20_000])
+@pytest.mark.parametrize("rate", first_by_default([1000, 2000, 20_000]))
 def test_a_finite_difference_is_half_a_period_late(rate: int) -> None:
     found = score(hit(rate), Variant("fdm"))
     assert found.delay_s == pytest.approx(0.5 / rate, abs=3e-6)
 
 
-@pytest.mark.parametrize(("rate", "cutoff_hz"), [(2000, 200.0), (20_000, 200.0), (20_000, 1000.0)])
+@pytest.mark.parametrize(
+    ("rate", "cutoff_hz"), first_by_default([(2000, 200.0), (20_000, 200.0), (20_000, 1000.0)])
+)
 def test_a_butterworth_filter_adds_its_delay_to_that(rate: int, cutoff_hz: float) -> None:
     """PHYSICS 2i (A) 4: √2·T/(2·tan(π·fc·T)) at zero frequency, 1.088 ms for 200 Hz at 2 kHz."""
     slow = signal_case(sine(amplitude=0.05, frequency_hz=2.0), rate, FINE)

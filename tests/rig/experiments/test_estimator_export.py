@@ -62,7 +62,7 @@ def tried(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
     return subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
 
 
-@pytest.mark.parametrize("variant", first_by_default(VARIANTS, 4), ids=lambda variant: variant.label)
+@pytest.mark.parametrize("variant", first_by_default(VARIANTS, 2), ids=lambda variant: variant.label)
 def test_the_compiled_estimator_gives_the_velocities_of_the_host(variant: Variant, tmp_path: Path) -> None:
     done = tried(written(variant, tmp_path))
     assert done.returncode == 0, done.stdout

@@ -76,6 +76,9 @@ def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
     assert np.median(chawda.dynamics.coherence) > 0.999
 
 
+@pytest.mark.exhaustive(
+    "tests/rig/analysis/test_identification_fits.py::test_two_masses_show_their_mode_and_how_the_inertia_splits"
+)
 def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any) -> None:
     """The free handle, without the end mass: 587 Hz."""
     mode = compliant.dynamics.mode
@@ -111,6 +114,7 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
         assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
 
 
+@pytest.mark.exhaustive("::test_chawda_linear_comes_out_within_a_per_cent")
 def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 2000}
     found = identified(RIGID, tmp_path, period_s=0.25, changes=changes)
@@ -187,6 +191,7 @@ def test_a_value_that_may_be_wrong_by_more_than_its_interval_has_a_warning(compl
     assert "cannot be distinguished from zero" in damping
 
 
+@pytest.mark.exhaustive("::test_a_rig_that_another_process_simulates_keeps_its_end_mass_too")
 def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
     found = identified(RIGID, tmp_path, url="sim://koul-rigid", rate_hz=1000)
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)
@@ -531,6 +536,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
         assert re.search(r"`rate` \d+", str(caught.value.remedy))
 
 
+@pytest.mark.exhaustive("::test_lost_samples_are_filled_in_up_to_a_bound")
 @pytest.mark.parametrize("preset", first_by_default(["koul-rigid", "koul-compliant", "chawda-linear"]))
 def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
     preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -18,13 +18,13 @@ KOUL = presets.load("koul-rigid")
 
 
 # 6199: a phase margin of 1.5° in homing; 6316: two counts in which the push makes the handle fast.
-@pytest.mark.parametrize("seed", first_by_default([6199, 6316, *range(8)], 4))
+@pytest.mark.parametrize("seed", first_by_default([6199, 6316, *range(8)], 2))
 def test_a_random_rig_reaches_its_wall_as_planned_or_after_the_named_changes(seed: int) -> None:
     found = outcome(seed)
     assert found.reached, found
 
 
-@pytest.mark.parametrize("rate", [1_000, 4_000, 20_000])
+@pytest.mark.parametrize("rate", first_by_default([1_000, 4_000, 20_000]))
 def test_a_first_own_rig_homes_without_any_key_of_homing(rate: int) -> None:
     x = experiment_from_mapping(PHD, "phd.toml")
     x = with_realtime(x) if rate == 1_000 else override(x, {"controller.position_rate": rate})
@@ -56,7 +56,7 @@ FINDINGS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", FINDINGS)
+@pytest.mark.parametrize("name", first_by_default(FINDINGS, 3))
 def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
     rates = {"controller.position_rate": 2_000, "controller.velocity_rate": 2_000}
     x = override(KOUL, rates | FINDINGS[name])
@@ -72,7 +72,9 @@ def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
     assert reaches(x, 0)[0]
 
 
-@pytest.mark.parametrize(("lines", "name"), [(85, "speed reading"), (90, "impact velocity")])
+@pytest.mark.parametrize(
+    ("lines", "name"), first_by_default([(85, "speed reading"), (90, "impact velocity")])
+)
 def test_counts_that_read_as_a_speed_beyond_its_limit_are_refused_with_a_cutoff(
     lines: int, name: str
 ) -> None:

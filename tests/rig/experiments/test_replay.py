@@ -28,6 +28,7 @@ from rig.recording._capture import BLOCK_ROWS
 from rig.recording.reader import open_recording
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
 START = -0.015
@@ -110,7 +111,7 @@ def test_a_run_whose_estimator_knows_the_effort_replays_exactly_over_gaps(armed:
     assert_exact(replay(recording))
 
 
-@pytest.mark.parametrize("name", presets.names())
+@pytest.mark.parametrize("name", first_by_default(presets.names(), 3))
 def test_every_preset_replays_exactly(name: Any, tmp_path: Path) -> None:
     experiment = config.override(
         presets.load(name),

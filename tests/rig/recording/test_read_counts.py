@@ -15,6 +15,7 @@ from rig.experiments.estimation.estimators import Variant, estimates, score
 from rig.experiments.estimation.tuning import tune_estimator
 from rig.recording.counts import WORST_DEVIATION, read_counts
 from rig.recording.origin import counts_facts
+from tests.conformance.tiers import first_by_default
 
 RATE, DELTA, N = 1000, 1e-4, 3000
 TIME_S = np.arange(N) / RATE
@@ -82,7 +83,7 @@ def test_empty_cells_are_lost_samples(cell: str, timed: bool, tmp_path: Path) ->
     assert found.column("sample_index").tolist() == KEPT.tolist()
 
 
-@pytest.mark.parametrize("width", [12, 16])
+@pytest.mark.parametrize("width", first_by_default([12, 16]))
 def test_estimators_run_over_imported_counts_as_over_arrays(width: int, tmp_path: Path) -> None:
     path = log(tmp_path / "log.csv", TIME_S[KEPT], (TRUE % 2**width)[KEPT])
     made = read_counts(path, time="t", count="c", width=width, resolution=DELTA)

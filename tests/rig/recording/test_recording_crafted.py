@@ -21,6 +21,7 @@ from rig.recording._shape import DEPTH, misfit, parse_json
 from rig.recording.canonical import canonical_json
 from rig.recording.data import Recording
 from rig.recording.reader import open_recording
+from tests.conformance.tiers import first_by_default
 
 COMMANDS = (
     ["recording", "show", "--marks"],
@@ -106,7 +107,7 @@ def sealed(path: Path, good: Recording, facts: dict[str, Any]) -> None:
         parquet.write_parquet(file, good)
 
 
-@pytest.mark.parametrize("write", [capture, sealed])
+@pytest.mark.parametrize("write", first_by_default([capture, sealed]))
 @pytest.mark.parametrize("place", CRAFTED)
 def test_crafted_recording_is_exit_code_9_or_is_read(
     place: str,

@@ -19,6 +19,7 @@ from rig.recording.export import export
 from rig.recording.header import VERSION, dtype_of
 from rig.recording.reader import open_facts, open_recording
 from tests.conformance.recording import Limits, check_recording_format, example_header, example_rows
+from tests.conformance.tiers import first_by_default
 
 
 def write_rigcap(recording: Recording, path: Path) -> None:
@@ -60,7 +61,7 @@ FORMATS: dict[str, tuple[Any, Any, Limits]] = {
 }
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", first_by_default(FORMATS, 2))
 def test_format_keeps_what_a_recording_is(name: str, tmp_path: Path) -> None:
     write, read, limits = FORMATS[name]
     numbers = itertools.count()

@@ -142,7 +142,7 @@ SHORT = {
 }
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize("name", first_by_default(SHORT, 7))
 @settings(max_examples=15, deadline=None)
 @given(
     threshold=st.floats(1.0, 1200.0),
@@ -238,7 +238,7 @@ def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other()
     assert (estimate.value, estimate.censored, estimate.high) == (20.0, "above", math.inf)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", first_by_default([1, 2, 3]))
 def test_up_down_rules_settle_where_levitt_says(n: int) -> None:
     """Share of stable verdicts to the n-th power is a half: by counting the walls that a long track visits."""
     observer = Observer(threshold=500.0, spread=60.0)

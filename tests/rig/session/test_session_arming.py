@@ -33,6 +33,7 @@ from rig.session.planning._conditions import Walls
 from rig.session.planning._protocol import Protocol
 from rig.session.planning._schedule import levels_of
 from tests.conformance.made_links import link
+from tests.conformance.tiers import first_by_default
 from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
 from tests.system.session_study import PROTOCOL
 
@@ -158,7 +159,7 @@ def test_the_plan_of_a_study_lists_what_needs_consent() -> None:
 # ------------------------------------------------------------------- a device, and a link as it was measured
 
 
-@pytest.mark.parametrize("travel_s", [30e-6, 120e-6, 0.4])
+@pytest.mark.parametrize("travel_s", first_by_default([30e-6, 120e-6, 0.4]))
 @pytest.mark.parametrize("scheme", [0, 1])
 def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> None:
     protocol = protocol_of()

@@ -26,6 +26,7 @@ from rig.session.planning._protocol import Protocol
 from rig.session.planning._rules import settings_schema
 from rig.session.planning._template_files import SCHEMA, template_names, write_template
 from rig.session.search import RULES
+from tests.conformance.tiers import first_by_default
 
 TEXT = """
 [study]
@@ -419,7 +420,7 @@ def as_an_editor(table: dict[str, Any]) -> list[str]:
     return [f"{error.json_path}: {error.message}" for error in validator.iter_errors(table)]
 
 
-@pytest.mark.parametrize("name", template_names())
+@pytest.mark.parametrize("name", first_by_default(template_names(), 2))
 def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     name: str, tmp_path: Path
 ) -> None:
@@ -435,13 +436,16 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [
-        ({"study.titel": "x"}, "'titel' was unexpected"),
-        ({"study.participants": 0}, "$.study.participants: 0 is less than"),
-        ({"search.settings": {"turn": 3}}, "'turn' was unexpected"),
-        ({"search.settings": {"turns": "3"}}, "$.search.settings.turns: '3' is not of type 'integer'"),
-        ({"search.rule": "psi", "search.settings": {"turns": 3}}, "'turns' was unexpected"),
-    ],
+    first_by_default(
+        [
+            ({"study.titel": "x"}, "'titel' was unexpected"),
+            ({"study.participants": 0}, "$.study.participants: 0 is less than"),
+            ({"search.settings": {"turn": 3}}, "'turn' was unexpected"),
+            ({"search.settings": {"turns": "3"}}, "$.search.settings.turns: '3' is not of type 'integer'"),
+            ({"search.rule": "psi", "search.settings": {"turns": 3}}, "'turns' was unexpected"),
+        ],
+        2,
+    ),
 )
 def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], words: str) -> None:
     (fault,) = as_an_editor(changed(changes))

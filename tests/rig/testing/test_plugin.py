@@ -16,6 +16,7 @@ import rig
 from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.testing import Experiments, FaultWords, Hits, Maps, SerialRig, with_every_frame
+from tests.conformance.tiers import first_by_default
 
 
 def test_its_entry_point_and_dash_p_are_one_plugin(suite: pytest.Pytester) -> None:
@@ -131,7 +132,7 @@ def test_the_marker_is_known_and_its_mistakes_are_reported(suite: pytest.Pyteste
 
 
 @pytest.mark.parametrize(
-    ("mode", "kept"), [("failed", ["fails"]), ("all", ["fails", "passes"]), ("none", [])]
+    ("mode", "kept"), first_by_default([("failed", ["fails"]), ("all", ["fails", "passes"]), ("none", [])])
 )
 def test_recordings_are_kept_as_asked_and_listed_at_the_end(
     suite: pytest.Pytester, mode: str, kept: list[str]

@@ -18,6 +18,7 @@ from rig.extras.papers.disagreement.disagreement import DisagreementPlan
 from rig.extras.papers.disagreement.plot import disagreement_figure
 from rig.views.plots import style
 from rig.views.plots.zwidth import kmax_figure, zwidth_figure
+from tests.conformance.tiers import first_by_default
 from tests.rig.views.conftest import check_axes
 
 SEARCH = StiffnessSearch(lowest=10.0, highest=1000.0, ratio=1.1)
@@ -128,11 +129,13 @@ def test_equal_limits_are_both_seen() -> None:
 
 @pytest.mark.parametrize(
     ("some", "ending", "painted"),
-    [
-        ([limit(0.0, 10.0)], "png", 0),
-        ([limit(300.0, None)], "svg", 1),
-        ([limit(300.0), limit(300.0)], "pdf", 2),
-    ],
+    first_by_default(
+        [
+            ([limit(0.0, 10.0)], "png", 0),
+            ([limit(300.0, None)], "svg", 1),
+            ([limit(300.0), limit(300.0)], "pdf", 2),
+        ]
+    ),
 )
 def test_next_to_nothing_is_drawn(some: Any, ending: str, painted: int, tmp_path: Path) -> None:
     """Each kind of picture of each kind of limit is composed, and painted once, in each format."""

@@ -21,6 +21,7 @@ from rig.views.plots.hit import BEFORE_CONTACT_S, draw_hit, hit_figure
 from rig.views.plots.replay import replay_figure
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
+from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 from tests.rig.views.conftest import check_axes
 
@@ -213,10 +214,10 @@ def at_rest(position: float) -> Any:
 
 @pytest.mark.parametrize(
     "odd",
-    [
+    first_by_default([
         *map(broken_off, (0, 1, 2, 1500)), with_law_that_went_wrong, with_partial_truth,
         *map(at_rest, (0.0, 0.01, -0.3)),
-    ],
+    ], 4),
 )  # fmt: skip
 def test_any_recording_is_drawn(odd: Any, recording: Any) -> None:
     check_axes(hit_figure(odd(recording)))
