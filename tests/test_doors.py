@@ -1,7 +1,5 @@
 """The "doors" of `rig`, the modules that other packages import, are all listed in doors.txt."""
 
-from __future__ import annotations
-
 import json
 import re
 

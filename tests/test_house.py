@@ -1,7 +1,5 @@
 """Rules of the source tree: one description per package, no cycle of files, no bypass of the import contracts."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

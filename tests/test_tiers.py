@@ -1,7 +1,5 @@
 """Each test of the exhaustive tier names a related test of the default tier."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

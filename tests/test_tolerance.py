@@ -1,7 +1,5 @@
 """What a real-time test tolerates is listed in the summary, also with workers, counted by test and reason."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 One list with replacements; a message that a test prints names the word, the place and what to write instead.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

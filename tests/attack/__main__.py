@@ -9,8 +9,6 @@ An area runs in processes and mounts of its own, where this user may have them. 
 failed that has no name among the known findings. Ctrl-C ends it with the report.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import random

@@ -1,7 +1,5 @@
 """The interface of an attack area: numbered cases, each determined by the seed, the area's name and its number."""
 
-from __future__ import annotations
-
 import random
 import subprocess
 from collections import Counter

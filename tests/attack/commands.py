@@ -4,8 +4,6 @@ A fork costs milliseconds where a new interpreter costs seconds. The forked proc
 with it.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Fuzz the firmware's C core under the sanitizers: `tests/firmware/fuzz.c` as its own process, with many seeds."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 Both say the same, byte for byte, and none gives a current that it must not give.
 """
 
-from __future__ import annotations
-
 import ctypes
 import random
 from collections import Counter

@@ -4,8 +4,6 @@ Each case is one command as a program of its own in one environment. It succeeds
 documented and a sentence; what it recorded until then is not damaged.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import resource

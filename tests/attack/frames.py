@@ -1,7 +1,5 @@
 """Frames from the tables of the protocol, changed at the level of fields, frames and bytes; most have a valid CRC."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ than it takes. What it does at that time depends on the machine too: a case may 
 again and again on their way (`tests.system.test_session`).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -5,8 +5,6 @@ end without effort and, unless it went well, with a reason; contradicting values
 `KNOWN` lists the false values that a host cannot detect, each with its reason; they are counted separately.
 """
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Callable

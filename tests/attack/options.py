@@ -3,8 +3,6 @@
 The commands are click's own list. Values are garbage, empty, huge, negative, no numbers, wrong files, directories.
 """
 
-from __future__ import annotations
-
 import random
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """Run host and device of the protocol over a faulty line, and compare the compiled codec with the Python one."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The report of an attack: sums and failures of each area, as text and as JSON."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from typing import Any

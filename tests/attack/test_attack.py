@@ -3,8 +3,6 @@
 The core is fuzzed by `tests/firmware/test_core_fuzz.py`; kills and environments take longer than a test may.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -5,8 +5,6 @@
 A crash, a hang or a leak costs this process and names its case; what it started dies with it.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

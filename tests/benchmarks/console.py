@@ -13,8 +13,6 @@ word, through a console that shows a loop at 10 kHz. The last line is JSON. No b
 in one costs and takes, `console_page.py` measures.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -8,8 +8,6 @@ The last line is JSON: connections a second that were tried and that the server 
 reply (ms). On a busy computer run it by `chrt -f 5`, and compare with the load "nothing".
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -14,8 +14,6 @@ and Sen), with its interval at 95 %. The last line is JSON; the exit code is 0 w
 `MOST`.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

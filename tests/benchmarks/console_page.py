@@ -12,8 +12,6 @@ median and the 99th percentile of the ages and the median of STOP are within `MA
 nothing else.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -20,8 +20,6 @@ sensor whose noise is at most 1 % of the peak current, all but 1 % are found wit
 another scale where that is off by at least 20 %.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import math

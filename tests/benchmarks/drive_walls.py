@@ -5,8 +5,6 @@ virtual time, so that the load of this computer does not matter: the hits, searc
 ``rig zwidth --url``. The drive's encoder filter is its default (400 Hz), and 2 kHz beside it.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from typing import Any

@@ -39,8 +39,6 @@ tried below them; a rate is rounded down to the next of 1, 2, 5 · 10ⁿ. A part
 harmless has no limit: what is lost there is counted and printed.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -13,8 +13,6 @@ delay 97, lag 97, damping 99, whose intervals are as before. With pieces as inde
 where their residuals are not alike, it was held in 35 of 40 (seeds 21000 to 21044), so there they still count as one.
 """
 
-from __future__ import annotations
-
 import argparse
 from tempfile import TemporaryDirectory
 

@@ -12,8 +12,6 @@ object; the exit code is 0 when at most one trial in twenty was invalid, which a
 load stand beside the result: gaps and late ticks of a busy one are counted apart, and are no fault of the session's.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -4,8 +4,6 @@ Walls of 0.4 to 2.5 times a preset's stiffness and 0 to 2 times its damping, wit
 scale becomes ½ or 2 halfway in time to the wall, at the contact, or 150 ms later.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 from collections import Counter

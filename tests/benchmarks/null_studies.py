@@ -10,8 +10,6 @@ four strata (people, people × condition, people × damping, residual) with a cl
 optimum is shown by ``tests/extras/study/test_session_statistics.py``.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ Rules × lapse rates × spreads, as in the guide of `rig.session.search`. Sessio
 the same table; `tests/rig/session/test_search_observers.py` goes through a few of them again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -29,8 +29,6 @@ The rule was written before the results: where the plan says ok, at least 99 of 
 least 95 of 100 reach it after the named changes. Seeds 7000 to 7399: 271 of 271, and 129 of 129.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections import Counter

@@ -10,8 +10,6 @@ or reversed motor, a reversed, frozen or half-dead encoder and a scale (motor or
 refused in every trial, with the right check named; friction twice as large is no refusal.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 from collections import Counter

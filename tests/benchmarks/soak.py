@@ -13,8 +13,6 @@ under its limits and with everything that `rig hit` has around it. The last line
 when the loop ran to the end and the recorder lost no row.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import ctypes

@@ -6,8 +6,6 @@ the ratios counts. Also printed: C in a loop of its own. The call, which hands o
 5 ns, some of it hidden behind the arithmetic.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import statistics

@@ -4,8 +4,6 @@ Asserted is what does not depend on the machine: that a wall costs little more t
 many columns needs no more memory than one of a few.
 """
 
-from __future__ import annotations
-
 import time
 import tracemalloc
 from dataclasses import replace

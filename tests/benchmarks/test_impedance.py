@@ -4,8 +4,6 @@ As in test_trial.py: in turns in one process, CPU time of the thread, median of 
 and not asserted: five seconds simulated, with inner steps at 16 kHz or more, in 5 ms for the cheap estimators.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import statistics

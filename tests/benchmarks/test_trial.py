@@ -7,8 +7,6 @@ damping and friction, all steps in one call and without law, sensors or trace: t
 Ours is measured beside it both ways, as bare steps of the same joint and as whole trials.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import statistics

@@ -3,8 +3,6 @@
 pytest tests/benchmarks/test_verdict.py -o addopts="" -s
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from dataclasses import replace

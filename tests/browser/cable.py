@@ -1,7 +1,5 @@
 """A TCP connection that a test can interrupt like a pulled cable: both ends stay open and receive nothing."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from contextlib import suppress

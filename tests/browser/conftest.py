@@ -1,7 +1,5 @@
 """Fixtures for pages in Chromium, driven by playwright; tests skip where either is missing, and name the package."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

@@ -1,7 +1,5 @@
 """The live view in a browser: first click to a wall, a judged hit, the scope, and STOP under every page fault."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

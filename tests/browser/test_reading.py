@@ -1,7 +1,5 @@
 """Accessibility of the page: names, spoken text, operation by keys, and contrast of colours."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A short blind session in a browser, operated by keys: desk, participant's screen, STOP, reload, to its end."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

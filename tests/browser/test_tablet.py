@@ -1,7 +1,5 @@
 """The page on a tablet in both orientations: every control is reachable by a finger, which drags, slides and stops."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -4,8 +4,6 @@ It has a script instead of a plant and a list of currents instead of a law, so t
 leaves it can be mangled frame by frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from zlib import crc32
 

@@ -4,8 +4,6 @@
 sent with the number of a line, to the drive or from it.
 """
 
-from __future__ import annotations
-
 import heapq
 import json
 import math

@@ -1,7 +1,5 @@
 """Simulated devices that report to be real ones, which an operator must verify before they move."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

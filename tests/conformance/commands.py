@@ -1,7 +1,5 @@
 """The commands of ``rig`` as click defines them: all of them, or the one that a command line calls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import click

@@ -4,8 +4,6 @@
 firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
 """
 
-from __future__ import annotations
-
 import itertools
 import random
 import time

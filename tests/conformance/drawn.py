@@ -4,8 +4,6 @@ Each test that ran adds a line to the file that `FILE` names in the environment:
 and a digest of all choices that hypothesis made for them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Generator

@@ -1,7 +1,5 @@
 """Simulated drives under test: single frames, and a line in memory whose time advances only when the drive waits."""
 
-from __future__ import annotations
-
 import struct
 import threading
 from collections import deque

@@ -1,7 +1,5 @@
 """Known limits of the built-in estimators: arguments of `rig.testing.check_estimator` by name."""
 
-from __future__ import annotations
-
 from typing import Any
 
 # Settings without a default, which an experiment takes from its rig.

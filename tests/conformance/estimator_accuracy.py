@@ -7,8 +7,6 @@
 ``tuned`` carry the settings that `rig estimators tune` found for them; the others run with default settings.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import platform

@@ -1,7 +1,5 @@
 """Skip or simulate: a machine without a C compiler for the firmware's library."""
 
-from __future__ import annotations
-
 import pytest
 
 from rig.core.errors import ConfigError

@@ -5,8 +5,6 @@ divisions are fractions, rounding is `math.floor`, so that no word length can hi
 quanta of `golden_vectors` for several seeds renders the wall of this project, to the bit.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """A device that counts as real, behind a link of a chosen delay: arming must pass the gate and the pulse first."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

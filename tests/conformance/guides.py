@@ -1,7 +1,5 @@
 """Guides in Markdown: their examples, and the sections between two comments that a program writes from a table."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A minimal host for the conformance suites: one transaction at a time over any link."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The age of the newest sample that has reached the law, on a line with delays and losses."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

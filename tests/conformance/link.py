@@ -1,7 +1,5 @@
 """The conformance suite of `rig.devices.device.Link`, in virtual and in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A loop that a test advances by hand, as other processes see it: rows in a ring, and two compared clocks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Made-up link measurements, for code that decides by one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small map plan for tests that use a map."""
 
-from __future__ import annotations
-
 from rig import config
 from rig.config import presets
 from rig.config.schemes import Scheme

@@ -1,7 +1,5 @@
 """A report's page as a test reads it: ids, sources, texts and tables; it checks that each element is closed."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 

@@ -4,8 +4,6 @@ A new format begins by calling `check_recording_format` with a function that wri
 one that reads it back. What a format cannot do is listed in its `Limits`, not skipped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

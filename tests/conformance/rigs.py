@@ -1,7 +1,5 @@
 """Small rigs with round numbers, so that results can be computed by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

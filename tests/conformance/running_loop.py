@@ -1,7 +1,5 @@
 """A process with a loop in shared memory that only counts; other processes can observe and stop it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A simulated rig behind a port, served by a thread of this process."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ none; so ten minutes need no more room than ten seconds. The loop is a compiled 
 drops rows into a full ring as the real one does. Meanwhile Python holds its lock for as long as the disk pauses.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import json

@@ -4,8 +4,6 @@ A test leaves `started` in any case when it ends by itself or by its timeout. Wh
 process, the kernel kills what hangs on a leash.
 """
 
-from __future__ import annotations
-
 import ctypes
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A trial of the shipped host on a device with injected faults, and the claims that must hold however it ends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Studies with known truth: logs of simulated people as a session writes them, without a rig or recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field

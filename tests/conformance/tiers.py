@@ -6,8 +6,6 @@ names a smaller relative of the default tier, which fails when the same mechanis
 ``@pytest.mark.exhaustive("::test_of_one_frame")``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The product's modules and their imports, read from the sources without importing anything."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

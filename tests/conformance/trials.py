@@ -1,7 +1,5 @@
 """A trial on an open device from an experiment, the usual start of a test."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A wall that the drive renders itself, in virtual time, with a supervising host and the true motion of the handle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

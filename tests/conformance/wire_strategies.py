@@ -1,7 +1,5 @@
 """Hypothesis strategies for everything that a frame can contain, derived from the tables of the protocol."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Build the firmware for this machine: the library for ctypes, and programs under the address sanitizer."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Fixtures: the firmware's library, and its law alone, each built once per test process."""
 
-from __future__ import annotations
-
 import ctypes
 
 import pytest

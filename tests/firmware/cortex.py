@@ -1,7 +1,5 @@
 """Build the firmware for a Cortex-M and simulate it; a missing tool skips the test."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Sequence
 from pathlib import Path

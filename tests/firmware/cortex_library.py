@@ -4,8 +4,6 @@
 one device that it has. Each `host_tick` leaves what it cost.
 """
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from collections import Counter

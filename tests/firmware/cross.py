@@ -1,7 +1,5 @@
 """The cross compiler and the emulator for tests; each image is built once for each state of the sources."""
 
-from __future__ import annotations
-
 import functools
 import json
 import shutil

@@ -26,8 +26,6 @@ is laid out alike everywhere), then a record for each tick.
 `golden.c` runs one; `vectors` makes them anew.
 """
 
-from __future__ import annotations
-
 import ctypes as ct
 import struct
 import zlib

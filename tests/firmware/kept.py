@@ -1,7 +1,5 @@
 """A cache of compiled files, shared by test processes and runs."""
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Callable, Iterable

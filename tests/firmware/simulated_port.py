@@ -1,7 +1,5 @@
 """The port to this computer as a board in simulated time, correct or with one defect, and the link to it."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A host that supervises a law on the device tick by tick, and unpacks every BATCH."""
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from collections.abc import Iterable

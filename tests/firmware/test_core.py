@@ -1,7 +1,5 @@
 """The core with board hardware that a simulated device lacks: clock, timer, encoder, watchdog."""
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any
 

@@ -1,7 +1,5 @@
 """BATCH: every tick of a supervised law arrives unchanged or is known to be missing."""
 
-from __future__ import annotations
-
 import ctypes
 from itertools import pairwise
 

@@ -4,8 +4,6 @@ The functions of the hardware are those of the host port, which cost next to not
 `tests.firmware.cortex`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

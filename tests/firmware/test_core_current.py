@@ -1,7 +1,5 @@
 """The C and the Python check of currents have the same settings, and the same memory after each tick."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import asdict
 from pathlib import Path

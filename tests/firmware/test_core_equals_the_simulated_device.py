@@ -1,7 +1,5 @@
 """The Python device and the C core send the same bytes in each tick for the same input."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import random

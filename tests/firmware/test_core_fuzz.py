@@ -1,7 +1,5 @@
 """A million random steps of the core under the address and undefined-behaviour sanitizers."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections import Counter

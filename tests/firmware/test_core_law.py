@@ -1,7 +1,5 @@
 """The law on the device gives the currents of the law alone, and runs only while it is supervised."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The compiled core has no globals and no heap, and fits on a small board."""
 
-from __future__ import annotations
-
 import subprocess
 from collections import Counter
 

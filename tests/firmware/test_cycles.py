@@ -1,7 +1,5 @@
 """No two files of the firmware depend on each other, neither by includes nor by calls."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Mapping

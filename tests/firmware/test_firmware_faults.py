@@ -4,8 +4,6 @@ The law's device is at 20 kHz, in its trial, where the wall pushes back. tests/s
 reactions.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import replace

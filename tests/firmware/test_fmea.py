@@ -1,7 +1,5 @@
 """Every entry of the table of single faults names existing tests, codes and steps; a missing test is reported."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

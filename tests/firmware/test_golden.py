@@ -1,7 +1,5 @@
 """The golden vectors on this computer and on the simulated processors."""
 
-from __future__ import annotations
-
 import ctypes as ct
 
 import numpy as np

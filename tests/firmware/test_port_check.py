@@ -1,7 +1,5 @@
 """The port to this computer fulfils its duties, and each defective port is detected by the duty that it violates."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 

@@ -1,7 +1,5 @@
 """The self test on this computer's build of the firmware: its law runs, no sample is missing, nothing moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

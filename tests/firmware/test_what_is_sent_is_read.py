@@ -1,7 +1,5 @@
 """The firmware reads every parameter that a host can send."""
 
-from __future__ import annotations
-
 import re
 
 from firmware_protocol.parameters import PARAMETERS

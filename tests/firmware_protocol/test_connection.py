@@ -1,7 +1,5 @@
 """Both ends of a connection in every state, for every message and for arbitrary bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The dictionary of a device: decoding returns what was encoded, and reports anything else as the device's error."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zlib

@@ -1,7 +1,5 @@
 """One C file is generated from several: the needed functions, in order, and nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Frames arrive however the bytes are split, garbage is dropped, and no flipped bit ever becomes a message."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from zlib import crc32
 

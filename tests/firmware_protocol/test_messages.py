@@ -1,7 +1,5 @@
 """Every message survives encoding and decoding; ids, sizes and unknown tails follow the rules of PROTOCOL.md."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import fields

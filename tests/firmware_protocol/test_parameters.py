@@ -1,7 +1,5 @@
 """The parameter block has one canonical encoding, and values out of range are rejected in both directions."""
 
-from __future__ import annotations
-
 import math
 import struct
 from zlib import crc32

@@ -1,7 +1,5 @@
 """The tables and statements of PROTOCOL.md agree with the code."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """A transaction advances by replies to its request, repeats it after a timeout, and then fails."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

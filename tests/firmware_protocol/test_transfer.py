@@ -1,7 +1,5 @@
 """Blocks reach the device completely or not at all, in any order of their chunks; pages are read to the end."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -4,8 +4,6 @@ The guest reads this machine's files over 9p, under a layer in memory, and write
 network. Emulation by TCG needs no rights, and is ten to twenty times slower than the machine.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

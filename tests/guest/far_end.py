@@ -4,8 +4,6 @@ The process is forked, since in an emulated machine a new interpreter takes half
 this process has threads.
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -4,8 +4,6 @@ The host has ``/dev/ttyACM*``, as of any board, the device ``/dev/ttyGS0``: see 
 Documentation/usb/gadget_configfs.rst and gadget_serial.rst.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

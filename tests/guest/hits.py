@@ -4,8 +4,6 @@ An emulated machine keeps no time: a hit may also end by a lost link, a fault of
 are late. The same is asserted then.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A disk for the guest: files of this machine at their own paths, in a file system that the guest's kernel supports."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

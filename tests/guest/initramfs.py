@@ -4,8 +4,6 @@ The format is the "newc" of Documentation/driver-api/early-userspace/buffer-form
 numbers, the name, the content, each padded to four bytes.
 """
 
-from __future__ import annotations
-
 import stat
 from collections.abc import Iterable
 from pathlib import Path

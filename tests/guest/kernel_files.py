@@ -1,7 +1,5 @@
 """A Debian kernel: download the package, unpack it, and sort its modules in the order in which they load."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterable, Iterator

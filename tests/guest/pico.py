@@ -3,8 +3,6 @@
 The bytes of USB/IP pass through a virtio serial port, the state of its pins through a file in the shared directory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

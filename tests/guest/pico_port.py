@@ -1,7 +1,5 @@
 """In the guest: the emulated board at the end of a virtio port, plugged into vhci_hcd."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

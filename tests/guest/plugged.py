@@ -1,7 +1,5 @@
 """USB devices on the virtual bus as context managers: a bare one that a test controls, and a simulated rig."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from collections.abc import Iterator

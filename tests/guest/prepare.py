@@ -3,8 +3,6 @@
 It prints the files that it read, one a line: the guest will read them.
 """
 
-from __future__ import annotations
-
 import compileall
 import importlib
 import sys

@@ -4,8 +4,6 @@ Kernels (for the plainest CPU) and Python files are compiled here, since an emul
 read meanwhile are put on a disk for the guest.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

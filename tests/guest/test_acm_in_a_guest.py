@@ -1,7 +1,5 @@
 """The kernel's cdc-acm driver and pyserial on a USB serial port that is unplugged and plugged in again."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

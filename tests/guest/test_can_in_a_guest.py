@@ -1,7 +1,5 @@
 """Simulated drives and a host on Linux's CAN driver, in a virtual machine that `.ci/guest` starts: vcan needs root."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

@@ -1,7 +1,5 @@
 """The firmware's own USB registers on an emulated board, with pyusb, libusb, Linux and USB/IP; no time is asserted."""
 
-from __future__ import annotations
-
 import errno
 import os
 import time

@@ -1,7 +1,5 @@
 """pyusb, libusb, Linux and udev with a device that fails on command, and the resulting errors of `rig`."""
 
-from __future__ import annotations
-
 import errno
 import threading
 import time

@@ -8,8 +8,6 @@ As on the wire, a transfer in ends with a short packet, a full buffer or an idle
 an overflow; a halted endpoint stays so until CLEAR_FEATURE; without a reply a transfer waits until it is withdrawn.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import select

@@ -1,7 +1,5 @@
 """The kernel's virtual host controller: attach the device behind a socket, wait for it to appear and disappear."""
 
-from __future__ import annotations
-
 import re
 import socket
 import subprocess

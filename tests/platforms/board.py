@@ -3,8 +3,6 @@
 It runs the firmware with its laws. The handle is free, and the hold-to-run switch is held.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 from unittest.mock import patch

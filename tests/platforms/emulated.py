@@ -4,8 +4,6 @@ They see `sys.platform` of that system, without the modules and names that it la
 `sys.platform`). This shows that they need nothing else; not that the rest behaves as on Linux.
 """
 
-from __future__ import annotations
-
 import builtins
 import ctypes
 import fcntl

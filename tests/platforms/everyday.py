@@ -4,8 +4,6 @@ On an emulated system, or with ``here`` on this one; with the URL of a board tha
 instead, one with a person. Prints a line of JSON for each command and ends with 1 after an unexpected result.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """The usual commands on emulated Windows and macOS; rig/docs/how-to/other-systems.md has the limits of this."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import mmap

@@ -1,7 +1,5 @@
 """The compiled timer of a device against the readable device, in virtual time behind a scripted port."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import subprocess

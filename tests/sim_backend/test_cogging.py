@@ -1,7 +1,5 @@
 """A motor that cogs, simulated: against a pendulum's closed form, the conservation of energy, and plants without it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

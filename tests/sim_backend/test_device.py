@@ -1,7 +1,5 @@
 """The readable simulated device: its protocol, its physics and its safety monitors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

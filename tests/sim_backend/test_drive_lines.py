@@ -1,7 +1,5 @@
 """Lines between a host and a simulated drive: text, checksums, scripted faults. Time is virtual."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import struct

@@ -1,7 +1,5 @@
 """A driven hand: it follows its wishes like a hand, stays in reach, and rests without wishes. Time is virtual."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A rig excited in one compiled call: physics of the second actuator, time of the law, reasons of an early end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

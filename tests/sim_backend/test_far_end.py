@@ -1,7 +1,5 @@
 """The compiled far end of a loop sends and moves as the readable device does, at the same times."""
 
-from __future__ import annotations
-
 import errno
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """The firmware as a simulated device: its library is built once, and a call of many ticks equals single ticks."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import stat

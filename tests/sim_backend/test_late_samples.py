@@ -1,7 +1,5 @@
 """Late and lost samples in a trial without bytes: what the loop does over a link that loses and delays frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The in-memory link: virtual time in lock-step, and scripted faults of the line."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 from collections.abc import Callable

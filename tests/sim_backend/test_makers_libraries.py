@@ -3,8 +3,6 @@
 ODrive's maker has none in Python for CAN Simple; `odrive-can` contains the maker's description (DBC, of 0.6.10).
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import os

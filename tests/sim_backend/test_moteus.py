@@ -1,7 +1,5 @@
 """The simulated moteus against the pages of its maker's documentation that its modules name. Time is virtual."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The simulated ODrive against what its modules name. Time is virtual."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """A simulated person: the script of the hand's intentions, the held plant, and the session."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Laws of mechanics across structures, hands and step sizes; test_plant has those of a free plant."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

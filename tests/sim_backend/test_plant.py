@@ -1,7 +1,5 @@
 """The simulated plant against closed forms, independent integrators and the laws of mechanics."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import subprocess

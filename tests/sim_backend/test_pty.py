@@ -1,7 +1,5 @@
 """The simulated rig as a process behind a pseudo-terminal, in real time: waits are bounded, latency is not asserted."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Encoder and current quantisation: the range of true values behind a number of counts or quanta."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

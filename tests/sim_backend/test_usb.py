@@ -1,7 +1,5 @@
 """The USB shape of the simulated rig: its descriptors, read independently, and its pipes."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct

@@ -1,7 +1,5 @@
 """A short protocol whose hits are quick to simulate, and what its tests share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`rig doctor` and the gate of `rig hit`; devices are simulated, and some claim to be real."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shlex

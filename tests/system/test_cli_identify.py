@@ -1,7 +1,5 @@
 """`rig identify`: numbers with intervals, a file that can be hit, and a plan."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

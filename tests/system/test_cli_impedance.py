@@ -1,7 +1,5 @@
 """`rig impedance measure`: numbers, JSON, a device, and refusals."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

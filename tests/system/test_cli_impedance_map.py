@@ -1,7 +1,5 @@
 """`rig impedance map`: tables, JSON, pictures, and a map that is read again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`rig experiment new` by options and at a terminal, and the commands from there to a map."""
 
-from __future__ import annotations
-
 import io
 import json
 import shlex

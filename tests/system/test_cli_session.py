@@ -1,7 +1,5 @@
 """``rig session run, resume, show, amend`` without a terminal."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`rig theory walls`: numbers, bounds, picture, JSON."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A simulated clock that drifts, and the times in a recording."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

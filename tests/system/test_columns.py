@@ -1,7 +1,5 @@
 """No two columns of a recording are equal in all runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import combinations

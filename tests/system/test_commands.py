@@ -1,7 +1,5 @@
 """Every command once: a good run as text and as JSON, refusals and their exit codes."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -4,8 +4,6 @@ The first line of a TOML block names its file. In an answer a number between bac
 exercise; ``a / b = c`` is calculated.
 """
 
-from __future__ import annotations
-
 import re
 from contextlib import redirect_stdout
 from io import StringIO

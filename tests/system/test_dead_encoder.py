@@ -1,7 +1,5 @@
 """An encoder that dies while the homing servo seeks the start of an automated trial: no hand holds the handle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

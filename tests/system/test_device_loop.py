@@ -1,7 +1,5 @@
 """A law on the device from end to end, against the compiled firmware."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

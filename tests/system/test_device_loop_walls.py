@@ -1,7 +1,5 @@
 """New walls for a law on the device, against the compiled firmware: active on both sides from the same sample."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The site: its commands and examples run as they stand, or the page states why not."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import re

@@ -1,7 +1,5 @@
 """The hand of a simulated rig is moved in real time from another process, and the wall stops it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

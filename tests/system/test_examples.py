@@ -1,7 +1,5 @@
 """Each program of `rig/docs/examples` runs as it stands, in an empty directory."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Walls near their limit, hit with samples lost: within the limits K_max stays, beyond them there is no verdict."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A person's trial has a person's limits, however its kind or its limits were set, and whatever breaks in it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

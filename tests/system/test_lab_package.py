@@ -1,7 +1,5 @@
 """A lab's own package and every example against the wheel alone: types, an entry point's law, hits, maps, its CI."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """C of a simulated wall hit: what the fit finds against what the plant did."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A hit in real time, and another terminal that changes its wall, stops it, or recovers its capture."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

@@ -1,7 +1,5 @@
 """An encoder whose scale changes in a trial spoils its verdict where effort and motion show it; a drift is not seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Inside a loop nothing compiles: all that a run reaches is there before the device is armed."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A person who presses on a stiff wall, from quite still to trembling: no check of a device takes that for a fault."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -1,7 +1,5 @@
 """What the README, the changelog and the guides beside the code promise must hold; pages of the site: `test_docs`."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """A hit and a session validate, design, judge and read each thing once."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections import Counter

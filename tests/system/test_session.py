@@ -1,7 +1,5 @@
 """Whole sessions on the simulated rig, in virtual time: the same from the seed, and after any kill -9."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """A session on the simulated rig dies at every call by which recorder, sealer and log change the disk."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Hits of a session on the simulated rig: numbers in its log, memory behind a trial."""
 
-from __future__ import annotations
-
 import gc
 from dataclasses import replace
 from pathlib import Path

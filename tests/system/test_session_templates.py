@@ -1,7 +1,5 @@
 """Every template, shortened, from a new file to a report: rehearsed in virtual time."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

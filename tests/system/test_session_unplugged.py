@@ -1,7 +1,5 @@
 """A rig that is unplugged in the middle of a session, and one that two sessions want."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any

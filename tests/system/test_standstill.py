@@ -1,7 +1,5 @@
 """A count that stands still while the motor moves a free handle, without bytes: the largest speed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

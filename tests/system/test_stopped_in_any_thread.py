@@ -3,8 +3,6 @@
 Python's signal handlers run in the main thread alone, which does something else in these programs.
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Whole trials that the watch ends, with and without bytes; and trials that begin with free space."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The core without its extras: a copy of the tree that has none installs, runs, and passes the tests of the core."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -7,8 +7,6 @@ terminal's bytes over in an ordinary worker, which any other program delays. So 
 is about an idle machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import tempfile

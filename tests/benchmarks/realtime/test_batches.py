@@ -5,8 +5,6 @@ can do, and on the device's grid over a pseudo-terminal, as a driver with a smal
 is only what no load of the machine can change.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import socket

@@ -5,8 +5,6 @@ the bridge does, in turns: the ratio of their medians is asserted. Lost replies 
 since another program can take the processor at any time.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import threading

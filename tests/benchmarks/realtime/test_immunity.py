@@ -6,8 +6,6 @@ recorder behind it; in turns with it, under the same load, a plain Python loop t
 cyclictest, whose missed turns no program on this machine could have avoided.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

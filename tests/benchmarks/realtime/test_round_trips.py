@@ -13,8 +13,6 @@ Loop and client both wait with a bound of `SHORTEST_WAIT_NS` (a stop must be see
 setting a timer so near costs several µs for each trip, which plain Python, with a second of patience, does not pay.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ interval, priority and processor, with locked memory; the Python loop, which doe
 sleeps with `time.sleep`. They take turns; the medians of the rounds are shown, and the greatest latency of all.
 """
 
-from __future__ import annotations
-
 import statistics
 import threading
 import time

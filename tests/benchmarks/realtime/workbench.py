@@ -3,8 +3,6 @@
 `RIG_BENCH_FULL=1` measures longer and more cases; otherwise everything here together takes about a minute.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import json

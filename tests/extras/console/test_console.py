@@ -1,7 +1,5 @@
 """Runs of a page in real time on the simulated rig end at zero effort when the page or the console disappears."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """The sessions' view of the console: which page's keys count, what each page shows, and what the live view hides."""
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import json

@@ -1,7 +1,5 @@
 """The history of a scope keeps every spike at any zoom, in bounded memory."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -3,8 +3,6 @@
 A job here is a small program in place of `rig.extras.console.worker`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import sys

@@ -1,7 +1,5 @@
 """Only one page operates the console, while its heartbeats arrive."""
 
-from __future__ import annotations
-
 import pytest
 
 from rig.extras.console.lease import BEAT_S, LOOK_S, LOST_S, Lease

@@ -1,7 +1,5 @@
 """The files of the page: the vendored library is unmodified, and nothing is loaded from another host."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from importlib.resources import files

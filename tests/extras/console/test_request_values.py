@@ -1,7 +1,5 @@
 """Any value in a page's request gives a result or a correctable error, never an internal error."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A page's message is either a valid request or rejected with an error that names the field."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from typing import Any

@@ -1,7 +1,5 @@
 """A console and its pages, without a browser: access, messages, the operating page, and STOP."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import itertools

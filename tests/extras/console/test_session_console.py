@@ -4,8 +4,6 @@ A machine without time for a loop ends hits in real time early: the session asks
 ends so, the test fails with this reason.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

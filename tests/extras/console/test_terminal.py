@@ -1,7 +1,5 @@
 """The prompts to the operator at the rig's terminal, and the inputs that count as a reply."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import pty

@@ -1,7 +1,5 @@
 """The frames of a scope: each point once, sweeps from their trigger on, and only requested columns."""
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any

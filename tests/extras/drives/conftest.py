@@ -1,7 +1,5 @@
 """Fixtures of the tests of drives: the compiled bridge, and variants of the test rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

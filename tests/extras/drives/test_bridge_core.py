@@ -1,7 +1,5 @@
 """The bridge in virtual time: its commands to a drive, and zero torque after every kind of end."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Lines and frames agree with the manufacturers' documents and libraries."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import socket

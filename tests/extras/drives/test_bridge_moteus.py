@@ -1,7 +1,5 @@
 """A bridge rejects an unsuitable moteus with a message that gives reason and remedy, and nothing moves."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """An ODrive under a bridge: unsuitable drives are rejected with a reason, and its separate clock is tracked."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

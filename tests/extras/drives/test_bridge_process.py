@@ -1,7 +1,5 @@
 """A bridge as a process in real time: the link that starts it, the command, and zero torque after either is killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

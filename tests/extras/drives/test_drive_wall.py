@@ -1,7 +1,5 @@
 """A wall that the drive renders itself: its physics, its limits, and zero torque after every kind of end."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lab Streaming Layer over loopback: inlets receive the loop's rows, with their times and units."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

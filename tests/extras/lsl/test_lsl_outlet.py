@@ -1,7 +1,5 @@
 """The conversion of a loop's rows to samples and markers: no duplicates, counted losses, each at its own time."""
 
-from __future__ import annotations
-
 import json
 import os
 from typing import Any

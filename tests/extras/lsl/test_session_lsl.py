@@ -1,7 +1,5 @@
 """A streaming session: a recorder of Lab Streaming Layer receives the events of the log, without the walls."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

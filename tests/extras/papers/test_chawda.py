@@ -1,7 +1,5 @@
 """Reproduction of Chawda et al.: every verdict is reachable, readings agree with the verdict's test, and it repeats."""
 
-from __future__ import annotations
-
 import json
 import math
 from itertools import pairwise

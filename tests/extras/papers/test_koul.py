@@ -1,7 +1,5 @@
 """The rules that judge the claims of Koul et al., on made-up numbers that reach every verdict; parts of the run."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures 7 and 8 of Koul et al., under the conditions that the paper leaves open."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reproductions: text comes from templates and numbers from results; a page is complete, self-contained and safe."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Studies with known truth, from logs to tables: true effects are found, and excluded data has no influence."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Exports of a study's raw data: a BIDS-motion dataset that describes the recordings, and CSV that reads back equal."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

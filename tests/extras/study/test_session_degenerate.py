@@ -1,7 +1,5 @@
 """Studies with a variance near zero: tables and report are written, and rounding gives no p value."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

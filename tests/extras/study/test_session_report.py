@@ -1,7 +1,5 @@
 """The page and the pictures of a study: complete, self-contained, safe against injected text, all deviations listed."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """The statistics of an analysis, against closed forms, scipy, statsmodels, and data with known truth."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import sys

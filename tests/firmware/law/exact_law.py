@@ -3,8 +3,6 @@
 Filter and wall are those of `tests.conformance.fixed_law`; homing, release and slew limit are here.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import Any

@@ -1,7 +1,5 @@
 """Parameters of the C law for tests: valid ones, invalid ones, and noise."""
 
-from __future__ import annotations
-
 import ctypes as ct
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The law in the instruction-set simulator, with the runner of golden vectors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.firmware import cortex

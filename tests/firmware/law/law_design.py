@@ -3,8 +3,6 @@
 Written from the table and law.h, not from the firmware that reads the parameters, so that the two check each other.
 """
 
-from __future__ import annotations
-
 import ctypes as ct
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The C law for tests: its structures in ctypes, its compiler, and a library object that runs it."""
 
-from __future__ import annotations
-
 import ctypes as ct
 import subprocess
 from collections.abc import Iterable, Sequence

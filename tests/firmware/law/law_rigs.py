@@ -1,7 +1,5 @@
 """A simulated hit for the C law: experiments, the host law's run of them, and the C law in lock-step with the plant."""
 
-from __future__ import annotations
-
 import ctypes as ct
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The firmware accepts every valid design of the law, and a parameter block transfers it completely."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

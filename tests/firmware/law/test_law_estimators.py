@@ -1,7 +1,5 @@
 """The estimators of the C law equal the host's: fixed point to the bit, float32 to a stated rounding."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Python computes the device's multisine from its parameters, to the last bit, and it matches the theory."""
 
-from __future__ import annotations
-
 import ctypes as ct
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The fixed-point law in C gives the golden quanta to the bit, and a whole run equals exact arithmetic."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The float32 law equals `rig.control.step` up to rounding, for the same inputs and in a closed loop."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The law under the sanitizers with extreme parameters and counts: no undefined behaviour, and the same outputs."""
 
-from __future__ import annotations
-
 import ctypes as ct
 import re
 import subprocess

@@ -3,8 +3,6 @@
 Both reply to the same requests (`boards/mps2/lockstep.c` has their bytes), one for each tick of the board.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import struct

@@ -1,7 +1,5 @@
 """The image in QEMU and this computer's build run the same hit with equal counts, currents and sent bytes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Emulated processors fulfil all duties of a port except the declared ones; time is counted in instructions."""
 
-from __future__ import annotations
-
 import os
 import re
 import struct

@@ -3,8 +3,6 @@
 The emulator keeps no time on a busy machine: a lost link is accepted, time is not asserted.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """Fixtures: images of the RP2040 and emulated boards that run them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 

@@ -1,7 +1,5 @@
 """A host on the serial line of an emulated board."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

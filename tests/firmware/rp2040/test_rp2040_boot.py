@@ -1,7 +1,5 @@
 """The Pico's boot, from power-up to its first reply: delays, duration, and the images that it refuses to start."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The converter's RESET is the enable pin, as in wiring.toml: at its low level the output is 0 V.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The encoder on the Pico (whole binary): counts are exact up to the specified maximum speed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

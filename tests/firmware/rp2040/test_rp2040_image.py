@@ -1,7 +1,5 @@
 """The Pico's image as a file: the requirements of its boot ROM, the memory sections, and its size."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """The Pico's serial line (whole binary): 3 Mbaud in both directions without a gap."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

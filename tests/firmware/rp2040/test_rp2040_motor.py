@@ -1,7 +1,5 @@
 """Current and motion on the Pico (whole binary), with the simulation's plant on its pins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The duties of the Pico's port, tested on the whole image with outputs wired to inputs and a flowing current."""
 
-from __future__ import annotations
-
 from rig.config._derive import rig_model
 from rig.config.presets import load
 from rig.core.check import Outcome

@@ -1,7 +1,5 @@
 """Faults on the Pico (whole binary): the amplifier's enable pin falls in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """`rig firmware selftest` on the whole binary: the reported values, and a law that is too slow for the board."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from firmware_protocol.faults import Fault

@@ -1,7 +1,5 @@
 """The tick of the Pico (whole binary): its times, its duration, and the device's report of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The RP2040's USB stack on a model of its controller, packet by packet."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from pathlib import Path

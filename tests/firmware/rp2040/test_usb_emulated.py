@@ -1,7 +1,5 @@
 """The whole binary on an emulated USB bus: its USB registers, the core behind them, and ticks in between."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The throughput of USB beside a busy tick, which it must not delay."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

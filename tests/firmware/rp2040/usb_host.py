@@ -4,8 +4,6 @@ Each method is one packet or one transfer, as a host sends them (USB 2.0, chapte
 own. The program has the address and undefined-behaviour sanitizers.
 """
 
-from __future__ import annotations
-
 import struct
 import subprocess
 from dataclasses import dataclass

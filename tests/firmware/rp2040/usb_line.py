@@ -1,7 +1,5 @@
 """The USB port of the emulated board, with a host that has its pipes open, in the board's time."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The emulated board's USB as a link of `rig`, in the board's time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.devices.device import DeviceUrl

@@ -1,7 +1,5 @@
 """The command line as a whole: impossible words, messages and exit codes."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 import importlib

@@ -1,7 +1,5 @@
 """Completions of a shell, without heavy imports, and their table, which is that of the commands."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

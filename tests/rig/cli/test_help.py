@@ -1,7 +1,5 @@
 """The same option is the same everywhere; help is in groups; -q leaves the exit code."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """A value that people give by name is described once: commands, Python and experiment files say the same of it."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import dataclass
 from pathlib import Path

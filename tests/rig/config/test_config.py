@@ -1,7 +1,5 @@
 """An experiment file is either an experiment, or one error that lists everything that is wrong with it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

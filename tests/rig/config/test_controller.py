@@ -1,7 +1,5 @@
 """From quantities to ticks, counts and quanta: the law and the device have the same limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

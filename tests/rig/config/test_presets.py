@@ -1,7 +1,5 @@
 """The presets, rigs of the two papers and rigs that people own: their numbers and their default walls."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib.resources import files

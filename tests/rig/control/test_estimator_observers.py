@@ -1,7 +1,5 @@
 """Tracking loop and disturbance observer: their poles, what they follow without error, and what biases the first."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

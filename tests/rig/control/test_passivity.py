@@ -1,7 +1,5 @@
 """The passivity controller: what it may add, and a wall that gives energy without it and none with it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

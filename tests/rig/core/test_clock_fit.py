@@ -1,7 +1,5 @@
 """The line between two clocks, against a simulated truth: drift, jitter, bursts, asymmetry, stamps that lie."""
 
-from __future__ import annotations
-
 import json
 from fractions import Fraction
 from typing import Any

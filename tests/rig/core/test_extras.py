@@ -1,7 +1,5 @@
 """Extras are found by listing; a missing or broken one is refused by name, and nothing replaces it."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The public names: stated once, in stubs, and loaded when they are used."""
 
-from __future__ import annotations
-
 import doctest
 import inspect
 import subprocess

@@ -1,7 +1,5 @@
 """Locks of files between openings and between processes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The typed physics: derived values and continuous matrices against independent formulas."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Another package in the place of pyserial, pyusb or this one is named with the command that removes it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """A person in the model and in an experiment: grips, impedance, and a hand that pushes in place of the motor."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Plug-ins of third parties: a broken one is named, listed with the reason, and breaks no other."""
 
-from __future__ import annotations
-
 import json
 import sys
 from importlib.metadata import EntryPoint

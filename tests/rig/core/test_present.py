@@ -1,7 +1,5 @@
 """Results: their JSON, rows with units, and the terminal's view of a list of items."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Processes that serve this one end when they are closed or their parent ends, and change nothing in it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

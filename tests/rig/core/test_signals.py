@@ -1,7 +1,5 @@
 """The reference motions: derivatives that fit together, and edges where the encoder changes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

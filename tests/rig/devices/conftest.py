@@ -1,7 +1,5 @@
 """A pseudo-terminal in place of a serial line."""
 
-from __future__ import annotations
-
 import os
 import pty
 import tty

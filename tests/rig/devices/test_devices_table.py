@@ -1,7 +1,5 @@
 """The table of backends: what a URL names, what it cannot, third parties' schemes, and device processes."""
 
-from __future__ import annotations
-
 import gc
 import operator
 import os

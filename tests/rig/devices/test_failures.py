@@ -1,7 +1,5 @@
 """Error numbers of links in words: one typed error each, with cause and remedy."""
 
-from __future__ import annotations
-
 import errno
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Transactions of the host: retries, refusals, take-overs, and ends that never raise."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A simulated rig behind a Unix socket, in real time; no latency is asserted."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

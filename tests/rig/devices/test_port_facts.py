@@ -1,7 +1,5 @@
 """Facts of serial ports, read from sysfs trees like those of real adapters."""
 
-from __future__ import annotations
-
 import os
 import pty
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A serial port as a link, on pseudo-terminals: refusals, settings, a pulled plug, a full line."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

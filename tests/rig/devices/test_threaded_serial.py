@@ -1,7 +1,5 @@
 """The serial link of the other systems, on pseudo-terminals: the same contract, and a board that runs the law."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """USB links: opening and refusals, on a bus of stand-ins. The transfers themselves: tests/system/usb."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 from types import SimpleNamespace

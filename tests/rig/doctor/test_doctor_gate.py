@@ -1,7 +1,5 @@
 """The arming gate and the table of walls, on links whose times are made up, against theory's own limits."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

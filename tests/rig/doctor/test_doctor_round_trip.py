@@ -1,7 +1,5 @@
 """Round trips measured: on a link whose delays are known, in virtual time, on the simulated device, over a port."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import json

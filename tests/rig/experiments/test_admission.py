@@ -1,7 +1,5 @@
 """`rig doctor`, the arming gate and `rig hit` give one answer, over all served boards, loops, rates and walls."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from itertools import product

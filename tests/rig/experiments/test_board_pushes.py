@@ -1,7 +1,5 @@
 """Pushes of the board: bounded by the board alone, in way, effort and time, also after the host has failed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

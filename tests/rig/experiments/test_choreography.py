@@ -1,7 +1,5 @@
 """A person's trial: free space, a cue after a random time, a contact in time, a hold that counts from it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

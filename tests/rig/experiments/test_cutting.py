@@ -1,7 +1,5 @@
 """A cut is a recording: it opens, shows, exports and replays to the last bit, and names its origin."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace

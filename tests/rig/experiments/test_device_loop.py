@@ -1,7 +1,5 @@
 """An experiment with a law on the device: its plan, gate, changes and excitation, without a device."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Scoring and tuning estimators: numbers that closed forms predict, optima that a scan confirms."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """An estimator as C: compiled, it gives the host's velocities; the others are refused with the reason."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An identification over the byte link: motions that stay in their limits, and parameters that come out right."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

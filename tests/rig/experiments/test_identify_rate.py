@@ -1,7 +1,5 @@
 """The rate of an identification, chosen from a link whose delay and losses the test supplies."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An impedance measured: closed forms no friction or quantum, both exciters, with and without bytes, refusals."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

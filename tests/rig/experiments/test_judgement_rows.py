@@ -1,7 +1,5 @@
 """Rows of a judgement: each number with its unit, its limit and, in simulation, the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

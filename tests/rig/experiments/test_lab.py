@@ -1,7 +1,5 @@
 """The public functions: presets, files and experiments alike, settings by name, laws and estimators of a lab."""
 
-from __future__ import annotations
-
 import threading
 from importlib.metadata import EntryPoint
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A running wall changed from outside: the numbers that reach the loop are those of an experiment begun so."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A rig from two data sheets: computed values, assumed values, and a first hit that works."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The plan: every check on both sides of its limit, and predictions that err on the hard side."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """After a crash: every capture is sealed, the loss is reported, and a capture in use is left alone."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

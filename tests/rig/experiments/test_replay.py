@@ -1,7 +1,5 @@
 """Replay: the recorded inputs through the same law give the recorded outputs to the last bit, however the run ended."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Representations of results: ten lines at a prompt, tables in a notebook, a picture, columns with their unit."""
 
-from __future__ import annotations
-
 import io
 import sys
 from html.parser import HTMLParser

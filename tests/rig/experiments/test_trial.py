@@ -1,7 +1,5 @@
 """One trial from configuring to sealing: what it leaves when something refuses, raises, breaks or is interrupted."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

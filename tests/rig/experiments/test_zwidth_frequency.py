@@ -1,7 +1,5 @@
 """Z-width in the frequency domain: closed forms on a linear rig, widths of made-up regions, the boundary search."""
 
-from __future__ import annotations
-
 import json
 import math
 from itertools import pairwise

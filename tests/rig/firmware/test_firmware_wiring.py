@@ -1,7 +1,5 @@
 """The reference rig's netlist: its pins are the board's, no 5 V reach them, and the drawing is that of the netlist."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

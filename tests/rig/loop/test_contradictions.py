@@ -1,7 +1,5 @@
 """A device whose messages contradict each other, with the law on the host and on the device: the run ends."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

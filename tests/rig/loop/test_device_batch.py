@@ -1,7 +1,5 @@
 """How the samples of a law on the device travel: layouts by speed and rate, frames in time, bytes as they are."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

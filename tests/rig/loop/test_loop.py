@@ -1,7 +1,5 @@
 """The compiled loop against a far end of a few lines: its samples, its ends, and its last commands."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

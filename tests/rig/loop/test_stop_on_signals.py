@@ -1,7 +1,5 @@
 """Signals while a loop runs, and in the moment when the program gets its own handlers back."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

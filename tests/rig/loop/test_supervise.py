@@ -1,7 +1,5 @@
 """The loop of a law on the device, against a far end of a few lines: rows, gaps, ends, and new walls."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Groups of arguments: two in each other's place, a member of another type, and members by place are refused."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from typing import Annotated, Any, NamedTuple

@@ -1,7 +1,5 @@
 """Signals that come where the interpreter would forget what a handler raises."""
 
-from __future__ import annotations
-
 import ctypes
 import signal
 import subprocess

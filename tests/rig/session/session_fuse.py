@@ -5,8 +5,6 @@ the first half of its bytes. Rows of a capture are written by compiled code and 
 moves an incomplete capture aside, at whichever row it ends.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

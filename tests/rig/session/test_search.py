@@ -1,7 +1,5 @@
 """Search rules: pure functions of the answers so far, that find the limit of an observer whose limit is known."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

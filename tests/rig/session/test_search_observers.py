@@ -1,7 +1,5 @@
 """The guide's claims about search rules: in the committed table of 1000 sessions, and in a few sessions again."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Walls of a study that the arming gate refuses: named before a person touches the handle, consented to once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

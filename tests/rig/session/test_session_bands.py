@@ -1,7 +1,5 @@
 """Bands of impact speed and press: what lies outside, its consequences and reasons, and the simulated hand."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

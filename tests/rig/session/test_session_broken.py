@@ -1,7 +1,5 @@
 """A session in which something breaks: the hit is in the log, no trial is lost, and the operator stays blinded."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The plan of a study: what it counts, what it refuses, and that no device is needed for it."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

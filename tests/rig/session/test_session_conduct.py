@@ -1,7 +1,5 @@
 """The engine of a session: what comes next, what is written, what people may say, what the blinded never see."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The console without a terminal: keys, what they mean, what is asked and answered, what may be seen."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

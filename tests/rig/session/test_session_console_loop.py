@@ -1,7 +1,5 @@
 """The console's own loop in this process: where STOP is stored first, and how often the console reads and prints."""
 
-from __future__ import annotations
-
 import os
 import select
 from collections.abc import Iterator

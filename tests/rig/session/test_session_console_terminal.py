@@ -3,8 +3,6 @@
 The console is the real child process; the session's side is a `ConsoleDesk` in this process or in one of its own.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """A session that dies at any write, flush or rename is resumed without a trace: nothing lost, nothing twice."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A session's desk for its operator, at a terminal and at a page of the console alike."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """What a condition needs on the rig, which no command changes: the protocol says it, the session asks for it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Answers to the questionnaire: one function parses them for the console, the engine and a correction."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

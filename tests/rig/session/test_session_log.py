@@ -1,7 +1,5 @@
 """The session log: events stay, wherever the process dies, and none can be removed unnoticed."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

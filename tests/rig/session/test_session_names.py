@@ -1,7 +1,5 @@
 """Names are made one spelling where they enter, so they are equal everywhere or nowhere; each title has a directory."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from unicodedata import normalize
 

@@ -1,7 +1,5 @@
 """Samples that a computer or a link loses: measured before a session, logged, refused where it is hopeless."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A session stays on its rig: what a resumption goes by, what it refuses, and what an analysis says of a mixture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

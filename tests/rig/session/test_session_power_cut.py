@@ -5,8 +5,6 @@ was last synced, of a directory the names that it had when it was. After a power
 it was last synced or, since the kernel may have written it back on its own, as it is.
 """
 
-from __future__ import annotations
-
 import os
 import random
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The progress of a rehearsal at a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

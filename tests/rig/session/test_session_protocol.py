@@ -1,7 +1,5 @@
 """A protocol file is either a protocol, or one error that says everything that is wrong with it."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

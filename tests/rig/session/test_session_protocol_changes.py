@@ -1,7 +1,5 @@
 """A study has one protocol: what changed is named before a session begins, and an analysis across it is stated."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Why a trial is invalid, on the screen, in lines and in JSON: at once, whole, and for the blinded without the wall."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

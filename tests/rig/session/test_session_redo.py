@@ -1,7 +1,5 @@
 """Redo: a trial that does not count comes again, also when a stop rule is about to end the session."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

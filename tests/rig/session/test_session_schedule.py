@@ -1,7 +1,5 @@
 """The order of a session: balanced as declared, the same from the seed, and a rule for each run."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Load libraries before pytester runs: it would import and forget them, which compiled ones do not survive."""
 
-from __future__ import annotations
-
 import gc
 import warnings
 from collections.abc import Iterator

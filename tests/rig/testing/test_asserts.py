@@ -1,7 +1,5 @@
 """Asserts name place, time, value and unit; and what they observe agrees with the simulation's truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

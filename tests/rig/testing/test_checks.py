@@ -1,7 +1,5 @@
 """The checks for a lab's own tests find each promise that a law or an estimator breaks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

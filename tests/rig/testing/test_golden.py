@@ -1,7 +1,5 @@
 """A golden recording tolerates rounding; any other difference has row, column, value and unit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Devices here say that they are real. Most run in virtual time behind a patched opener; one stands behind a port.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

@@ -1,7 +1,5 @@
 """The plug-in as pytest runs it: options, fixtures, one report for every frame, and its files."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib

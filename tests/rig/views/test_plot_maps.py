@@ -1,7 +1,5 @@
 """Pictures of maps: markers, a legend that hides nothing and names every mark, and no width of a single damping."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

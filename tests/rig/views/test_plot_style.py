@@ -1,7 +1,5 @@
 """Properties of all pictures: formats by the ending of a name, axes of values that are alike, axes that count."""
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

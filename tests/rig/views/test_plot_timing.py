@@ -1,7 +1,5 @@
 """The picture of the ledger: any ledger can be drawn, the same one gives the same bytes, and axes have units."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

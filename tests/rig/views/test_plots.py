@@ -1,7 +1,5 @@
 """Pictures: of any recording, without a display, the same bytes for the same input, units in every label."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

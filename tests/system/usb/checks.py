@@ -1,7 +1,5 @@
 """What is checked of USB links, inside a process whose libusb sees the emulated bus. Times are in ms."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

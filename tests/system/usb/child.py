@@ -1,7 +1,5 @@
 """The child of the USB tests: runs a check for each line of input, and writes its outcome as a line of JSON."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

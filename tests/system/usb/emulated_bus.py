@@ -4,8 +4,6 @@ The child runs under umockdev's preload library, so that its libusb, which is th
 It runs named checks (`checks`), each on a given bus, and orders faults from the bridge itself.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -3,8 +3,6 @@
 The bus is umockdev's (`bridge.c`), the device the simulated one. Nothing is asserted about latency beyond seconds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
