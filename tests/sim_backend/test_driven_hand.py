@@ -90,7 +90,7 @@ def test_while_it_homes_it_goes_along_whatever_is_wished() -> None:
 
 
 @settings(max_examples=30)
-@given(distance=st.floats(-1.0, 1.0), rate=st.floats(-5.0, 5.0))
+@given(distance=st.floats(-1.0, 1.0, allow_subnormal=False), rate=st.floats(-5.0, 5.0, allow_subnormal=False))
 def test_it_follows_as_the_differential_equation_does(distance: float, rate: float) -> None:
     omega, step = 2.0 * math.pi * FOLLOW_HZ, 1e-5
     x, v = distance, rate
@@ -132,7 +132,13 @@ def test_a_jump_to_the_other_end_is_a_reach_at_a_bounded_speed(far: float) -> No
 @settings(max_examples=10)
 @given(
     drawn=st.lists(
-        st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.integers(1, 100)), min_size=1, max_size=10
+        st.tuples(
+            st.floats(-1e6, 1e6, allow_subnormal=False),
+            st.floats(-1e6, 1e6, allow_subnormal=False),
+            st.integers(1, 100),
+        ),
+        min_size=1,
+        max_size=10,
     ),
     mirrored=st.booleans(),
 )

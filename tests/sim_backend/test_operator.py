@@ -93,7 +93,7 @@ def test_the_tremor_lies_in_its_band_and_has_its_size_at_the_handle() -> None:
 
 @given(
     rate=st.sampled_from([100, 1000, 3000, 20_000]),
-    position=st.floats(-0.3, 0.3),
+    position=st.floats(-0.3, 0.3, allow_subnormal=False),
     session=st.integers(0, 5),
     seed=st.integers(0, 2**63 - 1),
 )

@@ -32,7 +32,10 @@ def changed(rig: RigModel, inner_step_s: float = 5e-5, **mechanics: Any) -> RigM
 
 
 @pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])
-@given(start=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), coulomb=st.sampled_from([0.0, 0.3]))
+@given(
+    start=st.lists(st.floats(-1.0, 1.0, allow_subnormal=False), min_size=6, max_size=6),
+    coulomb=st.sampled_from([0.0, 0.3]),
+)
 @settings(max_examples=8)
 def test_a_rig_in_a_relaxed_hand_that_wants_nothing_creates_no_energy(
     rig: RigModel, start: list[float], coulomb: float

@@ -302,7 +302,7 @@ def test_a_push_above_the_friction_level_accelerates_by_the_difference() -> None
     assert rows[-1, :2] == pytest.approx([acceleration * t**2 / 2, acceleration * t], rel=1e-12)
 
 
-@given(speed=st.floats(1e-4, 1.0), push=st.floats(-0.15, 0.15))
+@given(speed=st.floats(1e-4, 1.0), push=st.floats(-0.15, 0.15, allow_subnormal=False))
 @settings(max_examples=10)
 def test_a_sliding_mass_stops_when_and_where_constant_deceleration_says(speed: float, push: float) -> None:
     coulomb, mass, step_s = 0.19, 0.52, 1e-3
@@ -347,9 +347,11 @@ def test_only_the_link_moves_when_the_push_overcomes_its_friction_but_not_the_mo
 @settings(max_examples=50)
 @example(free=(0.5, 1.0), gains=(2.0, 0.5, 1.0), levels=(5e-324, 0.0))
 @given(
-    free=st.tuples(*[st.floats(-10.0, 10.0)] * 2),
-    gains=st.tuples(st.floats(0.01, 10.0), st.floats(-0.99, 0.99), st.floats(0.01, 10.0)),
-    levels=st.tuples(*[st.floats(0.0, 10.0)] * 2),
+    free=st.tuples(*[st.floats(-10.0, 10.0, allow_subnormal=False)] * 2),
+    gains=st.tuples(
+        st.floats(0.01, 10.0), st.floats(-0.99, 0.99, allow_subnormal=False), st.floats(0.01, 10.0)
+    ),
+    levels=st.tuples(*[st.floats(0.0, 10.0, allow_subnormal=False)] * 2),
 )
 def test_the_friction_pair_obeys_coulombs_law_on_both_masses(
     free: tuple[float, float], gains: tuple[float, float, float], levels: tuple[float, float]

@@ -32,10 +32,10 @@ def noisy(exact: Impedance, deviation: Any, seed: int = 0) -> Impedance:
 
 
 @given(
-    real=st.floats(-50, 50),
-    imaginary=st.floats(-1000, 1000),
-    deviation=st.floats(0, 30),
-    z_score=st.floats(0, 4),
+    real=st.floats(-50, 50, allow_subnormal=False),
+    imaginary=st.floats(-1000, 1000, allow_subnormal=False),
+    deviation=st.floats(0, 30, allow_subnormal=False),
+    z_score=st.floats(0, 4, allow_subnormal=False),
 )
 def test_passive_line_has_a_real_part_of_zero_or_more(
     real: float, imaginary: float, deviation: float, z_score: float
@@ -122,7 +122,11 @@ def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
 
 
 @settings(max_examples=30)
-@given(delay_s=st.floats(0.0, 1e-3), damping=st.floats(0.0, 100.0), high_hz=st.sampled_from([40.0, 400.0]))
+@given(
+    delay_s=st.floats(0.0, 1e-3, allow_subnormal=False),
+    damping=st.floats(0.0, 100.0, allow_subnormal=False),
+    high_hz=st.sampled_from([40.0, 400.0]),
+)
 def test_effective_numbers_are_those_of_the_low_band(delay_s: float, damping: float, high_hz: float) -> None:
     """Behind a delay τ a wall shows B − K·τ where ω·τ is small: each to the next order of its closed form."""
     lines = np.arange(1.0, high_hz + 1.0)

@@ -78,13 +78,13 @@ def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing(
 
 @settings(max_examples=20)
 @given(
-    damping=st.floats(0.0, 0.05),
-    share=st.floats(0.0, 0.999),
+    damping=st.floats(0.0, 0.05, allow_subnormal=False),
+    share=st.floats(0.0, 0.999, allow_subnormal=False),
     scheme=st.sampled_from(
         ["dual:20k/2k", "uniform:20k", "dual:10k/1k,estimator=fdm", "dual:20k/2k,estimator=kalman"]
     ),
-    spring=st.floats(0.0, 5e3),
-    damper=st.floats(0.0, 1.0),
+    spring=st.floats(0.0, 5e3, allow_subnormal=False),
+    damper=st.floats(0.0, 1.0, allow_subnormal=False),
 )
 def test_passive_wall_is_stable_with_any_passive_hand(
     damping: float, share: float, scheme: Any, spring: float, damper: float

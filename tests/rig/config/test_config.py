@@ -575,7 +575,7 @@ JUNK = st.one_of(
     st.booleans(),
     st.integers(),
     st.floats(),
-    st.floats(-1.0, 1.0).map(lambda x: x * 1e308),
+    st.floats(-1.0, 1.0, allow_subnormal=False).map(lambda x: x * 1e308),
     st.sampled_from([5e-324, 1e200, -0.0, 10**400, 2**64]),
     st.text(max_size=5),
     st.dates(),

@@ -44,7 +44,7 @@ def taken(x: float, limit: float) -> float:
     return float(bounded_at(x, MAP.minimum, MAP.maximum, limit, MAP.harmonics))
 
 
-@given(x=st.floats(-0.1, 0.1), limit=st.floats(0.0, 0.1))
+@given(x=st.floats(-0.1, 0.1, allow_subnormal=False), limit=st.floats(0.0, 0.1, allow_subnormal=False))
 def test_compensation_is_the_map_within_range_and_limit(x: Any, limit: Any) -> None:
     assert MAP.minimum is not None
     assert MAP.maximum is not None

@@ -29,9 +29,9 @@ def lively(n: int = 400, seed: int = 1) -> np.ndarray:
 
 
 @given(
-    position=st.floats(-10, 10),
+    position=st.floats(-10, 10, allow_subnormal=False),
     resolution=st.floats(1e-6, 1e-2),
-    offset=st.floats(0, 1),
+    offset=st.floats(0, 1, allow_subnormal=False),
     sign=st.sampled_from([-1, 1]),
 )
 def test_quantise_gives_the_counts_of_the_simulated_encoder(

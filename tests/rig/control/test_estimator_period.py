@@ -47,7 +47,12 @@ def velocities(prepared: Any, counts: Any, ages: Any, elapsed: Any = None) -> An
 
 
 @settings(max_examples=60)
-@given(speed=SPEED, sign=st.sampled_from((1, -1)), start=st.floats(0, 1), name=st.sampled_from(NAMES))
+@given(
+    speed=SPEED,
+    sign=st.sampled_from((1, -1)),
+    start=st.floats(0, 1, allow_subnormal=False),
+    name=st.sampled_from(NAMES),
+)
 def test_steady_motion_reads_to_the_resolution_of_edge_times(
     speed: Any, sign: Any, start: float, name: Any
 ) -> None:
@@ -62,7 +67,7 @@ def test_steady_motion_reads_to_the_resolution_of_edge_times(
 
 
 @settings(max_examples=50)
-@given(speed=st.floats(1.0, 3000.0), start=st.floats(0, 1))
+@given(speed=st.floats(1.0, 3000.0), start=st.floats(0, 1, allow_subnormal=False))
 def test_a_window_of_many_periods_reads_that_much_finer(speed: float, start: float) -> None:
     counts, ages = steady(speed, start, 80)
     v = velocities(prepare("period-frequency", window_s=32 * PERIOD), counts, on_the_wire(ages))
@@ -186,7 +191,7 @@ def test_a_reversal_begins_a_new_window() -> None:
 
 
 @settings(max_examples=20)
-@given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1))
+@given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1, allow_subnormal=False))
 def test_uneven_encoder_lines_are_averaged_by_the_window(speed: float, start: float) -> None:
     """Every other boundary 0.2 counts late: the distance is 0.2 counts off at most, over one period or over 32."""
     position = start + speed * np.arange(200)

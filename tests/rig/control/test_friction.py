@@ -44,28 +44,36 @@ FREE = config.override(
 )
 DEAD_BAND = dead_band_of(FREE.rig.encoder.resolution, 2000.0, 200.0)
 
-velocities = st.floats(-10.0, 10.0)
-levels = st.floats(0.0, 1.0)
+velocities = st.floats(-10.0, 10.0, allow_subnormal=False)
+levels = st.floats(0.0, 1.0, allow_subnormal=False)
 
 
-@given(velocity=velocities, estimate=velocities, up=levels, down=levels, share=st.floats(0.0, 0.99))
+@given(
+    velocity=velocities,
+    estimate=velocities,
+    up=levels,
+    down=levels,
+    share=st.floats(0.0, 0.99, allow_subnormal=False),
+)
 def test_compensation_and_friction_dissipate_for_any_estimate(
     velocity: Any, estimate: Any, up: Any, down: Any, share: float
 ) -> None:
     """u·v − level·|v| ≤ −(1 − share)·level·|v|, for the smaller level when the direction is mistaken too."""
     effort = compensation(estimate, up, down, 0.1, share)
     rubbing = up if velocity > 0.0 else down
-    largest = max(up, down) if velocity * estimate < 0.0 else rubbing
+    # By signs: the product of two small velocities is 0.
+    opposite = (velocity > 0.0) is not (estimate > 0.0)
+    largest = max(up, down) if opposite else rubbing
     given_power = effort * velocity
     assert abs(effort) <= share * max(up, down)
-    if velocity * estimate <= 0.0:
+    if opposite or estimate == 0.0:
         assert given_power <= 0.0, "of the wrong sign it brakes"
     else:
         assert given_power - rubbing * abs(velocity) <= -(1.0 - share) * rubbing * abs(velocity) + 1e-12
     assert given_power <= share * largest * abs(velocity) + 1e-12
 
 
-@given(velocity=velocities, share=st.floats(0.0, 0.99), level=levels)
+@given(velocity=velocities, share=st.floats(0.0, 0.99, allow_subnormal=False), level=levels)
 def test_compensation_is_odd_and_smooth(velocity: Any, share: float, level: Any) -> None:
     effort = compensation(velocity, level, level, 0.5, share)
     assert compensation(-velocity, level, level, 0.5, share) == -effort

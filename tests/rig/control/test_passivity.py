@@ -12,7 +12,11 @@ from rig.control import _passivity as passivity
 from rig.core.errors import ConfigError
 
 TICK_S = 1e-3
-REACTION, ENERGY, SPEED = st.floats(0.0, 50.0), st.floats(-1.0, 1.0), st.floats(-5.0, 5.0)
+REACTION, ENERGY, SPEED = (
+    st.floats(0.0, 50.0, allow_subnormal=False),
+    st.floats(-1.0, 1.0, allow_subnormal=False),
+    st.floats(-5.0, 5.0, allow_subnormal=False),
+)
 ROUNDING = 1e-12
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rig.control._sources import approach, servo
 
-PLACE = st.floats(-1.0, 1.0)
+PLACE = st.floats(-1.0, 1.0, allow_subnormal=False)
 
 
 @given(setpoint=PLACE, target=PLACE, step=st.floats(1e-6, 0.5))
@@ -28,7 +28,7 @@ def test_a_set_point_arrives_exactly_and_stays() -> None:
     assert approach(setpoint, 0.1, 0.001) == 0.1
 
 
-@given(error=PLACE, velocity=st.floats(-10, 10), limit=st.floats(0.01, 1.0))
+@given(error=PLACE, velocity=st.floats(-10, 10, allow_subnormal=False), limit=st.floats(0.01, 1.0))
 def test_homing_effort_is_at_most_its_limit(error: Any, velocity: float, limit: float) -> None:
     effort = servo(error, velocity, 50.0, 0.5, limit)
     assert abs(effort) <= limit

@@ -140,7 +140,7 @@ def blind(
     count=st.integers(-(10**6) + 1, 10**6 - 1),
     reference=st.integers(-(2**20), 2**20),
     side=st.sampled_from([-1.0, 1.0]),
-    wall=st.floats(-0.5, 0.5),
+    wall=st.floats(-0.5, 0.5, allow_subnormal=False),
 )
 def test_penetration_is_side_times_distance(count: int, reference: int, side: Any, wall: float) -> None:
     tick = Tick(reference_count=reference, wall_side=side, wall_position=wall)
@@ -265,7 +265,7 @@ def test_an_exception_in_a_users_law_reaches_the_caller_as_itself() -> None:
 
 
 @settings(max_examples=40)
-@given(effort=st.floats(-150.0, 150.0), quantum=st.floats(0.01, 2.0))
+@given(effort=st.floats(-150.0, 150.0, allow_subnormal=False), quantum=st.floats(0.01, 2.0))
 def test_sent_effort_is_the_limited_sum_in_whole_quanta(effort: float, quantum: float) -> None:
     tick = Tick(constant_effort=effort, effort_quantum=quantum)
     quanta = tick(-1)

@@ -12,10 +12,10 @@ from rig.control.law import PreparedLaw
 from rig.core.errors import ConfigError
 from rig.realtime.plugs import LAW_CLAMPED
 
-DEPTH = st.floats(0.0, 0.1, exclude_min=True)
-VELOCITY = st.floats(-20.0, 20.0)
-STIFFNESS = st.floats(0.0, 1e5)
-DAMPING = st.floats(0.0, 1e3)
+DEPTH = st.floats(0.0, 0.1, exclude_min=True, allow_subnormal=False)
+VELOCITY = st.floats(-20.0, 20.0, allow_subnormal=False)
+STIFFNESS = st.floats(0.0, 1e5, allow_subnormal=False)
+DAMPING = st.floats(0.0, 1e3, allow_subnormal=False)
 
 
 def wall(stiffness: float, damping: float, pull: str = "clamp", damping_on: str = "both") -> PreparedLaw:
@@ -27,7 +27,11 @@ def reaction(law: PreparedLaw, penetration: float, velocity: float) -> float:
     return law.law.function(penetration, velocity, 1, law.state, law.parameters)
 
 
-@given(penetration=st.floats(-1.0, 0.0), velocity=VELOCITY, pull=st.sampled_from(["clamp", "allow"]))
+@given(
+    penetration=st.floats(-1.0, 0.0, allow_subnormal=False),
+    velocity=VELOCITY,
+    pull=st.sampled_from(["clamp", "allow"]),
+)
 def test_outside_there_is_no_wall(penetration: float, velocity: Any, pull: Any) -> None:
     """Also on the very surface: inside means a penetration above zero."""
     law = wall(1000.0, 10.0, pull)

@@ -103,7 +103,8 @@ def test_the_truth_lies_within_three_sigma_and_the_bound(
     # Five sigma here: hypothesis looks for the worst of many. How often three suffice is counted below.
     assert (np.abs(world.error_ns(fit, at)) <= 5.0 * fit.sd_of(at) + fit.asymmetry_bound_ns).all()
     assert fit.used + fit.rejected == count
-    assert fit.used >= count / 2 - 1
+    # Single fits may use less than half: without a burst the median excess falls, and slow exchanges leave, too.
+    assert fit.used >= 1
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ def test_the_truth_lies_within_three_sigma_and_the_bound(
 def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> None:
     """Counted over seeds: offset at start, middle and end, and the drift, at least 97 times in a hundred each."""
     seeds = 100
-    covered = drifts = 0
+    covered = drifts = used = 0
     for seed in range(seeds):
         world = World(float(np.random.default_rng(seed).normal(0.0, 60.0)), seed=seed)
         exchanges = world.exchanges(count, span_s, **link)
@@ -133,6 +134,8 @@ def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> No
         at = ends_of(exchanges)
         covered += (np.abs(world.error_ns(fit, at)) <= 3.0 * fit.sd_of(at) + fit.asymmetry_bound_ns).all()
         drifts += abs(fit.drift_ppm - world.drift_ppm) <= 3.0 * fit.drift_sd_ppm
+        used += fit.used
+    assert used >= 0.5 * seeds * count, "of all exchanges half"
     assert covered >= 0.97 * seeds
     assert drifts >= 0.97 * seeds
 
