@@ -172,9 +172,14 @@ class Kills:
         protocol, calm = self._calm
         seed = str(chance.getrandbits(32))
         command = [
-            sys.executable, "-m", "tests.system.test_session", str(protocol), str(here),
-            str(SESSION_KILLS), seed,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "tests.system.test_session",
+            str(protocol),
+            str(here),
+            str(SESSION_KILLS),
+            seed,
+        ]
         done = subprocess.run(
             command, cwd=ROOT, capture_output=True, text=True, timeout=SESSION_S, check=False
         )

@@ -15,9 +15,17 @@ from tests.platforms.emulated import emulate
 
 SHORT = ("--set", "trial.duration_s=0.6", "--no-plot")
 MAP = (
-    "--scheme", "dual:20k/2k", "--search", "bisection", "--ratio", "2", "-B0.3", "--offsets", "0.1",
+    "--scheme",
+    "dual:20k/2k",
+    "--search",
+    "bisection",
+    "--ratio",
+    "2",
+    "-B0.3",
+    "--offsets",
+    "0.1",
     "--no-plot",
-)  # fmt: skip
+)
 ON_THE_BOARD = ("--rig", "koul-rigid", "--loop", "device", "--rate", "5k/500", "-K60", "-B0.05", *SHORT)
 IN_TIME = ("--set", "controller.supervise_lifetime_s=0.1", "--verified")
 A_PERSON = (

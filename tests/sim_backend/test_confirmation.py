@@ -20,10 +20,17 @@ LIMIT = 5_000
 def armed(**changes: Any) -> Safety:
     safety = Safety(config.rig_model(presets.load("koul-compliant")))
     values = {
-        **DEFAULTS, "position_rate": RATE, "current_limit": LIMIT, "continuous_current": LIMIT,
-        "confirm_ms": CONFIRM_MS, "hold_to_run": 1, "window_minimum": -(10**6), "window_maximum": 10**6,
-        "speed_limit": 10**9, **changes,
-    }  # fmt: skip
+        **DEFAULTS,
+        "position_rate": RATE,
+        "current_limit": LIMIT,
+        "continuous_current": LIMIT,
+        "confirm_ms": CONFIRM_MS,
+        "hold_to_run": 1,
+        "window_minimum": -(10**6),
+        "window_maximum": 10**6,
+        "speed_limit": 10**9,
+        **changes,
+    }
     safety.configure(values, 0)
     return safety
 

@@ -392,9 +392,15 @@ def test_stick_slip_under_a_slow_push_is_that_of_an_event_driven_solver() -> Non
 
     stops.terminal, stops.direction = True, -1.0  # type: ignore[attr-defined]
     solved = solve_ivp(
-        slide, (breaks_away, breaks_away + half), [0.0, 0.0], method="DOP853", events=stops,
-        dense_output=True, rtol=1e-11, atol=1e-14,
-    )  # fmt: skip
+        slide,
+        (breaks_away, breaks_away + half),
+        [0.0, 0.0],
+        method="DOP853",
+        events=stops,
+        dense_output=True,
+        rtol=1e-11,
+        atol=1e-14,
+    )
     rests, distance = solved.t[-1], solved.y[0, -1]
     assert solved.status == 1, "it must stop before the push turns"
     assert distance > 1e-4

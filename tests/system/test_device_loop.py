@@ -91,11 +91,17 @@ def test_a_wall_that_changes_while_the_device_runs_it_replays_at_its_tick(
 
 def test_an_impedance_excited_by_the_device_is_that_of_the_host(tmp_path: Path) -> None:
     changes = {
-        "excitation.channel": "motor", "excitation.low_hz": 20.0, "excitation.high_hz": 200.0,
-        "excitation.period_s": 0.05, "excitation.periods": 4, "excitation.settle_periods": 4,
-        "excitation.realisations": 1, "excitation.kind": "schroeder", "wall.stiffness": 100.0,
+        "excitation.channel": "motor",
+        "excitation.low_hz": 20.0,
+        "excitation.high_hz": 200.0,
+        "excitation.period_s": 0.05,
+        "excitation.periods": 4,
+        "excitation.settle_periods": 4,
+        "excitation.realisations": 1,
+        "excitation.kind": "schroeder",
+        "wall.stiffness": 100.0,
         "wall.damping": 0.05,
-    }  # fmt: skip
+    }
     x = config.override(BOARD, changes)
 
     def measured(experiment: Any) -> Any:
@@ -160,9 +166,14 @@ def test_a_device_without_a_law_is_refused_before_anything_moves(run: Any, tmp_p
 @pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_a_person_waits_for_the_cue_and_holds_alike_on_either_side(loop: str, rig_hit: Hits) -> None:
     held = {
-        "trial.kind": "human", "trial.baseline_s": 0.1, "trial.foreperiod_s": 0.2, "trial.duration_s": 1.0,
-        "trial.hold_s": 0.5, "verdict.tail_s": 0.2, "controller.loop": loop,
-    }  # fmt: skip
+        "trial.kind": "human",
+        "trial.baseline_s": 0.1,
+        "trial.foreperiod_s": 0.2,
+        "trial.duration_s": 1.0,
+        "trial.hold_s": 0.5,
+        "verdict.tail_s": 0.2,
+        "controller.loop": loop,
+    }
     experiment = config.override(BOARD, held)
     hit = rig_hit(experiment)
     rows = hit.recording.rows

@@ -27,9 +27,14 @@ RATE = 10_000
 WAIT_S = 20.0
 WALL = 0.004  # rad beyond the start: the handle begins outside
 EXCITED = {
-    "controller.loop": "device", "controller.position_rate": RATE, "controller.velocity_rate": 1000,
-    "trial.duration_s": 0.5, "trial.release_s": 0.01, "homing.settle_s": 0.005, "verdict.tail_s": 0.01,
-}  # fmt: skip
+    "controller.loop": "device",
+    "controller.position_rate": RATE,
+    "controller.velocity_rate": 1000,
+    "trial.duration_s": 0.5,
+    "trial.release_s": 0.01,
+    "homing.settle_s": 0.005,
+    "verdict.tail_s": 0.01,
+}
 
 
 @pytest.fixture(scope="module", autouse=True)

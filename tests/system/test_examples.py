@@ -55,9 +55,15 @@ def test_the_golden_test_makes_its_recording_and_passes_with_it(tmp_path: Path) 
 @pytest.mark.exhaustive("tests/firmware_protocol/test_connection.py::test_through_all_states_and_back")
 def test_the_client_in_c_reads_the_identity_of_a_served_rig(rig_serial: SerialRig, tmp_path: Path) -> None:
     run(
-        tmp_path, os.environ.get("CC", "cc"), "-Wall", "-Wextra", "-Werror", "-o", "client",
+        tmp_path,
+        os.environ.get("CC", "cc"),
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-o",
+        "client",
         EXAMPLES / "client.c",
-    )  # fmt: skip
+    )
     assert run(tmp_path, tmp_path / "client", rig_serial.path).startswith(
         "protocol 2.1, state 0, dictionary of "
     )

@@ -22,9 +22,13 @@ from tests.conformance.tiers import first_by_default
 
 HELD = {"trial.kind": "human"}
 SHORT = {
-    "homing.settle_s": 0.02, "trial.duration_s": 0.6, "trial.release_s": 0.05, "verdict.tail_s": 0.1,
-    "operator.begin_s": 0.0, "operator.reach_s": 0.2,
-}  # fmt: skip
+    "homing.settle_s": 0.02,
+    "trial.duration_s": 0.6,
+    "trial.release_s": 0.05,
+    "verdict.tail_s": 0.1,
+    "operator.begin_s": 0.0,
+    "operator.reach_s": 0.2,
+}
 
 
 def held(preset: str, **changes: Any) -> config.Experiment:

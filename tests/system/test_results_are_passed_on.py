@@ -108,9 +108,13 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
     person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
     run_session(
-        protocol, "P01", rehearsal_desk(person), runner=DeviceRunner(), study=tmp_path / "study",
+        protocol,
+        "P01",
+        rehearsal_desk(person),
+        runner=DeviceRunner(),
+        study=tmp_path / "study",
         person=person,
-    )  # fmt: skip
+    )
     hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
     trials, levels, conditions, practice = len(hits), 6, 2, 1
     assert trials == 11

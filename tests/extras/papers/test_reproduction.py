@@ -94,9 +94,14 @@ def made_up() -> Reproduction:
     made = paper()
     head, claims = read_claims(made.template(reproduction.CLAIMS), made.rulings(None), made.words(None))
     return Reproduction(
-        paper=made, title=head["title"], source=head["source"], claims=claims, numbers=made.numbers(None),
-        provenance=made.provenance(None), seconds=1.25,
-    )  # fmt: skip
+        paper=made,
+        title=head["title"],
+        source=head["source"],
+        claims=claims,
+        numbers=made.numbers(None),
+        provenance=made.provenance(None),
+        seconds=1.25,
+    )
 
 
 # --- claims ----------------------------------------------------------------------------------------------------

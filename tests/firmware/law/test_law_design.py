@@ -254,10 +254,14 @@ def test_an_excitation_beside_any_wall_is_taken_and_made_as_the_host_plays_it(
     law: Any, estimator: str, stiffness: float
 ) -> None:
     changes = {
-        "controller.loop": "device", "controller.estimator": estimator, "wall.stiffness": 50.0 * stiffness,
-        "wall.damping": 0.05 * stiffness, "excitation.channel": "motor", "excitation.period_s": 0.05,
+        "controller.loop": "device",
+        "controller.estimator": estimator,
+        "wall.stiffness": 50.0 * stiffness,
+        "wall.damping": 0.05 * stiffness,
+        "excitation.channel": "motor",
+        "excitation.period_s": 0.05,
         "excitation.low_hz": 20.0,
-    }  # fmt: skip
+    }
     x = config.excited(config.override(PRESETS["koul-rigid"], {**changes, "trial.minimum_rest_counts": 0.0}))
     excitation = excited_law(x, 3, QUANTUM)
     struct = structure_of(values_of(x, excitation), 1)

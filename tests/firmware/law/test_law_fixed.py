@@ -85,9 +85,15 @@ def test_parameters_that_would_overflow_are_refused(law: Any, verdict: Any, fiel
 def test_flags_and_phases_are_the_hosts_numbers() -> None:
     header = SOURCES.joinpath("law.h").read_text()
     of_the_host = [
-        "LATE", "GAP", "ENERGY", "VIOLENT", "UNMOVED", "CURRENT_FOLLOWS", "CURRENT_DIFFERS",
+        "LATE",
+        "GAP",
+        "ENERGY",
+        "VIOLENT",
+        "UNMOVED",
+        "CURRENT_FOLLOWS",
+        "CURRENT_DIFFERS",
         "OTHER_CURRENT",
-    ]  # fmt: skip
+    ]
     for member in (*Phase, *RowFlag):
         if member.name not in of_the_host:
             assert f"LAW_{member.name} = {int(member)}" in header

@@ -39,9 +39,18 @@ FLASH_ID = "e6614103e7452d2f"
 FULL_SCALE_A = 10.0
 MONITOR_V_PER_A = 0.165
 PINS = {
-    "encoder": 2, "encoder_complement": 14, "pwm": 8, "dac": 17, "enable": 10, "hold_to_run": 11,
-    "emergency_stop": 12, "encoder_index": 20, "limit_switch": 13, "sync_in": 4, "sync_out": 5,
-}  # fmt: skip
+    "encoder": 2,
+    "encoder_complement": 14,
+    "pwm": 8,
+    "dac": 17,
+    "enable": 10,
+    "hold_to_run": 11,
+    "emergency_stop": 12,
+    "encoder_index": 20,
+    "limit_switch": 13,
+    "sync_in": 4,
+    "sync_out": 5,
+}
 
 
 def image(model: RigModel, application: str = DEVICE, **settings: Any) -> BuildResult:

@@ -19,8 +19,15 @@ from tests.firmware.rp2040.usb_line import UsbLine
 STREAM_US = 40_000.0
 FRAME_BYTES, SAMPLES = 254, 45  # BATCH's longest, with the measured current
 PORT_FILES = (
-    "boot2.S", "start.S", "image.c", "reset.c", "exceptions.c", "clocks.c", "timekeeping.c", "usb*.c",
-)  # fmt: skip
+    "boot2.S",
+    "start.S",
+    "image.c",
+    "reset.c",
+    "exceptions.c",
+    "clocks.c",
+    "timekeeping.c",
+    "usb*.c",
+)
 FLAGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-O2", "-mcpu=cortex-m0plus", "-mthumb"),
     *("-ffunction-sections", "-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections"),
@@ -44,8 +51,13 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     elf, bin_ = place / "stream.elf", place / "stream.bin"
     compiler = [
-        "arm-none-eabi-gcc", *FLAGS, f"-I{place}", f"-I{BOARD}", f"-I{CORE}", f"-T{BOARD / 'rp2040.ld'}",
-    ]  # fmt: skip
+        "arm-none-eabi-gcc",
+        *FLAGS,
+        f"-I{place}",
+        f"-I{BOARD}",
+        f"-I{CORE}",
+        f"-T{BOARD / 'rp2040.ld'}",
+    ]
     command = [*compiler, "-o", str(elf), *map(str, sources)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

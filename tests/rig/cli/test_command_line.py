@@ -100,8 +100,16 @@ for words in ("console", "serve lsl --once", "zwidth -B 0 -B 1 --scheme uniform:
 
 def test_each_command_explains_itself_without_its_libraries_and_names_what_to_install(tmp_path: Path) -> None:
     packages = [
-        "distributed", "mcap", "moteus", "mujoco", "odrive", "pandas", "pylsl", "sphinx", "statsmodels",
-    ]  # fmt: skip
+        "distributed",
+        "mcap",
+        "moteus",
+        "mujoco",
+        "odrive",
+        "pandas",
+        "pylsl",
+        "sphinx",
+        "statsmodels",
+    ]
     packages += ["unicorn", "websockets", "xarray"]
     program = [sys.executable, "-c", WITHOUT_LIBRARIES, str(tmp_path), *packages]
     done = subprocess.run(program, capture_output=True, text=True, check=False)

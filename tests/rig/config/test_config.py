@@ -584,8 +584,15 @@ JUNK = st.one_of(
     st.dictionaries(st.text(max_size=3) | st.integers(), st.integers() | st.text(), max_size=2),
 )
 PLACES = [
-    *parameters(), "wall", "rig", "rig.limits", "controller.parameters", "realtime", "preset", "nothing",
-]  # fmt: skip
+    *parameters(),
+    "wall",
+    "rig",
+    "rig.limits",
+    "controller.parameters",
+    "realtime",
+    "preset",
+    "nothing",
+]
 
 
 @settings(max_examples=100)

@@ -91,9 +91,14 @@ NUMBERS = {
     },
 }
 VERDICT = {
-    "tail_s": 0.4, "highpass_hz": 30.0, "heard_force": 1.0, "moved": 1.25e-4, "growth_ratio": 1.2,
-    "late_fraction": 0.003, "saturated_fraction": 0.01,
-}  # fmt: skip
+    "tail_s": 0.4,
+    "highpass_hz": 30.0,
+    "heard_force": 1.0,
+    "moved": 1.25e-4,
+    "growth_ratio": 1.2,
+    "late_fraction": 0.003,
+    "saturated_fraction": 0.01,
+}
 
 
 def test_the_presets_are_these() -> None:

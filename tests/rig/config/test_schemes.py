@@ -64,9 +64,14 @@ def test_the_text_form_gives_an_equal_scheme(
     fast: int, slow: int, estimator: Any, parameters: Any, prediction: Any, rate: Any, below: Any
 ) -> None:
     scheme = Scheme(
-        position_rate=fast, velocity_rate=slow, estimator=estimator, parameters=parameters,
-        prediction=prediction, slow_velocity_rate=rate, slow_below=below,
-    )  # fmt: skip
+        position_rate=fast,
+        velocity_rate=slow,
+        estimator=estimator,
+        parameters=parameters,
+        prediction=prediction,
+        slow_velocity_rate=rate,
+        slow_below=below,
+    )
     assert Scheme.parse(scheme.text) == scheme
 
 

@@ -30,11 +30,24 @@ WIDE = 1e9
 
 # A rig that goes to its trial after two ticks: the handle is home wherever it is, nothing binds.
 PLAIN = {
-    "resolution": DELTA, "tick_s": TICK_S, "velocity_divider": 1, "wall_side": 1.0, "effort_limit": 100.0,
-    "effort_quantum": 0.01, "trial_slew": WIDE, "homing_slew": WIDE, "window_minimum": -1.0,
-    "window_maximum": 1.0, "speed_limit": WIDE, "home_tolerance": WIDE, "home_step": WIDE,
-    "home_timeout_ticks": 10_000, "settle_ticks": 1, "trial_ticks": 1_000_000, "release_ticks": 10,
-}  # fmt: skip
+    "resolution": DELTA,
+    "tick_s": TICK_S,
+    "velocity_divider": 1,
+    "wall_side": 1.0,
+    "effort_limit": 100.0,
+    "effort_quantum": 0.01,
+    "trial_slew": WIDE,
+    "homing_slew": WIDE,
+    "window_minimum": -1.0,
+    "window_maximum": 1.0,
+    "speed_limit": WIDE,
+    "home_tolerance": WIDE,
+    "home_step": WIDE,
+    "home_timeout_ticks": 10_000,
+    "settle_ticks": 1,
+    "trial_ticks": 1_000_000,
+    "release_ticks": 10,
+}
 
 
 class Tick:
@@ -440,9 +453,15 @@ def test_a_release_of_no_length_ends_at_zero_and_not_in_a_division() -> None:
 
 
 HOME = {
-    "skip_homing": False, "home_target": 0.0, "home_step": 10 * DELTA, "home_stiffness": 1e4,
-    "home_damping": 0.0, "home_effort": 2.0, "home_tolerance": 2.5 * DELTA, "settle_ticks": 5,
-}  # fmt: skip
+    "skip_homing": False,
+    "home_target": 0.0,
+    "home_step": 10 * DELTA,
+    "home_stiffness": 1e4,
+    "home_damping": 0.0,
+    "home_effort": 2.0,
+    "home_tolerance": 2.5 * DELTA,
+    "settle_ticks": 5,
+}
 
 
 def test_the_homing_set_point_starts_at_the_handle_and_moves_at_limited_speed() -> None:

@@ -21,9 +21,18 @@ RATE = 20_000
 T = 1.0 / RATE
 DELTA = 1.5708e-4  # Koul et al.: 1000 lines, x4, 10:1
 LIMITS = Thresholds(
-    tail_s=0.4, highpass_hz=30.0, lowpass_hz=500.0, felt_velocity=0.05, heard_effort=0.10, moved=1.25e-3,
-    growth=1.2, late_fraction=0.01, longest_gap=2, lost_fraction=0.003, saturated_fraction=0.01,
-)  # fmt: skip
+    tail_s=0.4,
+    highpass_hz=30.0,
+    lowpass_hz=500.0,
+    felt_velocity=0.05,
+    heard_effort=0.10,
+    moved=1.25e-3,
+    growth=1.2,
+    late_fraction=0.01,
+    longest_gap=2,
+    lost_fraction=0.003,
+    saturated_fraction=0.01,
+)
 TIME = np.arange(RATE) * T
 TAIL = TIME >= 0.6
 

@@ -526,9 +526,15 @@ class Terminal(io.StringIO):
 
 
 UNDERWAY = Progress(
-    total=510, weight_total=510.0, done=120, weight_done=120.0, running=2, workers=2, units=2480,
+    total=510,
+    weight_total=510.0,
+    done=120,
+    weight_done=120.0,
+    running=2,
+    workers=2,
+    units=2480,
     elapsed_s=2.0,
-)  # fmt: skip
+)
 
 
 def test_without_a_terminal_or_for_json_there_is_a_line_now_and_then(
