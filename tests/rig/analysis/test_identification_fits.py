@@ -368,8 +368,10 @@ def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int 
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("number", "at_least"), first_by_default([(2, 2), (10, 9)]))
-def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(number: int, at_least: int) -> None:
+@pytest.mark.parametrize(("number", "at_least", "widest"), first_by_default([(2, 2, 0.005), (10, 9, 0.002)]))
+def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(
+    number: int, at_least: int, widest: float
+) -> None:
     """More in `tests.benchmarks.identified_intervals`."""
     rigs = [random_rig(seed) for seed in range(number)]
     held, widths = np.zeros(3), []
@@ -388,7 +390,7 @@ def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(number: int, at
         ]
         widths.append(found.inertia.ci95 / one["mass"])
     assert held.min() >= at_least, held
-    assert np.median(widths) < 0.002
+    assert np.median(widths) < widest
 
 
 @pytest.mark.exhaustive(
