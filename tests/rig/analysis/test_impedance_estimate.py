@@ -279,7 +279,7 @@ def test_runs_that_do_not_belong_together_are_refused() -> None:
         replace(run, lines_hz=np.array([2000.0]))
     with pytest.raises(ConfigError, match="contains NaN or infinity"):
         replace(run, position=np.full(4000, np.nan))
-    with pytest.raises(ConfigError, match="no line"):
+    with pytest.raises(ConfigError, match="no excited frequency"):
         periodic([run]).within((30.0, 40.0))
     with pytest.raises(ConfigError, match="overlap"):
         estimate_welch([run], WelchSettings(overlap=1.0))

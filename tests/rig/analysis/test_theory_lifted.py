@@ -266,7 +266,7 @@ def test_invalid_rigs_and_schemes_are_refused() -> None:
         ("koul-rigid", "dual:20k/3k", None, "multiple"),
         ("koul-rigid", "uniform:1k,estimator=levant", None, "levant is not linear"),
         ("koul-rigid", "dual:20k/2k,slow_velocity_rate=500,slow_below=0.1", None, "500 Hz below 0.1"),
-        (RIGID, None, None, "no scheme"),
+        (RIGID, None, None, "no sampling scheme"),
         (RIGID, "dual:20k/3k", None, "not a multiple"),
     ):
         with pytest.raises(ConfigError, match=message):

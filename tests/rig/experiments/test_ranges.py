@@ -82,8 +82,8 @@ def test_with_a_coarse_encoder_the_softest_wall_still_holds_the_push_in_the_wind
     [
         ({"highest": 1e9}, r"1e\+09 \(`stiffness`\) is too high: .*at most 477"),
         ({"lowest": 0.0}, r"from 0 to .*`stiffness`"),
-        ({"highest": 0.0}, r"to 0 is not a range.*`stiffness`"),
-        ({"lowest": 50.0, "highest": 20.0}, r"from 50 to 20 is not a range"),
+        ({"highest": 0.0}, r"to 0 is not a rising range.*`stiffness`"),
+        ({"lowest": 50.0, "highest": 20.0}, r"from 50 to 20 is not a rising range"),
         ({"ratio": 1.0}, r"ratio of 1 .*1\.0001 to 1e6.*`ratio`"),
     ],
 )
