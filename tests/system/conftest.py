@@ -1,4 +1,4 @@
-"""What the tests of commands share."""
+"""Fixtures for the tests of the command line: run a command, and make its pictures quick to draw."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from rig.views.plots.hit import draw_hit
 
 @pytest.fixture
 def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Run a command line in an empty directory: exit code, standard output, standard error."""
+    """Return a function that runs a command in an empty directory and returns exit code, stdout and stderr."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: Any) -> Any:
@@ -27,7 +27,7 @@ def run(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures have few pixels, and those of hits are drawn here: to start a process for each costs what a hit does."""
+    """Draw at few pixels and in this process: starting a drawing process takes as long as a whole hit."""
 
     def draw(artist: Artist, recording: Path) -> str | None:
         ending = artist._ending
@@ -40,7 +40,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(coarse: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures are composed, and their files are empty: layout and drawing are matplotlib's, and take longest."""
+    """Compose each picture but save an empty file: layout and drawing, which are matplotlib's, take longest."""
 
     def save(figure: Any, path: Path) -> Path:
         assert figure.axes

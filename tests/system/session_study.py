@@ -1,4 +1,4 @@
-"""A short protocol whose hits are quick to simulate, and what its tests share."""
+"""A short session protocol whose hits are quick to simulate, and helpers of the tests that run it."""
 
 from pathlib import Path
 from typing import Any
@@ -47,16 +47,16 @@ text = "How tired?"
 
 
 def written(directory: Path) -> Path:
-    """The protocol as a file."""
+    """Write the protocol to a file and return its path."""
     path = directory / "quick.toml"
     path.write_text(PROTOCOL)
     return path
 
 
 def comparable(events: list[Event]) -> list[tuple[str, dict[str, Any]]]:
-    """Decisions; of a recording the rows, since its header says when and where it was made; without versions.
+    """Return the decisions of a log without hashes and versions.
 
-    Another process names other sources where a file or the checkout changed meanwhile.
+    Hashes of recordings depend on time and machine; versions change if a file of the checkout changes meanwhile.
     """
     return [
         (kind, {key: value for key, value in content.items() if key not in ("sha256", "versions")})

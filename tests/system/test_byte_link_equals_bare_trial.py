@@ -1,4 +1,4 @@
-"""The way over the wire changes nothing: frames, splitter, codec, ring and recorder are transparent to the law."""
+"""A trial over the byte link equals the direct simulation: frames, codec, ring and recorder change no number."""
 
 from pathlib import Path
 from typing import Any
@@ -121,7 +121,7 @@ def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
 
 
 def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path: Path) -> None:
-    """And trembles differently, so that repeats are repeats; a person who lets go of nothing homes all the same."""
+    """The simulated tremor differs in each trial, so repeats are independent; homing works while the hand holds on."""
     experiment = config.override(presets.load("koul-compliant"), {**SHORT, **HELD})
     link = open_link(DeviceUrl.parse("sim://"), config.rig_model(experiment))
     counts = []

@@ -1,4 +1,4 @@
-"""Commands: their output, their files, and their refusals."""
+"""Command-line behaviour that all commands share: output, files, exit codes, signals and error messages."""
 
 import errno
 import json
@@ -35,7 +35,7 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def recording(hit: Path, tmp_path: Path) -> str:
-    """A copy of one hit, where a test may write beside it."""
+    """Copy one hit to a directory in which the test may write files beside it."""
     return str(shutil.copy(hit, tmp_path))
 
 
@@ -53,7 +53,7 @@ def test_a_picture_has_the_format_of_its_option(run: Any) -> None:
 def test_a_command_prints_its_numbers_also_without_a_picture(
     run: Any, recording: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The reason is on standard error; it is an error only where the user named the file."""
+    """A failed picture is explained on stderr, and is an error only if the user named the picture's file."""
 
     def fails(figure: Any, path: Path) -> Path:
         raise RuntimeError("no fonts")
@@ -96,7 +96,7 @@ def test_redirected_output_is_utf_8_in_any_locale(outside: dict[str, str]) -> No
 
 
 def test_the_default_hit_is_the_one_of_the_reference_study(run: Any) -> None:
-    """Peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
+    """In the reference study: peak 17 to 18 counts, rest 3 to 4, effort up to 1.2 N·m, no saturation, stable."""
     code, out, _ = run("hit", "--json", "--no-plot")
     assert code == 0
     (hit,) = json.loads(out)["hits"]
@@ -186,7 +186,7 @@ def test_a_directory_that_cannot_be_written_is_refused_before_anything_moves(
 
 @pytest.mark.signals
 def test_sigterm_ends_a_hit_that_ignores_ctrl_c_with_its_exit_code_and_a_recording(tmp_path: Path) -> None:
-    """A shell starts `nohup … &` with Ctrl-C ignored; Ctrl-C that is not ignored: `test_nothing_is_left`."""
+    """A shell starts `nohup … &` with SIGINT ignored; `test_nothing_is_left` tests SIGINT that is not ignored."""
     options = ("--duration", "3000", "--no-plot", "--output", tmp_path / "out")
     command = ("env", "--ignore-signal=INT", sys.executable, "-m", "rig", "hit", *options)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -284,7 +284,7 @@ for words, full in json.loads(sys.argv.pop()):
 @pytest.mark.exhaustive("::test_a_closed_pipe_is_no_error")
 @pytest.mark.parametrize("unbuffered", first_by_default(["", "1"]))
 def test_a_full_output_has_its_exit_code(unbuffered: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Buffered by Python as well: the exit code was 120 there."""
+    """Buffered output counts too: Python flushes it at exit, and a failure there once gave exit code 120."""
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     stdout, stderr = 1, 2
     cases = [

@@ -1,4 +1,4 @@
-"""`rig design`: a section to paste, files, JSON, refusals, a device."""
+"""`rig design`: the configuration section to paste, files, JSON, error messages, and a search for a device."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""`rig doctor` and the gate of `rig hit`; devices are simulated, and some claim to be real."""
+"""`rig doctor` and the checks before `rig hit`; devices are simulated, and some claim to be real."""
 
 import dataclasses
 import json
@@ -41,7 +41,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def port() -> Iterator[Any]:
-    """A simulated rig behind a pseudo-terminal."""
+    """Serve a simulated rig behind a pseudo-terminal and yield its URL."""
     with served_rig(config.rig_model(presets.load("koul-compliant")), rate=1000) as path:
         yield f"serial://{path}"
 
@@ -53,7 +53,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def quiet_link(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever this machine measures, the way there and back takes half a millisecond."""
+    """Replace the measured round trip by half a millisecond without losses, however busy this machine is."""
     original = round_trip.measure_link
 
     def measured(*arguments: Any, **options: Any) -> Any:
@@ -66,7 +66,7 @@ def quiet_link(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_walls(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table of the walls that a link supports, most of the work, is left out."""
+    """Leave out the table of walls that a link supports, which takes most of the time."""
     monkeypatch.setattr(examining, "supported_walls", lambda *_: [])
 
 

@@ -1,4 +1,4 @@
-"""`rig estimators`: the list, a comparison with its picture, a tuned fragment that runs."""
+"""`rig estimators`: the list, a comparison with its picture, and tuned settings that a hit accepts."""
 
 import json
 import shlex

@@ -1,4 +1,4 @@
-"""`rig identify`: numbers with intervals, a file that can be hit, and a plan."""
+"""`rig identify`: parameters with confidence intervals, an experiment file that `rig hit` accepts, and a plan."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rig impedance measure`: numbers, JSON, a device, and refusals."""
+"""`rig impedance measure`: numbers, JSON, a measurement on a device, and error messages."""
 
 import json
 from pathlib import Path

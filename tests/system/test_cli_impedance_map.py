@@ -1,4 +1,4 @@
-"""`rig impedance map`: tables, JSON, pictures, and a map that is read again."""
+"""`rig impedance map`: tables, JSON, pictures, and a stored map that is read again."""
 
 import json
 from pathlib import Path

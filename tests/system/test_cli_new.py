@@ -1,4 +1,4 @@
-"""`rig experiment new` by options and at a terminal, and the commands from there to a map."""
+"""`rig experiment new` by options and at a terminal, and the commands from a new experiment to a map."""
 
 import io
 import json
@@ -27,7 +27,7 @@ ANSWERS = ["linear-motor", "20", "1.5", "", "", "", "1 µm", "400 g", "", "", ""
 
 
 class Terminal(io.StringIO):
-    """Lines that a person types; `ends` is raised behind the last one."""
+    """A terminal on which a person types the given lines; reading beyond the last one raises `ends`."""
 
     def __init__(self, *lines: str, ends: type[BaseException] = EOFError) -> None:
         super().__init__("".join(f"{line}\n" for line in lines))
@@ -117,7 +117,7 @@ def test_a_next_command_exists_with_its_options(name: str) -> None:
 
 
 def test_each_command_on_the_way_to_a_map_names_the_next_one() -> None:
-    """The page runs as it stands (test_docs), so that none of them fails."""
+    """Reads the commands of the page `first-walls.md`; that each of them works is tested in test_docs."""
     page = site.SOURCES / "first-walls.md"
     lines = [line for block in blocks(page) if not block.reason for line in block.commands()]
     way = [resolve(shlex.split(line)[1:])[0].command_path.removeprefix("rig ") for line in lines]

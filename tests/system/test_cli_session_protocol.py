@@ -1,4 +1,4 @@
-"""`rig session new` and `check`."""
+"""`rig session new` and `rig session check`: protocol files from templates, and messages about wrong ones."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`rig theory walls`: numbers, bounds, picture, JSON."""
+"""`rig theory walls`: stability limits, passivity bounds, picture, JSON."""
 
 import json
 from pathlib import Path
@@ -12,13 +12,13 @@ from rig.analysis.theory import _summary as summary
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Curves have few points: the limits at B = 0 and at the wall's are those of a whole curve."""
+    """Compute curves at few points; the limits at B = 0 and at the wall's damping do not depend on the number."""
     for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
         monkeypatch.setattr(summary, name, number)
 
 
 def test_an_automated_trial_names_the_limit_in_a_normal_hand(run: Any) -> None:
-    """An automated trial has an end mass and no hand, a map a normal hand: K_max at B = 0 is 30 and 519."""
+    """K_max at B = 0 is 30 N·m/rad with the end mass of an automated trial, 519 in the normal hand of a map."""
     code, out, _ = run("theory", "walls", "--rig", "koul-compliant", "--no-plot", "--scheme", "dual:20k/2k")
     assert code == 0
     (line,) = (line for line in out.splitlines() if "--operator normal" in line)

@@ -1,4 +1,4 @@
-"""`rig zwidth`: table, JSON, Ctrl-C, and a device."""
+"""`rig zwidth`: the table of a map, JSON, Ctrl-C, and a map on a device."""
 
 import json
 import os

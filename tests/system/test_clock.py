@@ -1,4 +1,4 @@
-"""A simulated clock that drifts, and the times in a recording."""
+"""Device clocks that drift: the clock fit and the times in a recording agree with the simulated clock."""
 
 import dataclasses
 import json
@@ -36,7 +36,7 @@ HIT = config.override(
 
 
 class Slow:
-    """A link on which both ways take time, at least so long and exponentially longer: virtual time that passes."""
+    """A link whose delay each way is a minimum plus an exponentially distributed jitter, in virtual time."""
 
     def __init__(self, link: Any, *, out_ns: Any, back_ns: Any, jitter_ns: Any, seed: int = 0) -> None:
         self.link, self.url, self.clock = link, link.url, link.clock
@@ -105,7 +105,7 @@ def hit(
 
 @pytest.mark.parametrize("ppm", first_by_default([0.0, 120.0, -120.0]))
 def test_a_recording_has_both_clocks(tmp_path: Path, ppm: float) -> None:
-    """In lock-step a sample is received when it is taken, and answered at once: the ledger must find that again."""
+    """In lock-step, samples arrive and are answered without delay, and the recorded times must show that."""
     recording = open_recording(hit(tmp_path, ppm, ticks_before=1000))
     fit = ClockFit.from_mapping(recording.trailer["clock"])
     assert fit.used >= 3
@@ -123,7 +123,7 @@ def test_a_recording_has_both_clocks(tmp_path: Path, ppm: float) -> None:
 
 
 def test_samples_wait_for_a_host_with_its_own_period(tmp_path: Path) -> None:
-    """Answers wait for the beat too, one way only: the exchanges at rest, before and after, keep the clocks right."""
+    """A host with its own period delays replies one way only; clock exchanges at rest keep the fit unbiased."""
     experiment = config.override(HIT, {"host.pacing": "host"})
     recording = open_recording(hit(tmp_path, 80.0, experiment=experiment))
     fit = ClockFit.from_mapping(recording.trailer["clock"])

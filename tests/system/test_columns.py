@@ -1,4 +1,4 @@
-"""No two columns of a recording are equal in all runs."""
+"""Every column of a recording carries information: no two columns are equal in all runs."""
 
 from collections.abc import Callable
 from contextlib import suppress

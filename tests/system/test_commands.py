@@ -1,4 +1,4 @@
-"""Every command once: a good run as text and as JSON, refusals and their exit codes."""
+"""Every command once: a successful run as text and as JSON, and wrong options with their exit codes."""
 
 import json
 import shlex
@@ -37,22 +37,22 @@ WRITES_ONCE = ("experiment new", "session new", "session export")  # and refuse 
 
 @dataclass(frozen=True)
 class Row:
-    """A command.
+    """One command with a successful call and calls that it must reject.
 
     Attributes
     ----------
     name
-        Its words.
+        Words of the command, such as ``session new``.
     good
-        Options of a good run, in a directory with the files of `made`; or the test that runs it elsewhere.
+        Options of a successful run in the directory `made`; or the test that runs the command elsewhere.
     keys
-        Of the JSON of that run, in any order; of a list those of its first item.
+        Keys of the JSON of that run, in any order; of a list, the keys of its first item.
     says
-        A word of its text.
+        A word that the text output contains.
     refused
-        Options that it refuses, the exit code, and words of the message; several.
+        Calls that are rejected: options, exit code, and words of the message.
     files
-        What a good run leaves, as a pattern.
+        Pattern of the files that a successful run writes.
     """
 
     name: str
@@ -273,7 +273,7 @@ ROWS = (
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with one file of each kind."""
+    """Make a directory with one file of each kind that a command reads."""
     place = tmp_path_factory.mktemp("made")
     (place / "mine.toml").write_text('preset = "koul-compliant"\n')
     (place / "wrong.toml").write_text('preset = "koul-compliant"\n[wall]\nstifness = 3.0\n')
@@ -298,13 +298,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stocked(made: Path, tmp_path: Path) -> None:
-    """The working directory, with a copy of each of those files."""
+    """Copy the files of `made` to the working directory."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.fixture
 def loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace a loop in real time by one that accepts each change."""
+    """Replace the running real-time loop by one that accepts each change of its wall."""
     done = live.LiveChange(7, 3, {"wall.stiffness": 1.0}, {}, active=True, ended=False)
     monkeypatch.setattr(live, "change_wall", lambda *_, **__: done)
 

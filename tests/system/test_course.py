@@ -1,4 +1,4 @@
-"""The course: the commands of its pages run as they stand, and print the numbers of the instructor's answers.
+"""The course: commands on its pages run unchanged, and print the numbers in the instructor's answers.
 
 The first line of a TOML block names its file. In an answer a number between backticks is printed by a command of the
 exercise; ``a / b = c`` is calculated.

@@ -100,7 +100,7 @@ def test_the_current_of_a_sound_motor_follows(
 
 @DEVICES_AND_LOOPS
 def test_an_excited_voltage_driven_motor_raises_no_flag(device_class: Any, loop: str, tmp_path: Path) -> None:
-    """Every 10 ms an alternating push moves the handle into and out of the wall; back-EMF is a sixth of the current."""
+    """An alternating push moves the handle across the wall every 10 ms; back-EMF is a sixth of the current."""
     alternation_ticks = RATE // 100
     pushes = [
         (tick, set_hardware(external_effort=(-1.0) ** (tick // alternation_ticks)))
@@ -224,7 +224,7 @@ def test_one_spike_of_the_converter_is_no_over_current_and_two_are(spikes: int, 
 def test_the_zero_of_the_sensor_is_taken_off_while_the_amplifier_is_off(
     device_class: Any, loop: str, tmp_path: Path
 ) -> None:
-    """Otherwise a drifted zero of 60 quanta is a mismatch in every window at rest."""
+    """Without this correction a sensor offset of 60 quanta would count as a mismatch in every window at rest."""
     experiment = config.override(BASE, {"controller.loop": loop})
     device = device_class(config.rig_model(experiment), initial_position=START)
     link = MemoryLink(device, Faults())

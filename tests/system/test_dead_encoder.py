@@ -1,4 +1,4 @@
-"""An encoder that dies while the homing servo seeks the start of an automated trial: no hand holds the handle."""
+"""An encoder that dies while the homing servo of an automated trial runs: the free handle must not become fast."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -36,7 +36,7 @@ DEAD: dict[str, Callable[[int], Callable[[int], int]]] = {
 def test_a_homing_servo_without_an_encoder_is_a_runaway_before_the_handle_is_fast(
     name: str, dead: str, tmp_path: Path
 ) -> None:
-    """Its effort is far below what the rig may give: what it overcomes is friction, and that is what counts."""
+    """The servo's effort is far below the rig's limit but above friction, so the handle would accelerate unseen."""
     x = config.override(presets.load(name), {"rig.amplifier.current_monitor": False})
     device = SimulatedDevice(config.rig_model(x), initial_position=0.0)
     device.hardware.__class__ = Counting
@@ -55,7 +55,7 @@ def test_a_homing_servo_without_an_encoder_is_a_runaway_before_the_handle_is_fas
 
 
 class Clocked(Counting):
-    """Remembers how fast its handle has been (rad/s or m/s)."""
+    """A simulated hardware layer that records the largest speed of its handle (rad/s or m/s)."""
 
     fastest = 0.0
 
@@ -65,7 +65,7 @@ class Clocked(Counting):
 
 
 def clocked(model: RigModel, loop: str) -> Any:
-    """A device at rest that has or has not a law of its own, and whose handle's speed is remembered."""
+    """Return a device at rest, with its own law if `loop` is "device", that records the speed of its handle."""
     device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
     if loop == "device":
         device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
@@ -75,7 +75,7 @@ def clocked(model: RigModel, loop: str) -> Any:
 
 @pytest.mark.parametrize("loop", ["host", "device"])
 def test_a_servo_below_the_check_of_the_device_is_stopped_by_the_host(loop: str, tmp_path: Path) -> None:
-    """The device tolerates this rest, and without the host nothing would end it before the timeout."""
+    """The device's stall check tolerates this low effort; without the host only the timeout would end homing."""
     x = presets.load("hapkit")
     friction = moved_mechanics(config.rig_model(x)).friction
     x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort, "controller.loop": loop})
@@ -110,7 +110,7 @@ def test_a_servo_below_the_check_of_the_device_is_stopped_by_the_host(loop: str,
 def test_a_torque_pulse_without_an_encoder_ends_before_the_handle_is_fast(
     name: str, loop: str, dead: str, tmp_path: Path
 ) -> None:
-    """Even without the check of the device, which minds large efforts alone; and no second push adds to the first."""
+    """The device's own check is for large efforts: the pulse must end without it, and no second push follows."""
     changes = {"rig.amplifier.current_monitor": False, "controller.loop": loop}
     x = config.override(presets.load(name), changes)
     model = config.rig_model(still(x))

@@ -52,18 +52,18 @@ def steady(delay: int) -> Delays:
 
 
 def growing(delay: int) -> Delays:
-    """A buffer that fills slowly: the device receives a frame in most ticks."""
+    """Return delays of a buffer that fills slowly: the device still receives a frame in most ticks."""
     return lambda frame: min(frame // 2, delay)
 
 
 def once(delay: int) -> Delays:
-    """One frame that waits, and with it all behind it; then they come at once."""
+    """Return delays in which the first frame waits, blocks those behind it, and all then arrive at once."""
     return lambda frame: delay if frame == 0 else 0
 
 
 @dataclass
 class Run:
-    """A device behind a link that is late from one command on, and the frames on that link."""
+    """A device behind a link that delays frames from one command on, with a log of commands and STATEs."""
 
     link: MemoryLink
     delays: Delays
@@ -142,7 +142,7 @@ def ran(directory: Path, delays: Delays, make: Callable[..., Any] = SimulatedDev
 
 @pytest.fixture
 def no_age_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that accepts each command, whatever its age."""
+    """Make the device accept each command, however old."""
     monkeypatch.setattr(readable, "is_too_old", lambda *command: False)
 
 
@@ -231,7 +231,7 @@ def test_the_host_ends_the_run_where_the_device_checks_no_age(
 @pytest.mark.usefixtures("no_age_check")
 @pytest.mark.parametrize("delay", [LIFETIME + 1, LONGEST])
 def test_the_host_needs_a_lifetime_of_late_commands(delay: int, tmp_path: Path) -> None:
-    """The first of them is active after the delay and shows a sample later."""
+    """The first late command becomes active after the delay and appears in a STATE one sample later."""
     run = ran(tmp_path, steady(delay), first=0)
     run.assert_link_delayed()
     assert len(run.recording.rows) == delay + 2 + LIFETIME

@@ -1,4 +1,4 @@
-"""A law on the device from end to end, against the compiled firmware."""
+"""A control law that runs on the device, from configuration to recording, against the compiled firmware."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""New walls for a law on the device, against the compiled firmware: active on both sides from the same sample."""
+"""Wall changes while the law runs on the compiled firmware: device and host switch at the same sample."""
 
 from dataclasses import replace
 from functools import partial
@@ -43,7 +43,7 @@ def _has_compiler() -> None:
 
 
 class Session:
-    """One armed device with a thread that supervises it; walls are posted at ticks of the device."""
+    """One armed device and the thread that supervises it; new walls are posted at given ticks of the device."""
 
     def __init__(self, estimator: str, posts: dict[int, float], faults: tuple[FrameFault, ...] = ()) -> None:
         self.experiment = config.override(
@@ -109,7 +109,7 @@ HOMING, FLYING, PRESSED = 200, 900, 2500  # ticks since the device started
 
 
 def check(session: Session, rows: np.ndarray) -> None:
-    """Device and host had the same wall in every tick, and the rows say which."""
+    """Check that device and host had the same wall in every tick, and that the rows record which."""
     found = session.thread.agreement()
     assert (found.beyond, found.holds) == (0, True), found
     assert found.compared > 0.7 * len(rows)
@@ -136,7 +136,7 @@ def test_walls_change_on_both_sides_at_one_sample(estimator: str) -> None:
 
 
 def test_a_device_that_took_a_wall_is_configured_again() -> None:
-    """The host knows the parameters that a loop set, and does not take the device for one that restarted."""
+    """The host tracks parameters that a loop changed, and does not mistake them for a restart of the device."""
     session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
     session.run()
     session.host._dictionary = replace(session.host.dictionary, simulated=False)
@@ -154,7 +154,7 @@ def test_a_device_that_took_a_wall_is_configured_again() -> None:
 )
 @pytest.mark.parametrize("way", Direction)
 def test_after_a_fault_in_the_update_both_sides_have_the_same_wall(kind: FaultKind, way: Direction) -> None:
-    """Each frame of the update is struck once; a lost one is sent again."""
+    """Each frame of the update suffers the fault once; a lost frame is sent again."""
     Session("fdm-butterworth-fixed", {})  # reads the dictionary, which is cached
     clean = Session("fdm-butterworth-fixed", {HOMING: 150.0})
     line = clean.link.line

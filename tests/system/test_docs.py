@@ -1,4 +1,4 @@
-"""The site: its commands and examples run as they stand, or the page states why not."""
+"""Commands and examples of the documentation site run unchanged, or the page states why they cannot."""
 
 import inspect
 import os
@@ -98,7 +98,7 @@ def test_examples_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.M
 
 
 def run_line(line: str) -> None:
-    """Run a line of a shell: a plain `rig` or pytest command in this process, where the loop is compiled."""
+    """Run a shell line; a plain `rig` or pytest command runs in this process, where the loop is compiled already."""
     words = shlex.split(line, comments=True)
     words = words[: words.index("||")] if "||" in words else words  # what follows is for when it fails
     if words[0] == "pytest":
@@ -152,7 +152,7 @@ def test_each_block_that_does_not_run_has_a_reason() -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sources with all generated pages, as Sphinx gets them."""
+    """Copy the documentation sources and add all generated pages, as Sphinx reads them."""
     place = tmp_path_factory.mktemp("docs") / "docs"
     shutil.copytree(site.SOURCES, place)
     runpy.run_path(str(place / "made.py"))["make_pages"](place)
@@ -229,7 +229,7 @@ AT_REST = {"bump", "grating", "mass"}  # may pull a handle at rest: a shape or a
 def test_a_law_of_the_gallery_does_what_its_page_claims_and_replays(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each script asserts its claim; here also: finite, bounded in memory, passive in slow and fast cycles."""
+    """Each script asserts its claim; this test adds: finite, bounded memory, passive in slow and fast cycles."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = runpy.run_path(str(script))
@@ -249,7 +249,7 @@ def test_every_figure_of_a_page_is_made_by_a_script() -> None:
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A site of one page in place of ours."""
+    """Replace the documentation by a site of one page."""
     pytest.importorskip("sphinx")
     sources = tmp_path / "small"
     sources.mkdir()

@@ -1,8 +1,8 @@
 """Faults in a trial of the shipped host, in virtual time: each time the effort ends at zero.
 
 A short run is about forty ticks long and, with configuration, has about 70 frames each way. Each frame is struck once
-by each kind of fault; of frames that are all alike (those of the push, comparisons of the clocks, pages of the
-dictionary) only some are. Faults of the devices themselves: tests/firmware/test_firmware_faults.py.
+by each kind of fault; of similar frames (those of the push, clock comparisons, dictionary pages) only a sample is.
+Faults of the devices themselves: tests/firmware/test_firmware_faults.py.
 """
 
 import os
@@ -79,7 +79,7 @@ each_far_end = pytest.mark.parametrize("far_end", FAR_ENDS)
 
 
 class Bench(InMemory):
-    """A device with a script of faults, and the trial that is run on it."""
+    """A simulated device with a script of faults, and the trial that runs on it."""
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ def at(act: Callable[[Any], None], tick: int = STRIKE) -> Faults:
 
 
 def frames_of(directory: Any) -> Any:
-    """Frames of an undisturbed run, each way."""
+    """Return the number of frames of an undisturbed run in each direction."""
     bench = Bench()
     trial = bench.run(directory)
     sent = dict(bench.link.frames)
@@ -115,14 +115,14 @@ def frames_of(directory: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Frames of a run of a host that reads the dictionary first."""
+    """Return the number of frames in each direction if the host must first read the device's dictionary."""
     framed._dictionaries.clear()
     return frames_of(tmp_path_factory.mktemp("first"))
 
 
 @pytest.fixture(scope="module")
 def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Frames of an undisturbed run, each way: which of them carry samples and commands."""
+    """Return the number of frames each way, and check which of them carry samples and commands."""
     clean = tmp_path_factory.mktemp("clean")
     sent = frames_of(clean)
     phases = open_recording(clean / "trial.rigcap").rows["phase"]
@@ -180,7 +180,7 @@ def test_after_a_fault_at_a_page_of_the_dictionary_it_is_requested_again_or_noth
 
 
 def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool:
-    """Strike frames of a run, check how it ended, and return whether it finished."""
+    """Apply a fault to frames of a run, check how the run ended, and return True if it finished."""
     place = directory / str(frames[0])
     place.mkdir()
     faults = [FrameFault(kind=kind, direction=direction, frame=n, byte=n, bit=n % 8) for n in frames]
@@ -364,7 +364,7 @@ def test_a_fault_in_the_wall_is_reported_with_cause_and_remedy(
 def test_a_handle_that_is_driven_beyond_its_limits_ends_the_run(
     effort: float, far_end: str, tmp_path: Path
 ) -> None:
-    """By the guard of the law or the device's monitor, whichever comes first."""
+    """The law's guard or the device's monitor ends the run, whichever acts first."""
     bench = Bench(at(push(effort)), LONG, far_end, **{"rig.limits.position_minimum": -0.02})
     bench.run(tmp_path).check(GuardError, DeviceFaultError)
 
@@ -406,7 +406,7 @@ def test_a_device_that_is_not_safe_does_not_arm(far_end: str, tmp_path: Path) ->
 
 
 def test_a_port_that_vanishes_in_mid_run_is_a_lost_link_with_a_whole_recording(tmp_path: Path) -> None:
-    """The device process is killed: the pseudo-terminal hangs up, as a pulled USB plug does."""
+    """Killing the device process hangs up the pseudo-terminal, as pulling a USB plug does."""
     long = config.override(SHORT, {"trial.duration_s": 30.0, "verdict.tail_s": 0.4})
     path = tmp_path / "unplugged.rigcap"
     before = set(children())

@@ -1,7 +1,7 @@
 """Faults in real time over a pseudo-terminal to a device process.
 
 Nothing depends on spare processors (`tests.conformance.far_end`) or asserts a latency: the device ends without current,
-by its own witness, and the recording reads.
+as its own log shows, and the recording can be read.
 """
 
 import resource
@@ -46,7 +46,7 @@ ON_DEVICE = {
 
 @dataclass(frozen=True)
 class Bench:
-    """Devices behind a port, and trials on them; something breaks when `early` ticks of RUNNING have passed."""
+    """Devices behind a port and trials on them; a fault is injected after `early` ticks of RUNNING."""
 
     directory: Path
     changes: dict[str, Any]
@@ -83,7 +83,7 @@ BENCHES = {"the law on the host": (ON_HOST, 30), "the law on the firmware": (ON_
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    """Start devices with the law on the host, or on them where the test is parametrised so."""
+    """Return a bench whose law runs on the host, or on the device if the test is parametrised so."""
     changes, early = BENCHES[getattr(request, "param", "the law on the host")]
     made = Bench(tmp_path, changes, early, [])
     if made.firmware:
@@ -150,7 +150,7 @@ def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: st
     "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
 )
 def test_a_flood_of_noise_is_counted_and_a_lost_link(bench: Bench) -> None:
-    """Each sample is glued to the noise before it: none arrives."""
+    """Noise directly before each sample spoils its frame, so no sample arrives."""
     device = bench.start(flood=True)
     trial = bench.run(device).check(LinkLostError, replays=False)
     assert trial.counters["bad_frames"] > 10
@@ -252,7 +252,7 @@ def test_a_signal_to_a_host_process_leaves_the_device_at_rest(number: Any, bench
     "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
 )
 def test_a_full_disk_is_reported_at_the_end_and_the_device_is_at_rest(bench: Bench) -> None:
-    """A limit on the size of files gives EFBIG in place of ENOSPC, on the same path."""
+    """A file size limit stands in for a full disk: it gives EFBIG where that gives ENOSPC, on the same path."""
     device = bench.start()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
 

@@ -1,4 +1,4 @@
-"""Walls near their limit, hit with samples lost: within the limits K_max stays, beyond them there is no verdict."""
+"""Hits on walls near the stability limit with lost samples: few losses keep K_max, many give no verdict."""
 
 from typing import Any
 

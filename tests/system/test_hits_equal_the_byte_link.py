@@ -1,4 +1,4 @@
-"""A hit without bytes is the hit over the byte link, to the last bit of every number that a map is made of."""
+"""A directly simulated hit equals the hit over the byte link, to the last bit of every number in a map."""
 
 from pathlib import Path
 from typing import Any

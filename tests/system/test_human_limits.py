@@ -1,4 +1,4 @@
-"""A person's trial has a person's limits, however its kind or its limits were set, and whatever breaks in it."""
+"""The limits for people apply to a person's trial however its kind or limits were set, and whatever fails in it."""
 
 from pathlib import Path
 from typing import Any
@@ -131,7 +131,7 @@ def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
 def test_swapped_leads_in_a_persons_trial_give_no_more_than_the_nominal_effort(
     preset: str, tmp_path: Path
 ) -> None:
-    """It was 1.3 N·m on koul-rigid, 4.5 times the nominal effort: the limits for automated trials held for people."""
+    """A bug once allowed 1.3 N·m on koul-rigid, 4.5 times nominal: a person got the limits of automated trials."""
     experiment = held(preset, **{"operator.press": 1.0, "wall.damping": 0.05})
     tick = round(0.5 * experiment.controller.position_rate)
 

@@ -1,4 +1,4 @@
-"""A lab's own package and every example against the wheel alone: types, an entry point's law, hits, maps, its CI."""
+"""A lab's own package and every example against the installed wheel: types, a law's entry point, hits, maps, CI."""
 
 import os
 import re
@@ -66,7 +66,7 @@ def done(*command: str, cwd: Path, **environment: str) -> subprocess.CompletedPr
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package beside `site`, where both wheels are unpacked (an environment may lack pip), and the examples."""
+    """Build both wheels, unpack them in `site` (an environment may lack pip), and copy the examples beside it."""
     place = tmp_path_factory.mktemp("lab") / "lab"
     shutil.copytree(ROOT / "tests" / "lab_package", place)
     for source in (ROOT, place):

@@ -1,4 +1,4 @@
-"""C of a simulated wall hit: what the fit finds against what the plant did."""
+"""The Lipschitz constant C of a simulated wall hit: the fitted value against the motion of the plant."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from rig.experiments.hits.hit import HitRequest, hit
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Hits of chawda-linear at 0.10 and 0.16 m/s, 1 kHz."""
+    """Record hits of chawda-linear at 0.10 and 0.16 m/s, 1 kHz."""
     found = []
     for effort, start in ((5.0, -0.0007), (8.0, -0.001)):
         changes = {"trial.effort": effort, "trial.start": start}

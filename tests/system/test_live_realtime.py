@@ -1,4 +1,4 @@
-"""A hit in real time, and another terminal that changes its wall, stops it, or recovers its capture."""
+"""A hit in real time, while another process changes its wall, stops it, or recovers its capture."""
 
 import gc
 import json
@@ -32,7 +32,7 @@ PATIENCE_S = 60.0
 def hit(
     directory: Path, *more: str, ticks: int = 100, **environment: str
 ) -> Iterator[tuple[subprocess.Popen[str], RunningLoop]]:
-    """A hit of a simulated rig in real time that waits long before its wall; yields it when its loop steps."""
+    """Start a real-time hit of a simulated rig with a long homing phase; yield it once its loop steps."""
     options = ["--set", "homing.settle_s=30", "--set", "homing.timeout_s=60", "--json", *more]
     command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": os.environ | environment}
@@ -41,7 +41,7 @@ def hit(
 
 
 def stepping(process: subprocess.Popen[str], ticks: int) -> RunningLoop:
-    """The loop of a process, once it has made so many steps."""
+    """Wait until the loop of a process has made more than `ticks` steps, and return that loop."""
     deadline = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < deadline:
         for loop in running():

@@ -1,4 +1,4 @@
-"""An encoder whose scale changes in a trial spoils its verdict where effort and motion show it; a drift is not seen."""
+"""A change of encoder scale in a trial spoils the verdict if effort and motion show it; drift is not detected."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ def walled(preset: str, changes: dict[str, Any]) -> config.Experiment:
 
 
 def judged(x: config.Experiment, path: Path, *happenings: Happening) -> tuple[Judgement, Any]:
-    """Judge a trial with these happenings; return its rows too."""
+    """Run a trial with scheduled faults of the device; return its judgement and its rows."""
     device, _ = make_device(config.rig_model(x), None, seed=x.trial.seed, initial_position=x.trial.start)
     path.unlink(missing_ok=True)
     with FramedDevice(MemoryLink(device, Faults(device=happenings))) as framed:
@@ -37,7 +37,7 @@ def judged(x: config.Experiment, path: Path, *happenings: Happening) -> tuple[Ju
 
 
 def scaled(scale: float, first: int, ticks: int) -> list[Happening]:
-    """The encoder shows `scale` times the motion from a tick on: its slip is set anew at every tick."""
+    """Return faults that make the encoder show `scale` times the true motion, by a new count offset each tick."""
     begin: list[int] = []
 
     def slip(device: Any) -> None:
@@ -49,7 +49,7 @@ def scaled(scale: float, first: int, ticks: int) -> list[Happening]:
 
 
 def drifting(counts_per_s: float, first: int, rate: int) -> list[Happening]:
-    """The count drifts from a tick on."""
+    """Return faults that add one count at regular times, so that the count drifts."""
 
     def step(device: Any) -> None:
         device.hardware.slip += 1
@@ -58,7 +58,7 @@ def drifting(counts_per_s: float, first: int, rate: int) -> list[Happening]:
 
 
 def contact_of(rows: Any) -> int:
-    """Tick of the device at the first contact."""
+    """Return the tick of the device at the first contact."""
     return int(rows["sample_index"][(rows["phase"] == Phase.TRIAL) & (rows["penetration"] > 0.0)][0])
 
 
@@ -66,7 +66,7 @@ def contact_of(rows: Any) -> int:
 def test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported(
     preset: str, tmp_path: Path
 ) -> None:
-    """The table of 200 sound and 288 changed trials is in rig/docs/explanation/verdicts.md; these are a few of them."""
+    """A few of the 200 sound and 288 changed trials in the table of rig/docs/explanation/verdicts.md."""
     path = tmp_path / "trial.rigcap"
     x = walled(preset, {"trial.seed": 7, "rig.encoder.offset": 0.37})
     sound, rows = judged(x, path)
@@ -99,7 +99,7 @@ def test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported
 
 @pytest.mark.exhaustive("::test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported")
 def test_a_changed_scale_at_rest_is_not_detected_and_its_effect_is_small(tmp_path: Path) -> None:
-    """A scale of ½ or 2, and a drift of 100 counts/s, once the handle rests: stable walls, as FMEA.md says."""
+    """Scale ½ or 2, or drift of 100 counts/s, once the handle rests: the verdict stays stable, as FMEA.md says."""
     x, path = walled("koul-compliant", {}), tmp_path / "trial.rigcap"
     rate = x.controller.position_rate
     _, rows = judged(x, path)

@@ -1,6 +1,6 @@
-"""After any exit a process holds what it held before: no thread, descriptor, child, shared memory, scheduling change.
+"""After any exit of a run the process holds the same threads, descriptors, children, shared memory and scheduling.
 
-A kill -9: `test_live_realtime`.
+`test_live_realtime` tests an exit by kill -9.
 """
 
 import gc
@@ -58,7 +58,7 @@ def law_of(function: Any) -> Any:
 
 
 class CallbackError(Exception):
-    """An exception of the caller's code in the middle of a run."""
+    """An exception that the caller's code raises in the middle of a run."""
 
 
 def breaks_down(ticks: Any, phase: Any) -> None:
@@ -143,14 +143,14 @@ def in_memory(faults: Any = None) -> Any:
 
 @pytest.fixture(autouse=True)
 def little_to_look_through() -> None:
-    """Exclude the compilers' half a million objects from the collections of these tests."""
+    """Freeze the compilers' half a million objects, so that garbage collections in these tests are quick."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(scope="module")
 def warm(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Run one trial, so that everything that is started once exists."""
+    """Run one trial first, so that whatever a process starts only once exists before anything is counted."""
     with in_memory() as device:
         run(device, tmp_path_factory.mktemp("warm"), *EXITS["finished"])
 
@@ -188,7 +188,7 @@ def test_nothing_is_left_of_a_recording_that_cannot_be_made(warm: Any, tmp_path:
 
 @pytest.fixture
 def far_end(tmp_path: Path) -> Iterator[Any]:
-    """Start device processes; their fork server stays."""
+    """Return a function that starts a device process; the fork server of these processes stays alive."""
     started = []
 
     def start(script: Any = None) -> Any:
@@ -288,7 +288,7 @@ def test_a_command_that_ctrl_c_ends_leaves_no_process_and_no_memory(tmp_path: Pa
 
 
 def grown(directory: Any) -> Any:
-    """Return True if a capture has rows."""
+    """Return True if a capture in the directory has rows."""
     return any(path.stat().st_size > 40_000 for path in directory.glob("recordings/*.rigcap"))
 
 

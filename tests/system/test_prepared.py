@@ -1,4 +1,4 @@
-"""Inside a loop nothing compiles: all that a run reaches is there before the device is armed."""
+"""All code that a run needs is compiled before the device is armed: nothing compiles inside the loop."""
 
 import subprocess
 import sys
@@ -52,7 +52,7 @@ OF_SPECIAL = "import sys, scipy.special; print('scipy.linalg' in sys.modules)"
 
 @pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_nothing_compiles_between_arming_and_the_end_of_the_loop(loop: str, tmp_path: Path) -> None:
-    """In a process of its own, where no other test has compiled anything before; nor is linear algebra loaded."""
+    """Runs in a new process, where no other test has compiled anything; linear algebra must not be loaded either."""
     if loop == "device":
         need_compiler()
 

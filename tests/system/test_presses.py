@@ -1,4 +1,4 @@
-"""A person who presses on a stiff wall, from quite still to trembling: no check of a device takes that for a fault."""
+"""No check of the device takes a person who presses on a stiff wall, still or trembling, for a fault."""
 
 import itertools
 
@@ -32,7 +32,7 @@ TREMORS = (0.0, GRIPS["firm"].tremor)  # m rms: none, and most of a hand
 
 @pytest.fixture(scope="module")
 def limit() -> float:
-    """Stiffness at which linear theory has the wall unstable in this hand."""
+    """Return the stiffness at which linear theory predicts that the wall is unstable in this hand (N·m/rad)."""
     return float(theory.k_max(PERSON, operator=PERSON.operator.grip).stiffness)
 
 

@@ -1,4 +1,4 @@
-"""What the README, the changelog and the guides beside the code promise must hold; pages of the site: `test_docs`."""
+"""Examples, links and names in the README, changelog and guides are correct; `test_docs` tests the site's pages."""
 
 import re
 import shutil
@@ -16,7 +16,7 @@ GUIDES = {path.parent.name: examples(path) for path in (README, *sorted((ROOT / 
 
 
 def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Run an example in a directory; return its names."""
+    """Run an example of a guide in a directory and return the names that it defines."""
     monkeypatch.chdir(directory)
     names: dict[str, Any] = {"__name__": f"example_{number}"}
     exec(compile(GUIDES[guide][number], f"{guide}, example {number}", "exec"), names)
@@ -64,7 +64,7 @@ PATH = re.compile(r"(?<![\w./])((?:rig|tests|sim_backend|firmware_protocol|\.ci|
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_files_that_a_page_of_the_repository_names_exist(page: Path) -> None:
-    """A path with NAME in it stands for a file that the reader adds."""
+    """A path that contains NAME stands for a file that the reader adds."""
     text = page.read_text(encoding="utf-8")
     links = [page.parent / target for target in re.findall(r"\]\(([^)#:]+)", text)]
     named = [ROOT / path for path in PATH.findall(text) if "NAME" not in path]
@@ -72,7 +72,7 @@ def test_files_that_a_page_of_the_repository_names_exist(page: Path) -> None:
 
 
 def test_tests_and_tables_that_a_recipe_names_exist() -> None:
-    """A recipe names a table with its file, and a test by its function."""
+    """A recipe in CONTRIBUTING.md names a table with its file, and a test by its function."""
     text = " ".join((ROOT / ".github" / "CONTRIBUTING.md").read_text(encoding="utf-8").split())
     tables = re.findall(r"`([A-Z_]{3,})` of `([\w/.]+/[\w.]+)`", text)
     tables += [(name, path) for path, name in re.findall(r"`([\w/.]+\.py)`: a line of `([A-Z_]{3,})`", text)]

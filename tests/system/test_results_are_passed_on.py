@@ -1,4 +1,4 @@
-"""A hit and a session validate, design, judge and read each thing once."""
+"""A hit or a session computes each intermediate result once: it validates, designs, judges and reads nothing twice."""
 
 import json
 import sys
@@ -41,7 +41,7 @@ COUNTED: dict[str, Callable[..., Any]] = {
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """Count the calls from anywhere in `rig`."""
+    """Count the calls of the costly functions, whichever module of `rig` they come from."""
     calls: Counter[str] = Counter()
 
     def counting(name: str, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""Whole sessions on the simulated rig, in virtual time: the same from the seed, and after any kill -9."""
+"""Whole sessions on the simulated rig, in virtual time: repeatable from the seed, and identical after any kill -9."""
 
 import json
 import os
@@ -69,7 +69,7 @@ def test_recordings_of_a_session_are_hashed_and_have_blind_names(calm: tuple[Pat
 def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that_show_the_effect(
     tmp_path: Path,
 ) -> None:
-    """The template as it is, judged as the program judges: dual-rate above the uniform scheme of its slow rate."""
+    """Uses the unchanged template and the program's own verdict: dual-rate is above the uniform slow rate."""
     write_template(DEFAULT, tmp_path / "study.toml")
     events = read(rehearse(tmp_path / "study.toml", tmp_path, person=Person(thresholds={})) / LOG)
     assert events[-1].content["reason"] == "complete"
@@ -88,7 +88,7 @@ def test_the_first_session_of_a_newcomer_ends_in_ten_minutes_with_intervals_that
 
 
 def test_the_analysis_finds_the_threshold_of_the_simulated_person(calm: tuple[Path, Path]) -> None:
-    """Twelve verdicts, one of them a lapse, over a range of 100."""
+    """Each estimate rests on twelve answers, one of them a lapse, over a range of 100 in stiffness."""
     found = analyse([calm[1]], AnalysisOptions(include_marked=True))  # `most` is small: a run ends by it
     estimates = [one for one in found.of_participants if one.measure == "K50 person"]
     assert {one.condition for one in estimates} == {"hidden-dual", "hidden-uniform"}
@@ -98,7 +98,7 @@ def test_the_analysis_finds_the_threshold_of_the_simulated_person(calm: tuple[Pa
 
 
 def check_files(directory: Path) -> None:
-    """Every file of a trial is named in the log, with its hash, and there is no other."""
+    """Check that the log names every file of a trial with its hash, and that no other file exists."""
     events = read(directory / LOG)
     aside = {
         one["file"]: one["sha256"]
@@ -112,7 +112,7 @@ def check_files(directory: Path) -> None:
 
 
 def results(directory: Path) -> dict[str, list[list[str]]]:
-    """All tables of an analysis. Time is virtual: what was killed and went on has the same times of day too."""
+    """Return all tables of an analysis; time is virtual, so a resumed session also has the same times of day."""
     found = analyse([directory], AnalysisOptions(include_marked=True))
     return {
         table.name: [[str(column.of(row)) for column in table.columns] for row in table.rows]
@@ -121,7 +121,7 @@ def results(directory: Path) -> dict[str, list[list[str]]]:
 
 
 def _killed_again_and_again(protocol: Path, study: Path, most: int, seed: int) -> None:
-    """Run in a process without threads: each attempt is a fork, so that nothing is imported twice."""
+    """Kill and resume a session at random times; each attempt is a fork of this process, which has no threads."""
     drawn, kills = random.Random(seed), 0
     # What the session needs is loaded and compiled before the first fork, by a session of one trial.
     short = study / "warm.toml"
@@ -160,7 +160,7 @@ def _child(protocol: Path, study: Path) -> None:
 
 
 def _kill(child: int, log: Path, lines: int, after_s: float) -> int:
-    """Kill a child some time after it has written so many lines; 0 when it ended before."""
+    """Kill a child `after_s` after it has logged so many lines; return 1 if killed, 0 if it ended before."""
     before = _lines(log)
     at = None
     while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:

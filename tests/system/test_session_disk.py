@@ -1,4 +1,4 @@
-"""A session on the simulated rig dies at every call by which recorder, sealer and log change the disk."""
+"""A session on the simulated rig resumes after it died at any call by which recorder, sealer or log write to disk."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -34,7 +34,7 @@ def resume(protocol: Path, study: Path) -> None:
 
 @pytest.fixture(scope="module")
 def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One trial, and nothing else."""
+    """Write a protocol of one trial without questions."""
     path = tmp_path_factory.mktemp("protocol") / "one.toml"
     text = PROTOCOL[: PROTOCOL.index("[[question]]")]
     path.write_text(text.replace("[order]", "[stop]\ntrials = 1\n[order]"))
@@ -43,7 +43,7 @@ def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def calm(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
-    """The session without a death, and its calls."""
+    """Run the session without interruption; return its directory and the names of its disk calls."""
     study, fuse = tmp_path_factory.mktemp("calm"), Fuse()
     with pytest.MonkeyPatch.context() as patch:
         begin(protocol, study / "warm")  # what is compiled goes to the disk too

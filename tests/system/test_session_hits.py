@@ -1,4 +1,4 @@
-"""Hits of a session on the simulated rig: numbers in its log, memory behind a trial."""
+"""Hits of a session on the simulated rig: the numbers in its log, and memory that a trial must not keep."""
 
 import gc
 from dataclasses import replace
@@ -47,7 +47,7 @@ def test_a_number_that_is_not_finite_is_null_in_the_log(
 
 
 def test_a_trial_leaves_no_memory_to_the_collector(tmp_path: Path) -> None:
-    """A session has hundreds of them, and Python looks for cycles when it pleases: no array may wait for that."""
+    """A session has hundreds of trials, and garbage collection is irregular: no array may be part of a cycle."""
     need_compiler()
     x = preset("koul-rigid")
     x = replace(x, trial=replace(x.trial, kind="human", duration_s=1.0))

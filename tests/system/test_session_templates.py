@@ -1,4 +1,4 @@
-"""Every template, shortened, from a new file to a report: rehearsed in virtual time."""
+"""Every session template, shortened, from a new file to a report, rehearsed in virtual time."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""A rig that is unplugged in the middle of a session, and one that two sessions want."""
+"""A rig that is unplugged in the middle of a session, and two sessions that open the same rig."""
 
 from dataclasses import asdict
 from pathlib import Path

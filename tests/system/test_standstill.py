@@ -1,4 +1,4 @@
-"""A count that stands still while the motor moves a free handle, without bytes: the largest speed."""
+"""Runaway detection, simulated without a link: the largest speed of a free handle whose count stands still."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,10 +27,10 @@ Count = Callable[[int], int]
 
 @dataclass(frozen=True)
 class Ran:
-    """A trial: true speeds at the samples, the flags of the last tick, its phases, and the current that it left.
+    """Result of a trial: true speeds at the samples, flags of the last tick, phases, and the final current.
 
-    `inside` says that the encoder died in the wall, where a rest is lawful whatever friction is: the step judges none
-    there, the device does.
+    `inside` is True if the encoder died in the wall, where a count may rest lawfully: there the device must judge, not
+    the law.
     """
 
     speeds: np.ndarray
@@ -48,7 +48,7 @@ def run(
     dead: Callable[[int], Count] = DEAD["unplugged"],
     model: RigModel | None = None,
 ) -> Ran:
-    """Run a trial from rest at a position, with an encoder that dies in a tick, until a phase begins."""
+    """Run a trial from rest at a position until a phase begins; the encoder dies in tick `dies`."""
     law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(model or config.rig_model(x), 1.0 / x.controller.position_rate)
     state, arguments, memory = plant.at_rest(at), law.arguments(), law.memory[0]
@@ -67,12 +67,12 @@ def run(
 
 
 def away(x: Experiment, share: float) -> float:
-    """A place to home from: a share of the way from the start halfway to the end of the window."""
+    """Return a position to home from, at a share of half the distance from the start to the end of the window."""
     return x.trial.start + 0.5 * share * (x.rig.limits.position_minimum - x.trial.start)
 
 
 def assert_bounded(x: Experiment, ran: Ran, dies: int) -> None:
-    """No faster than the bound, which a tick and the amplifier's lag under the last effort add to; and at zero."""
+    """Check that the speed stays below its bound plus one tick and the amplifier's lag, and the current ends at 0."""
     m, limits = moved_mechanics(config.rig_model(x)), x.rig.limits
     effort = max(x.homing.effort, abs(x.trial.effort))
     late_s = 3.0 / x.controller.position_rate + m.lag_s
@@ -134,7 +134,7 @@ def test_a_homing_servo_below_the_check_of_the_device_is_stopped(name: str) -> N
 
 @pytest.mark.parametrize("name", presets.names())
 def test_a_working_encoder_is_never_reported_as_dead(name: str) -> None:
-    """Near its start friction holds the handle; from afar it comes, or creeps; there may be more than was described."""
+    """Friction may hold the handle near its start, let it creep, or be larger than the rig's description."""
     x = presets.load(name)
     model, tick_s = config.rig_model(x), 1.0 / x.controller.position_rate
     m, near = model.mechanics, x.trial.start - 0.9 * x.homing.tolerance_counts * x.rig.encoder.resolution
@@ -158,7 +158,7 @@ def test_a_person_may_hold_the_handle_still() -> None:
 
 
 def test_ticks_whose_sample_was_lost_are_not_counted() -> None:
-    """A busy computer: the commands for them never came either, and the handle stood still."""
+    """On a busy computer the commands of lost samples never arrive, so the handle rightly stands still."""
     x = presets.load("koul-compliant")
     law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
     for _ in range(4):

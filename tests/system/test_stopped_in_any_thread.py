@@ -1,6 +1,6 @@
-"""A signal, `rig.stop` and the end of the program stop a run in any thread, and the recording is complete.
+"""A signal, `rig.stop` and the end of the program stop a run in any thread, and its recording is complete.
 
-Python's signal handlers run in the main thread alone, which does something else in these programs.
+Python calls signal handlers in the main thread only, which is busy with something else in these programs.
 """
 
 import signal
@@ -113,7 +113,7 @@ def assert_stopped(ending: str, number: int, codes: set[int], output: Path, *, r
 
 
 def test_rig_stop_stops_every_run_and_its_repeats(tmp_path: Path) -> None:
-    """The second repeat of one thread, too, and a map between two of its trials; then all may begin again."""
+    """Also the second repeat in one thread and a map between two trials; afterwards new runs may begin."""
     ready = threading.Barrier(3)
 
     def begun(number: int, experiment: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Whole trials that the watch ends, with and without bytes; and trials that begin with free space."""
+"""Trials that end early at a limit of oscillations or energy, over a link and simulated directly; free space first."""
 
 import re
 from typing import Any

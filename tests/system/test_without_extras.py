@@ -1,4 +1,4 @@
-"""The core without its extras: a copy of the tree that has none installs, runs, and passes the tests of the core."""
+"""A copy of the tree without the optional extras installs, runs, and passes the tests of the core."""
 
 import ast
 import os
@@ -47,7 +47,7 @@ WHOLE = (
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """This tree without what is in a folder of extras, and without tests that import from there."""
+    """Copy this tree without the folders of extras and without tests that import from them."""
     place = tmp_path_factory.mktemp("copy")
     folders = {ROOT / "rig" / "extras", ROOT / "tests" / "extras"}
 
@@ -64,7 +64,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def reaching_for_extras(tests: Path) -> set[Path]:
-    """Files of tests that import from an extra, or from such a file."""
+    """Return the test files that import from an extra, directly or through another test file."""
     names = {
         ".".join(path.relative_to(tests.parent).with_suffix("").parts): path for path in tests.rglob("*.py")
     }

@@ -1,4 +1,4 @@
-"""What is checked of USB links, inside a process whose libusb sees the emulated bus. Times are in ms."""
+"""Checks of USB links, run by name in a process whose libusb sees the emulated bus. Times are in ms."""
 
 import contextlib
 import ctypes
@@ -46,7 +46,7 @@ URL = "usb://1209:0001"
 
 @kernel(types.int64(TRANSFER, WAIT, types.int64, types.uint8[::1], types.int64))
 def count_reads(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) -> Any:  # type: ignore[no-untyped-def]
-    """Read until a deadline; how often something came, or negative errno."""
+    """Read until a deadline; return how often bytes arrived, or a negative errno."""
     count = 0
     while monotonic_now(0) < deadline_ns:
         ready = wait(handle, deadline_ns)
@@ -59,7 +59,7 @@ def count_reads(read: Any, wait: Any, handle: Any, into: Any, deadline_ns: Any) 
 
 
 class Cable:
-    """Opens links and orders faults, by the pipes to the bridge and from it."""
+    """Opens links to the emulated device and orders faults of the cable, over pipes to and from the bridge."""
 
     def __init__(self, orders: TextIO, answers: TextIO, transfers: str) -> None:
         self.url = f"{URL}?transfers={transfers}"
@@ -77,7 +77,7 @@ class Cable:
         return self.open()
 
     def order(self, command: str) -> int:
-        """Make something happen on the cable; return when it did (CLOCK_MONOTONIC, ns)."""
+        """Order an event on the cable, such as "unplug"; return when it happened (CLOCK_MONOTONIC, ns)."""
         self._orders.write(command + "\n")
         word, _, rest = self._answers.readline().partition(" ")
         assert word == "ok", f"{command}: {word} {rest}"
@@ -106,7 +106,7 @@ def conforms_as_a_link(cable: Cable) -> None:
 
 
 def conforms_as_a_device(cable: Cable) -> None:
-    """Tried a few times: a machine that halts this process for longer than a command lives makes the device fault."""
+    """Try up to four times: a process halted for longer than a command's lifetime makes the device fault."""
     for last in (False, False, False, True):
         try:
             check_device(cable.open, starts_in_boot=False)
@@ -135,7 +135,7 @@ def is_listed(cable: Cable) -> list[dict[str, Any]]:
 
 
 def _caught(cable: Cable, kind: type[LinkLostError], act: Callable[[UsbLink], None], *orders: str) -> float:
-    """Give orders while another thread uses the link; return how long after the last one the error was there (ms)."""
+    """Order faults while a thread uses the link; return the time from the last order to its error (ms)."""
     link = cable.open()
     Host(link).identify()
     caught: list[tuple[int, BaseException]] = []
@@ -222,7 +222,7 @@ def takes_no_more_bytes(cable: Cable) -> float:
 
 
 def the_loop_sees_the_unplugging(cable: Cable) -> float:
-    """Through the plugs, on a thread that holds no GIL."""
+    """Check that a read through the compiled port functions, on a thread without the GIL, reports the unplugging."""
     link = cable.open()
     port = link.port()
     buffer = np.zeros(4096, np.uint8)
@@ -248,7 +248,7 @@ def the_loop_sees_the_unplugging(cable: Cable) -> float:
 
 
 def a_full_pool_takes_nothing(cable: Cable) -> list[int]:
-    """As a full descriptor does: zero, not an error, and only for a time."""
+    """Check that a write to a full transfer pool returns 0 without an error, and succeeds again later."""
     link = cable.open_silent()
     port = link.port()
     frame = np.zeros(32, np.uint8)
@@ -266,7 +266,7 @@ def a_full_pool_takes_nothing(cable: Cable) -> list[int]:
 
 
 def bytes_keep_their_order(cable: Cable) -> None:
-    """A request in pieces of every size, and its answer read by pieces: nothing is lost, doubled or swapped."""
+    """Write requests in pieces of every size and read the reply in pieces: nothing is lost, doubled or swapped."""
     link = cable.open()
     host = Host(link)
     for size in (1, 7, 63, 64, 65, 511):
@@ -281,7 +281,7 @@ def bytes_keep_their_order(cable: Cable) -> None:
 
 
 def replugged(cable: Cable) -> float:
-    """The old link stays lost; a new one finds the new device."""
+    """Check that the old link stays lost and that a new link finds the new device; return the time (ms)."""
     old = cable.open()
     Host(old).identify()
     cable.order("unplug")
@@ -333,7 +333,7 @@ def a_driver_of_the_kernel_gives_way_and_comes_back(cable: Cable) -> None:
 
 
 def nothing_is_left_behind(cable: Cable) -> dict[str, int]:
-    """Descriptors, threads of any kind, transfers with the kernel, claims."""
+    """Check that closed links leave no descriptor, thread, pending transfer or claimed interface."""
 
     def kept() -> tuple[int, int]:
         return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
@@ -352,7 +352,7 @@ def nothing_is_left_behind(cable: Cable) -> dict[str, int]:
 
 
 def waiting(cable: Cable) -> tuple[float, int]:
-    """A tenth of a second without a byte: time of the processor, and how often the kernel was asked."""
+    """Wait 0.1 s without a byte; return the processor time (ms) and the number of calls to the kernel."""
     link = cable.open_silent()
     link.read(0.01)  # what is compiled or loaded for it is not the wait's
     asked, before = cable.status()["asked"], time.process_time()
@@ -361,7 +361,7 @@ def waiting(cable: Cable) -> tuple[float, int]:
 
 
 def packets_come_while_python_is_locked(cable: Cable) -> int:
-    """The lock of the interpreter is held all the time that the loop may read; how many packets it got."""
+    """Hold the GIL while compiled code reads; return how many packets it received."""
     link = cable.open()
     Host(link).identify()
     port = link.port()
@@ -399,7 +399,7 @@ def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[
 
 
 def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:
-    """The plug is pulled in the middle of a run of the loop: one error, and a recording that can be read."""
+    """Unplug the device in the middle of a trial: one error, and a recording that can be read."""
     from rig import config  # noqa: PLC0415
     from rig.config import presets  # noqa: PLC0415
     from rig.devices import open_device  # noqa: PLC0415

@@ -9,7 +9,7 @@ from rig.core import program
 
 
 def main() -> None:
-    """Read lines until the end of the input: the place of a bus, how bytes move, the name of a check, its arguments."""
+    """Run the check of each input line: path of the bus, pipes, transfer mode, name of the check, arguments."""
     program.begin()
     from tests.system.usb import checks  # noqa: PLC0415
 

@@ -25,7 +25,7 @@ WAIT_S = 60.0
 
 
 def build(directory: Path) -> Path:
-    """Compile the bridge; skip, by name, what this machine lacks."""
+    """Compile the bridge; skip the test, with the package's name, if a tool is missing."""
     for tool, package in (("gcc", "gcc"), ("pkg-config", "pkg-config"), ("umockdev-run", "umockdev")):
         if shutil.which(tool) is None:
             pytest.skip(f"{tool} is not installed (package {package})")
@@ -55,7 +55,7 @@ def build(directory: Path) -> Path:
 
 
 class Bus:
-    """A bridge with a simulated rig behind it. Close it."""
+    """An emulated bus: a bridge process with a simulated rig behind it. The owner must close it."""
 
     def __init__(
         self, program: Path, shape: UsbShape | None = None, model: Any = None, **options: Any
@@ -85,14 +85,14 @@ class Bus:
         self._device.start()
 
     def place(self) -> list[str]:
-        """Where a child of this process finds the bus: its directory, and the pipes to the bridge and from it."""
+        """Return where a child process finds the bus: its directory, and the pipes to and from the bridge."""
         assert self.bridge.stdin is not None
         assert self.bridge.stdout is not None
         pipes = (self.bridge.stdin, self.bridge.stdout)
         return [self.root, *(f"/proc/{os.getpid()}/fd/{pipe.fileno()}" for pipe in pipes)]
 
     def close(self) -> None:
-        """End bridge and device."""
+        """Stop the device, then end the bridge."""
         self._stop.set()
         self._device.join(WAIT_S)
         assert self.bridge.stdin is not None
@@ -109,7 +109,7 @@ class Bus:
 
 
 class Child:
-    """A process under the preload that does checks by name."""
+    """A process with umockdev's preload library that runs checks by name."""
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
@@ -122,7 +122,7 @@ class Child:
         )
 
     def check(self, bus: Bus, transfers: str, *words: str) -> Any:
-        """Do one check, with its arguments, and return what it found; its failure is ours."""
+        """Run one check in the child and return its result; a failed check raises here."""
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None

@@ -1,6 +1,6 @@
-"""USB links over a real libusb: conformance, and one typed error for each thing that can happen to a cable.
+"""USB links over a real libusb: conformance, and one typed error for each fault of a cable.
 
-The bus is umockdev's (`bridge.c`), the device the simulated one. Nothing is asserted about latency beyond seconds.
+umockdev emulates the bus (`bridge.c`); the device is the simulated one. No latency below seconds is asserted.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,7 +35,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def child() -> Iterator[Child]:
-    """All checks are of one process: it loads everything once, and opens each link afresh."""
+    """Start one process for all checks: it loads everything once, and opens a new link for each."""
     process = Child()
     yield process
     assert process.close() == 0
@@ -49,7 +49,7 @@ def bus(program: Path) -> Iterator[Bus]:
 
 @pytest.fixture(params=["queued", "plain"])
 def check(request: pytest.FixtureRequest, child: Child, bus: Bus) -> Check:
-    """Do a check of one way to move bytes, by its name."""
+    """Return a function that runs a check by its name, with one transfer mode."""
     return partial(child.check, bus, request.param)
 
 
@@ -95,14 +95,14 @@ def test_a_device_that_takes_nothing_costs_no_time(check: Check) -> None:
 
 
 def test_waiting_sleeps(check: Check) -> None:
-    """A tenth of a second without a byte; a wait that polls would burn all of it, or ask the kernel all the time."""
+    """A wait that polls would use all 0.1 s of processor time, or call the kernel all the time."""
     burnt_ms, asked = check("waiting")
     assert burnt_ms < 50.0
     assert asked < 30
 
 
 def test_queued_transfers_need_no_lock_of_the_interpreter(check: Check) -> None:
-    """Unarmed, the device sends some 100 packets a second; 20 in the time, in one of ten if the machine is busy."""
+    """The unarmed device sends about 20 packets in this time; one good attempt of ten suffices on a busy machine."""
     if check("says_how_it_works") == "":
         assert any(check("packets_come_while_python_is_locked") > 5 for _ in range(10))
 
@@ -121,7 +121,7 @@ def test_plain_transfers_are_noted_with_their_reason(check: Check) -> None:
 
 
 class Rig:
-    """The compliant rig on the bus, with the shape of high speed."""
+    """The compliant rig on the emulated bus, with the descriptors of a high-speed device."""
 
     def __init__(self, program: Path, child: Child, transfers: str) -> None:
         self._program, self._child, self.transfers = program, child, transfers
