@@ -7,5 +7,5 @@ from tests.conformance.claimed import claim_to_be_real
 
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated devices claim to be real ones."""
+    """Make simulated devices claim to be real ones."""
     claim_to_be_real(monkeypatch)

@@ -1,4 +1,4 @@
-"""`rig doctor`, the arming gate and `rig hit` give one answer, over all served boards, loops, rates and walls."""
+"""`rig doctor`, the check before arming and `rig hit` agree on all simulated boards, loops, rates and walls."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -53,7 +53,7 @@ SERVED = {  # `rig serve rig`, with and without --firmware, over a fast and a sl
 def served(
     experiment: config.Experiment, firmware: bool | None, maximum: int, capacity: float | None
 ) -> FramedDevice:
-    """A board as it is served, on a link whose time counts as real."""
+    """Return a simulated board behind a link whose time counts as real."""
     if firmware is not False:
         need_compiler()
     device, _ = make_device(
@@ -67,7 +67,7 @@ def served(
 
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A link that takes a tenth of a millisecond, measured at once; no trial begins."""
+    """Replace the measured link by one of 0.1 ms without waiting, and stop before a trial begins."""
 
     def measured(device: FramedDevice, *_: Any, **__: Any) -> Any:
         return made_link(1e-4, simulated=device.dictionary.simulated)
@@ -147,7 +147,7 @@ def test_doctor_gate_and_hit_agree(
 
 
 def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_up: None) -> None:
-    """Doctor once printed `may be armed` for a rate that the hit refused."""
+    """`rig doctor` once printed `may be armed` for a rate that `rig hit` rejected."""
     x = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
     changes = {
         "controller.loop": "device", "controller.position_rate": 10_000, "controller.velocity_rate": 1000,
@@ -188,12 +188,12 @@ def by_session(output: Path, x: config.Experiment, changes: dict[str, Any]) -> N
 
 
 def by_measurement(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
-    """As maps on a rig and impedances do."""
+    """Request admission as maps on a rig and impedance measurements do."""
     Trials(OnDevice(url=URL, recordings=output, verified=True), None, None).run(x, changes)
 
 
 def by_test(output: Path, x: config.Experiment, changes: dict[str, Any]) -> None:
-    """As ``rig_hit`` does."""
+    """Request admission as the pytest fixture ``rig_hit`` does."""
     request = HitRequest(experiment=x, url=URL, verified=True, output=output, changes=changes)
     hits_of_tests._run_and_observe(request, cast(FramedDevice, None), may_end=False)
 

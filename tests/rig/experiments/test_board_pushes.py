@@ -1,4 +1,4 @@
-"""Pushes of the board: bounded by the board alone, in way, effort and time, also after the host has failed."""
+"""Test pushes whose limits of travel, effort and time the board enforces, also after the host has failed."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ MOST = round(most_push(X) / effort_quantum(X, X.rig.amplifier.current_quantum_a)
 
 
 class Watched(TickByTick):
-    """A board with a log: count and active current of each tick of a session."""
+    """A simulated board that logs count and active current in each tick of a session."""
 
     def __init__(self, *given: Any, **options: Any) -> None:
         self.log: list[tuple[int, int]] = []
@@ -57,7 +57,7 @@ def board(**options: Any) -> tuple[FramedDevice, Watched]:
 
 
 def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
-    """Begin a push and only renew its lifetime: no STOP, whatever happens."""
+    """Begin a push and then only renew its lifetime: the host never sends STOP."""
     at = board_pushes._at_rest(host, X, 0)
     host.configure(board_pushes._prepare_push(host, X, at, way, verified=True, zero=0).parameters)
     host.arm()
@@ -67,7 +67,8 @@ def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
 @pytest.mark.parametrize("drive", first_by_default([1.0, -1.0, 2.0]))
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
-    """Motor and encoder agree or not: a sample outside of it is followed by zero effort, though the host continues."""
+    """After a sample outside the allowed travel the effort is zero, even if the host continues or leads are reversed.
+    """
     host, device = board()
     device.hardware.drive = drive
     supervised(host, way, REST_S + 2.0 * PUSH_S)
@@ -80,7 +81,7 @@ def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive:
 
 
 def test_a_push_that_moves_nothing_is_over_by_itself() -> None:
-    """It grows, is released and falls as it has grown; or the board's own check of a stall comes first."""
+    """The effort rises, is released and falls again, unless the board's own stall check ends the push first."""
     host, device = board()
     device.hardware.drive = 0.0
     supervised(host, 1, REST_S + PUSH_S + X.trial.release_s + PUSH_S + 0.1)
@@ -120,7 +121,7 @@ def test_each_push_is_a_recording_that_replays_to_the_last_bit(tmp_path: Path) -
 
 
 def test_a_rig_that_hardly_rubs_rolls_out_before_the_next_push(tmp_path: Path) -> None:
-    """The board has no brake: the handle rests by its damping alone, and the rig is found as it is described."""
+    """The board has no brake, so only damping stops the handle; the measured rig must still match its description."""
     x = config.override(X, {"rig.mechanics.motor_coulomb": 0.0})
     device = TickByTick(config.rig_model(still(x)), initial_position=AT)
     with FramedDevice(MemoryLink(device)) as host:

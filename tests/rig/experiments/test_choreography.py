@@ -1,4 +1,4 @@
-"""A person's trial: free space, a cue after a random time, a contact in time, a hold that counts from it."""
+"""Phases of a person's trial: free space, a cue after a random time, a contact in time, a hold timed from contact."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -48,7 +48,7 @@ RATE = HELD.controller.position_rate
 
 
 def trial(directory: Path, experiment: Any = HELD, begins_s: float = 0.0, progress: Any = None) -> Recording:
-    """The person reaches that much later than the experiment thinks, or earlier."""
+    """Run a trial whose simulated person reaches `begins_s` later (negative: earlier) than the experiment assumes."""
     model = config.rig_model(experiment)
     assert model.reach is not None
     hurried = replace(model, reach=replace(model.reach, wait_s=model.reach.wait_s + begins_s))
@@ -104,7 +104,7 @@ def test_a_slow_person_holds_as_long_and_an_absent_one_makes_the_trial_invalid(t
 
 
 def test_the_sync_output_gives_the_cue_to_the_tick(tmp_path: Path) -> None:
-    """It rises with the tick after the first of the trial: the first that the command of that one acts in."""
+    """The output rises one tick after the trial's first: that tick's command becomes active then."""
     recording = trial(tmp_path)
     at = {mark.name: mark.tick for mark in marks(recording)}
     first = int(np.argmax(recording.rows["phase"] == Phase.TRIAL))
@@ -128,7 +128,7 @@ def test_a_motor_keeps_its_clock(key: str) -> None:
 
 
 def test_every_phase_of_a_loop_has_a_name_and_a_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A progress that raises would end the hit."""
+    """A progress bar that raises an error would end the hit."""
     monkeypatch.setattr("rig.cli.output.on_terminal", lambda: True)
     shown = (*Phase, HOLD)
     assert len({phase_name(phase) for phase in shown}) == len(shown)

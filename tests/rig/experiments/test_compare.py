@@ -1,4 +1,4 @@
-"""One and the same hit under several schemes, and what makes the comparison fair."""
+"""The same hit under several control schemes, and the conditions that make the comparison fair."""
 
 import json
 import math
@@ -30,7 +30,7 @@ def short(name: str) -> Any:
 
 
 def swing(decay_s: float, *, rest: float = 10.0, first: float = 40.0, period_s: float = 0.02) -> Any:
-    """A swing about the rest that begins at the surface, in whole counts."""
+    """Return times and whole counts of a damped oscillation about the rest depth that begins at the surface."""
     time_s = np.arange(8000) / 20_000
     phase = 2 * math.pi * time_s / period_s
     depth = rest * (1 - np.exp(-time_s / decay_s)) + first * np.exp(-time_s / decay_s) * np.sin(phase)
@@ -87,7 +87,7 @@ def test_a_mean_has_a_settling_time_only_if_all_settled() -> None:
 
 @pytest.mark.parametrize("name", presets.names())
 def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name: Any) -> None:
-    """Also with other estimators: no homing, whose servo would feel the estimate."""
+    """No homing precedes the contact, because its servo would depend on the scheme's velocity estimate."""
     experiment = short(name)
     rate = experiment.controller.position_rate
     raw = Entry(name="raw", scheme=Scheme(position_rate=rate, velocity_rate=rate, estimator="fdm"))
@@ -105,7 +105,7 @@ def test_up_to_the_first_contact_all_schemes_move_alike_to_the_last_bit(name: An
 
 @pytest.mark.parametrize("name", presets.names())
 def test_the_traces_are_those_of_the_law_that_ran(name: Any) -> None:
-    """The rows are computed once more over the counts; the currents prove that they are the same."""
+    """The rows are recomputed from the counts; equal currents prove that they belong to the simulated law."""
     experiment = default_entries(short(name))[2].applied(short(name))
     law, plant, trace = simulate(experiment, Start.of(experiment), 0.7)
     rows = comparing._rows(law, plant, trace)

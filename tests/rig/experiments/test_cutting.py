@@ -1,4 +1,4 @@
-"""A cut is a recording: it opens, shows, exports and replays to the last bit, and names its origin."""
+"""A cut of a recording is a recording too: it opens, shows, exports and replays exactly, and names its origin."""
 
 import hashlib
 import json
@@ -47,7 +47,7 @@ def place(recording: Recording) -> Path:
 
 
 def stretches(whole: Recording) -> list[tuple[str, float, float]]:
-    """While homing, about the contact, from the beginning, to the end, all of it."""
+    """Return name, start and end (s) of the parts to cut: homing, contact, beginning, end, and everything."""
     times, phases = whole.time_s, whole.rows["phase"]
     contact = float(times[np.argmax(whole.rows["penetration"] > 0.0)])
     trial = float(times[np.argmax(phases == Phase.TRIAL)])

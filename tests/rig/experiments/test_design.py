@@ -1,4 +1,4 @@
-"""The search for a scheme: its theory against brute force, its hits against all hits, resumed as if never stopped."""
+"""The search for a scheme: its theory against brute force, its hits against all hits, its resumption after a stop."""
 
 import json
 from contextlib import nullcontext
@@ -68,7 +68,7 @@ REQUEST = DesignRequest(experiment=X, schemes=SCHEMES, rounds=ROUNDS, places=pla
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples() -> Any:
-    """Of rigs in a margin: what it does with them is the same."""
+    """Reduce the number of sampled rigs in a stability margin; what is done with each stays the same."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(margin, "SAMPLES", 1)
         patch.setattr(margin, "RATIO", 1.7)
@@ -127,7 +127,7 @@ def test_cost_is_that_of_a_call_over_its_ticks() -> None:
 
 
 def test_a_board_without_a_float_unit_has_less_time_for_a_float_law() -> None:
-    """A Pico's tick was counted in cycles of a Cortex-M4F: 40 kHz for a law that a Cortex-M0+ has time for at 11.6."""
+    """The Pico's tick was counted in Cortex-M4F cycles, hence 40 kHz for a law that its M0+ runs at 11.6 kHz."""
     float_law = "estimator=fdm-butterworth,cutoff_hz=200"
     for text, on_pico, with_float_unit in (
         (f"dual:10k/2k,{float_law}", True, True),
@@ -228,7 +228,7 @@ def test_the_theory_of_the_set_is_that_of_each_wall_by_itself() -> None:
 
 @pytest.mark.exhaustive("::test_the_public_function_finds_the_same")
 def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
-    """Every scheme of the set over the walls of the last round, rung by rung: none has more area, to a rung."""
+    """Hits of all schemes on all walls of the last round find no larger area, within one step of stiffness."""
     _, found = kept
     dampings = tuple(b.damping for b in found.recommended.boundary)
     whole = MapPlan(
@@ -314,7 +314,7 @@ def test_no_scheme_is_recommended_where_none_has_a_stable_wall() -> None:
 
 
 def test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it(small: None) -> None:
-    """An unfiltered difference at 20 kHz, 4000 counts a turn at the handle: limit·T/Δ is 0.019 N·m·s/rad."""
+    """With an unfiltered difference at 20 kHz and 4000 counts a turn, limit·T/Δ is only 0.019 N·m·s/rad."""
     coarse = config.override(X, {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0})
     schemes = (Scheme.parse("uniform:20k,estimator=fdm"), Scheme.parse("dual:20k/2k"))
     found = design(replace(REQUEST, experiment=coarse, schemes=schemes))

@@ -1,4 +1,4 @@
-"""Rules that judge a design: the front, the wish that binds, when a scheme is no worse. No hit, no theory."""
+"""Rules that judge designs, without hits or theory: the Pareto front, the binding requirement, equal schemes."""
 
 import math
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""A listed set against a paper's scheme: the schemes that single hits rule out, against maps of all."""
+"""A design from a listed set against a paper's scheme: schemes that single hits exclude, against maps of all."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""An experiment with a law on the device: its plan, gate, changes and excitation, without a device."""
+"""An experiment whose law runs on the device: its plan, checks before arming, changes and excitation; no device."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +71,7 @@ def test_pacing_or_stopping_by_the_host_is_refused(key: str, value: str, instead
 
 
 def test_the_filter_steps_of_one_tick_are_bounded() -> None:
-    """At 20k/2k a handle sampled ten times as rarely asks ten filter steps of one tick; five are taken."""
+    """At 20k/2k, velocity sampled ten times more rarely would need ten filter steps in one tick; five is the limit."""
 
     def parameters_for(slow_velocity_rate: Any) -> Any:
         slow = {"controller.slow_velocity_rate": slow_velocity_rate, "controller.slow_below": 0.1}
@@ -158,7 +158,7 @@ def test_a_simulated_rig_that_runs_the_law_is_the_firmware() -> None:
 
 
 def test_the_gate_judges_a_law_on_the_device_without_the_links_delay() -> None:
-    """Three milliseconds there and back: 60 ticks, in which no wall of a host loop holds."""
+    """A round trip of 3 ms is 60 ticks of delay for a law on the host, with which no wall is stable."""
     slow = link(3e-3)
     there, here = gate(HOLDS, slow), gate(config.override(HOLDS, {"controller.loop": "host"}), slow)
     assert there.armable
@@ -199,7 +199,7 @@ def test_a_change_that_the_device_does_not_take_is_refused_before_it_is_posted()
 
 
 def test_an_identification_moves_by_the_host_and_leaves_the_board_its_law(tmp_path: Path) -> None:
-    """Neither the rate of its motions nor the ticks of the link that carried them are the board's."""
+    """The rate of the host's motions and the link's delay in ticks must not enter the board's configuration."""
     asked = IdentifyRequest(experiment=ON_DEVICE, output=tmp_path, realisations=2, rate_hz=1000)
     found = identify(asked)
     assert found.experiment.controller == ON_DEVICE.controller

@@ -50,7 +50,7 @@ def hit(rate_hz: float = 2000, resolution: float = FINE) -> Any:
 
 
 def test_arrays_are_scored_and_tuned_as_the_signal_that_they_come_from() -> None:
-    """At the judged samples a line between true velocities is the velocity itself; without edges, but for the cost."""
+    """Where errors are judged, linear interpolation of true velocities is exact; only edge times may add cost."""
     signal = replace(hit(), judged=np.ones(len(hit().counts), np.bool_))
     mine = rig.counts_case(
         signal.counts, 1 / 2000, resolution=FINE, velocity=signal.truth(signal.time_s),
@@ -149,7 +149,7 @@ def test_the_reference_hit_gives_the_errors_of_the_reference_study() -> None:
 
 
 def test_at_rest_a_resting_count_is_silent_and_a_toggling_one_is_not() -> None:
-    """Two equally likely neighbours give a difference the rms of Δ/(√2·T)."""
+    """A count that toggles at random gives a finite difference of rms Δ/(√2·T)."""
     rest, toggling = rest_noise(Variant("fdm"), 1e-4, FINE)
     assert rest == 0.0
     assert toggling == pytest.approx(FINE / (math.sqrt(2) * 1e-4), rel=0.05)
@@ -203,7 +203,7 @@ TRUE_ROW = np.dtype([*ROW.descr, ("position_true", "<f8"), ("velocity_true", "<f
 
 
 def recorded(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: bool = True) -> Recording:
-    """A signal (in rad) as the experiment's rig would have recorded it; the first 0.1 s precede the trial."""
+    """Return a recording of a signal (rad) on the experiment's rig; its first 0.1 s precede the trial."""
     delta, times = controller.resolution(EXPERIMENT), np.arange(round(signal.end_s * RATE)) / RATE
     rows = np.zeros(len(times), TRUE_ROW if truth else ROW)
     rows["sample_index"] = 1000 + np.arange(len(times))
@@ -304,7 +304,7 @@ def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
 
 
 def test_a_setting_that_makes_no_difference_stays_where_it_was() -> None:
-    """A long chord bends before it leaves a band of one count: then the window limit alone decides."""
+    """The window limit ends each chord before the band does, so the band has no effect and stays at 1."""
     found = tune_estimator("foaw-end", hit(20_000, COARSE))
     assert list(found.settings) == ["window_limit"]
     assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)

@@ -1,4 +1,4 @@
-"""An estimator as C: compiled, it gives the host's velocities; the others are refused with the reason."""
+"""Estimators exported as C: compiled, they give the host's velocities; those without an export state the reason."""
 
 import re
 import subprocess

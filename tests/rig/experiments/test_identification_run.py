@@ -1,4 +1,4 @@
-"""An identification over the byte link: motions that stay in their limits, and parameters that come out right."""
+"""An identification over the byte link: its motions stay within limits, and the parameters are correct."""
 
 import re
 from dataclasses import replace
@@ -78,7 +78,7 @@ def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
     "tests/rig/analysis/test_identification_fits.py::test_two_masses_show_their_mode_and_how_the_inertia_splits"
 )
 def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any) -> None:
-    """The free handle, without the end mass: 587 Hz."""
+    """The expected 587 Hz is the resonance of the free handle without the end mass."""
     mode = compliant.dynamics.mode
     assert mode is not None
     assert mode.resonance_hz.value == pytest.approx(587.4, rel=0.005)
@@ -95,7 +95,7 @@ def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any
 def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag(
     experiment: Any, inertia: float, tmp_path: Path
 ) -> None:
-    """Its current is measured and compared all the while: no motion of a sound rig ends a run."""
+    """The measured current is compared throughout: no motion of a sound rig may end the run."""
     changes = {"controller.position_rate": 6000, "rig.amplifier.drive": "voltage"}
     found = identified(experiment, tmp_path, period_s=0.25, changes=changes)
     mechanics = experiment.rig.mechanics
@@ -126,7 +126,7 @@ def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
 
 
 def coarse(counts: int, **changes: Any) -> dict[str, Any]:
-    """An encoder of few counts; the wall and the push in the file must be able to rest on it."""
+    """Return settings of an encoder with few counts, and a wall and push whose rest it can still resolve."""
     return {
         "rig.encoder.counts_per_revolution": counts, "wall.stiffness": 10.0, "trial.effort": 0.3, **changes,
     }  # fmt: skip
@@ -164,7 +164,7 @@ ELASTIC = {
 def test_the_band_ends_where_the_motion_does_and_the_parameters_are_right(
     preset: str, changes: Any, ends: bool, tmp_path: Path
 ) -> None:
-    """Heavy, coarse and elastic rigs, none of which has to know a rate: the truth lies in the intervals."""
+    """On heavy, coarse and elastic rigs the band is chosen without a given rate, and intervals contain the truth."""
     x = config.override(presets.load(preset), changes)
     found = identified(x, tmp_path, realisations=4, rate_hz=min(4000, x.controller.position_rate))
     inertia, delay, m = found.dynamics.inertia, found.dynamics.delay_s, x.rig.mechanics
@@ -213,7 +213,7 @@ def test_an_excitation_whose_last_samples_are_lost_ends_with_the_periods_before(
 
 
 def test_a_rig_that_another_process_simulates_keeps_its_end_mass_too() -> None:
-    """On koul-rigid it is twice the rest: pushes measured 3.1 times the inertia; up to 3 times is accepted."""
+    """On koul-rigid the end mass doubles the rest: pushes measured 3.1 times the inertia, where 3 is the limit."""
     request = IdentifyRequest(experiment=RIGID, url="serial:///dev/pts/0")
     assert identifying.without_end_mass(request).rig.mechanics.end_mass == 0.0
     assert identifying.without_end_mass(request, served=True).rig.mechanics.end_mass == 0.07
@@ -317,7 +317,7 @@ def test_an_identification_that_cannot_succeed_is_refused_before_anything_moves(
 
 
 def test_ripple_that_was_not_looked_for_stays_as_it_was_described(compliant: Any) -> None:
-    """A map of other orders is written beside it: both have the same in a file."""
+    """Cogging and ripple share their orders in a file, so a new cogging map of other orders must extend both."""
     x = config.override(COMPLIANT, {**INDEXED, **RIPPLES})
     mapped = fitted(Cogging(period=x.rig.cogging.period, orders=(4,), cosine=(0.01,), sine=(0.0,)), most=4)
     values = identified_values(x, compliant.sliding, compliant.dynamics, mapped)
@@ -397,7 +397,7 @@ def test_every_motion_is_a_recording_with_its_kind_and_law(chawda: Any) -> None:
 def test_motions_stay_far_within_effort_speed_and_window(
     experiment: Any, request: pytest.FixtureRequest
 ) -> None:
-    """Each law on the plant without bytes, with ten times less friction and damping than described."""
+    """Simulate each motion without a link, with a tenth of the described friction and damping."""
     described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
     limits = described.rig.limits
     low, high = limits.position_minimum, limits.position_maximum
@@ -539,7 +539,7 @@ def test_lost_samples_are_filled_in_up_to_a_bound(chawda: Any) -> None:
 def test_a_bounded_share_of_lost_samples_spoils_no_parameter(
     preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half as many as are allowed, each sample with the same chance, in every motion."""
+    """Half of the allowed share is lost at random in every motion."""
     rng = np.random.default_rng(5)
 
     def with_losses(recording: Any, rows: Any) -> Any:

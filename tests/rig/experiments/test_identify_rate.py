@@ -20,7 +20,7 @@ RATE = 1000  # of the questions
 
 
 def link(travel_s: float, *, silences_s: tuple[float, ...] = (), capacity: float | None = None) -> Any:
-    """Ten thousand answers, each after `travel_s`; before some of them a silence."""
+    """Return a measured link: ten thousand replies, each after `travel_s`, with silences spread evenly between them."""
     number = 10_000
     received = np.arange(number) * 1e9 / RATE
     for place, silence_s in enumerate(silences_s):
@@ -67,7 +67,7 @@ def test_a_stated_rate_is_kept_or_refused_with_the_rate_that_works() -> None:
 
 
 def test_a_link_that_carries_no_rate_is_refused_with_the_numbers() -> None:
-    """At 250 Hz seven whole samples are missing in 30 ms."""
+    """At 250 Hz, seven whole samples are lost in a silence of 30 ms."""
     with pytest.raises(PlanError, match="sent nothing for 28 ms") as caught:
         choose_rate(RIG, link(2e-4, silences_s=(0.03,)), most_hz=1000)
     assert f"now support 62 Hz, and an identification needs {SLOWEST_HZ} Hz" in str(caught.value.remedy)

@@ -1,4 +1,4 @@
-"""An impedance measured: closed forms no friction or quantum, both exciters, with and without bytes, refusals."""
+"""Measured impedances: closed forms without friction or quantisation, both exciters, links, rejected requests."""
 
 import json
 from dataclasses import asdict, replace
@@ -53,13 +53,13 @@ OWN_MOTOR = FAST | {"excitation.channel": "motor"}
 
 
 def linear(scheme: Any, **changes: Any) -> Any:
-    """The rig of Chawda et al. as linear theory sees it."""
+    """Return the experiment of the rig of Chawda et al. without friction and quantisation, under a scheme."""
     experiment = config.override(CHAWDA, LINEAR | changes)
     return Scheme.parse(scheme).applied(experiment)
 
 
 def off(measured: Any, exact: Any) -> Any:
-    """Largest deviation over the lines: of the magnitude (%), and of the phase (degrees)."""
+    """Return the largest deviations over all lines: of magnitude (%) and of phase (degrees)."""
     ratio = measured / exact
     return 100.0 * np.abs(np.abs(ratio) - 1.0).max(), np.degrees(np.abs(np.angle(ratio))).max()
 
@@ -82,7 +82,7 @@ def off(measured: Any, exact: Any) -> Any:
     ),
 )
 def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tuple[float, ...]]) -> None:
-    """Within 0.3 % and 0.1° at every line up to 400 Hz, wall and hold and estimator and images."""
+    """Within 0.3 % and 0.1° up to 400 Hz; the closed form includes wall, hold, estimator and sampling images."""
     x = linear(scheme)
     bench = ExcitedRig(x)
     for wall in walls:
@@ -121,7 +121,7 @@ def test_the_closed_form_holds_with_lag_delay_and_two_masses_at_the_encoder_and_
 
 @pytest.mark.parametrize("channel", ["external", "motor"])
 def test_the_fit_of_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: str) -> None:
-    """Back-EMF, nine times as much, is behind the lag and described: it is taken away, and from a wall too."""
+    """Back-EMF, nine times the damping, acts behind the lag; the fit subtracts the described one, also in a wall."""
     fine = {
         "rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.end_mass": 0.0, "rig.amplifier.drive": "voltage",
         "rig.encoder.counts_per_revolution": 10_000_000, "rig.encoder.ratio": 100.0,
@@ -147,7 +147,7 @@ def test_the_fit_of_a_voltage_driven_rig_is_its_own_damping_and_mass(channel: st
 def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
     wall: tuple[float, ...], agree: float
 ) -> None:
-    """And exactly what its own closed form says; the images of the hold tell the two apart, by less than 0.4 %."""
+    """Each result equals its own closed form; they differ by under 0.4 %, from the sampling images of the hold."""
     scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
     x = linear(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
     own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
@@ -160,7 +160,7 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
 
 
 def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
-    """F acts where the mass is, so the bare rig is m·s + b whatever lies between command and effort."""
+    """The force F is that on the mass, so a bare rig gives m·s + b whatever lag lies between command and effort."""
     late = {
         "rig.amplifier.lag_s": 2e-4,
         "rig.simulation.computation_delay_ticks": 2,
@@ -174,7 +174,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
 
 
 def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
-    """cos x/(sin x/x)³ of a free mass, x = π·f·T: 3 % at a quarter of the rate."""
+    """For a free mass the factor is cos x/(sin x/x)³ with x = π·f·T: 3 % at a quarter of the rate."""
     x = linear("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
     f = np.array([1.0, 100.0, 250.0, 400.0])
     half = np.pi * f * 1e-3
@@ -187,7 +187,7 @@ def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
 
 
 def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bare_rig() -> None:
-    """√(2/π)·f_c/σ_v for a Gaussian velocity, which many random phases give; m stays."""
+    """Many random phases give a Gaussian velocity: friction adds √(2/π)·f_c/σ_v to the damping, none to the mass."""
     x = config.override(
         CHAWDA, {"excitation.realisations": 8, "excitation.rms": 6.0, "excitation.low_hz": 2.0}
     )
@@ -204,7 +204,7 @@ def test_coulomb_friction_adds_its_describing_function_to_the_damping_of_the_bar
 
 
 def test_frictions_distortion_is_frozen_noise_which_only_realisations_show() -> None:
-    """Periods of one realisation agree far better with each other than realisations do."""
+    """The periods of one realisation agree far better with each other than different realisations do."""
     bench = ExcitedRig(config.override(CHAWDA, {"excitation.periods": 6}))
     records = [bench.excite(10e3, 40.0, n).record for n in range(6)]
     over_periods = np.median(periodic(records[:1]).variance)
@@ -216,7 +216,7 @@ def test_frictions_distortion_is_frozen_noise_which_only_realisations_show() -> 
 
 
 def test_friction_moves_the_effective_damping_with_the_band_so_bands_are_not_compared() -> None:
-    """Without friction the damping of one wall is the same in both bands."""
+    """Without friction, the damping of one wall is the same in both bands."""
     results = {}
     for coulomb in (0.0, 0.19):
         for high_hz in (25.0, 100.0):
@@ -302,7 +302,7 @@ def test_a_wall_that_throws_the_handle_out_is_a_result_and_not_an_error() -> Non
 
 @pytest.fixture(scope="module")
 def on_device(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """One wall measured over the byte link in virtual time, with an estimator that forgets its rest."""
+    """Measure one wall over the byte link in virtual time, with an estimator that forgets its state at rest."""
     x = Scheme.parse("uniform:1k,estimator=fdm-butterworth,cutoff_hz=200").applied(
         config.override(CHAWDA, OWN_MOTOR)
     )
@@ -338,7 +338,7 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
 
 
 def test_over_the_byte_link_the_impedance_is_that_of_the_run_without_bytes(on_device: Any) -> None:
-    """Which sees the motion between the ticks as well; the record has it put right."""
+    """The direct simulation also sees motion between ticks; the recording is corrected for that."""
     x, result = on_device
     (other,) = measure_impedance(x, walls=[(10e3, 10.0)])
     ratio = result.impedance.z / other.impedance.z
@@ -493,7 +493,7 @@ def test_a_wall_whose_effort_will_be_clipped_is_warned_of_and_measured() -> None
 
 
 def test_the_closed_form_of_an_unstable_wall_refuses_nothing() -> None:
-    """It may be stable by friction; a steady motion that linear theory computes for it does not exist."""
+    """Friction may stabilise the wall, and the steady motion that linear theory computes for it does not exist."""
     x = config.override(CHAWDA, {"trial.kind": "excitation", "wall.stiffness": 26.6e3, "wall.damping": 0.0})
     x = Scheme.parse("uniform:1k,estimator=fdm").applied(config.override(x, {"rig.limits.speed": 0.0501}))
     checks = checks_of(x)

@@ -91,7 +91,7 @@ def test_a_recording_without_a_readable_verdict_is_judged_again(
 
 @pytest.mark.parametrize("coulomb", [1.0, 0.0])
 def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: float, tmp_path: Path) -> None:
-    """Homing ends where the servo, within its tolerance, no longer overcomes friction: 0.9 mrad away on koul-rigid."""
+    """Homing ends where the servo no longer overcomes friction, within its tolerance: 0.9 mrad away on koul-rigid."""
     preset = presets.load("koul-rigid")
     names = ("motor_coulomb", "link_coulomb")
     mechanics = {f"rig.mechanics.{name}": coulomb * getattr(preset.rig.mechanics, name) for name in names}
@@ -112,7 +112,7 @@ def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: floa
 def test_a_fault_of_missed_time_is_recognised_by_its_name(
     fault: str | None, expected: bool, result: HitResult
 ) -> None:
-    """Also that of a drive behind a bridge, in a tree that has no bridge."""
+    """Also the fault of a drive behind a bridge, if the installation has no bridge."""
     trailer = {"reason": "device_fault", "fault": None if fault is None else {"name": fault}}
     assert out_of_time(replace(result.recorded.recording, trailer=trailer)) is expected
 

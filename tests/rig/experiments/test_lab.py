@@ -1,4 +1,4 @@
-"""The public functions: presets, files and experiments alike, settings by name, laws and estimators of a lab."""
+"""The public Python functions: presets, files or experiments, settings by name, a lab's laws and estimators."""
 
 import threading
 from importlib.metadata import EntryPoint
@@ -22,7 +22,7 @@ SHORT: dict[str, Any] = {"duration_s": 0.25, "changes": {"verdict.tail_s": 0.1}}
 
 @pytest.fixture(scope="module")
 def stiffening() -> rig.Law:
-    """A law of ours, compiled when it is defined."""
+    """Define a law in this program, compiled at its definition."""
 
     @rig.law(parameters={"quadratic": 1e4})
     def stiffening(penetration: float, velocity: float, p: rig.Parameters) -> float:
@@ -34,11 +34,11 @@ def stiffening() -> rig.Law:
 
 @pytest.fixture(scope="module")
 def smoothed() -> rig.Estimator:
-    """An estimator of ours."""
+    """Define an estimator in this program."""
 
     @rig.estimator(memory=("velocity",))
     def smoothed(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
-        """Slopes, smoothed."""
+        """Return the smoothed slope of the travel."""
         memory.velocity += 0.2 * (travel / elapsed_s - memory.velocity)
         return memory.velocity
 
@@ -55,7 +55,7 @@ def own(
 
 
 def test_a_preset_a_file_and_an_experiment_give_the_same_hit(tmp_path: Path) -> None:
-    """And it is the hit that a command makes."""
+    """All of them equal the hit that the command line makes."""
     file = tmp_path / "mine.toml"
     file.write_text('preset = "koul-compliant"\n')
     subjects = ("koul-compliant", str(file), file, rig.load(file))
@@ -162,7 +162,7 @@ def test_a_labs_law_runs_in_every_thread_of_a_map(
 def test_a_law_defined_in_this_program_goes_to_no_other_and_into_no_directory(
     tmp_path: Path, stiffening: rig.Law, smoothed: rig.Estimator
 ) -> None:
-    """A map that is resumed, or runs elsewhere, finds a law by its name, and may find another one."""
+    """A map that resumes or runs elsewhere finds a law by its name, and could find a different one."""
     with pytest.raises(ConfigError, match=r"smoothed is defined in this program only.*\"rig.estimators\""):
         rig.zwidth("koul-compliant", estimator=smoothed, directory=tmp_path)
     with pytest.raises(ConfigError, match=r"stiffening is defined in this program only.*\"rig.laws\""):

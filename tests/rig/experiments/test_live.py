@@ -1,4 +1,4 @@
-"""A running wall changed from outside: the numbers that reach the loop are those of an experiment begun so."""
+"""Wall changes from outside a running loop: the loop gets the numbers of an experiment that began with that wall."""
 
 import json
 import threading
@@ -36,7 +36,7 @@ def info_of(experiment: Any = EXPERIMENT, **more: Any) -> dict[str, Any]:
 
 
 def numbers_of(experiment: Any) -> list[float]:
-    """Return the numbers of a loop that is started with this experiment, found independently."""
+    """Return the numbers of a loop that is started with this experiment, computed independently."""
     made = controller.for_experiment(experiment, current_quantum_a=QUANTUM_A, reference_count=12)
     return [float(made.control["wall_position"][0]), *made.law.parameters.tolist()]
 
@@ -49,7 +49,7 @@ def taken(ring: Ring) -> tuple[int, list[float]]:
 
 @pytest.fixture
 def ring(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:  # type: ignore[no-untyped-def]
-    """A loop's memory in this process, which is the only one that runs."""
+    """Return the memory of a loop in this process, listed as the only running loop."""
     with Ring.allocate(1, info=info_of(), shared=True) as ring:
         path = f"/proc/self/fd/{ring.descriptor}"
         loop = running.RunningLoop(1, 0.0, 0, "trial", False, False, control_words.LAYOUT_VERSION, {}, path)
@@ -83,7 +83,7 @@ def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring:
 
 
 def armed(**changes: Any) -> dict[str, Any]:
-    """Return the gate's entry in the info: a loop twenty ticks late, on a real device that passed."""
+    """Return the "gate" entry of a loop's info: an armed real device with a delay of twenty ticks."""
     return {"gate": {"delay_ticks": 20, "simulated": False, "forced": False, **changes}}
 
 
@@ -159,7 +159,7 @@ def test_a_forbidden_change_is_refused_and_not_posted(
 
 @pytest.mark.parametrize("loop", ["host", "device"])
 def test_a_bilateral_wall_is_not_changed_while_it_runs(loop: str) -> None:
-    """Its spring acts on both sides: no place is free of it."""
+    """Its spring acts on both sides, so the handle is never outside it."""
     experiment = override(EXPERIMENT, {"wall.law": "bilateral", "controller.loop": loop})
     ring = Ring.allocate(1, info=info_of(experiment))
     with pytest.raises(PlanError, match="both sides"):
@@ -209,7 +209,7 @@ def test_a_loop_that_ends_before_it_takes_the_change_is_reported_as_ended(ring: 
 
 
 def test_two_terminals_at_once_lose_no_change() -> None:
-    """Both read the wall, both change it, each its own key: the second one begins anew."""
+    """Both read the wall and change a different key of it; the slower one must retry with the new wall."""
     ring = Ring.allocate(1, info=info_of())
     failures: list[BaseException] = []
 

@@ -1,4 +1,4 @@
-"""A map on disk: units, a table that others open, and a finished map that is read instead of computed."""
+"""Stored maps: units, a table that other programs open, and a finished map that is read instead of recomputed."""
 
 import json
 from collections import Counter
@@ -117,7 +117,7 @@ def test_an_invalid_plan_is_refused_by_its_file_name(tmp_path: Path, text: str) 
 def test_every_wall_of_a_map_is_judged_as_a_recorded_hit_of_it_to_the_last_bit(
     place: Any, tmp_path: Path
 ) -> None:
-    """The same wall, offset and seed over the byte link, by its recording and by its truth."""
+    """Repeat each wall, offset and seed over the byte link; compare the verdicts by recording and by truth."""
     journal, _ = read_on(place / maps.JOURNAL)
     series_of = {series.key: series for series in PLAN.series()}
     for key, rows in journal:

@@ -1,4 +1,4 @@
-"""The plan: every check on both sides of its limit, and predictions that err on the hard side."""
+"""The plan of a hit: every check on both sides of its limit, and predictions that err on the safe side."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def changed(changes: Any, experiment: Any = COMPLIANT) -> Any:
 
 
 def simulated(experiment: Any) -> Any:
-    """Greatest speed before the wall, and depth of the first contact, of a bare hit at the sensed side."""
+    """Simulate a hit without a link; return the largest speed before the wall and the depth of the first contact."""
     law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
     trace = bare.run_trial(law, plant, 0.0, most_ticks=200_000)
@@ -56,7 +56,7 @@ def simulated(experiment: Any) -> Any:
 
 
 def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
-    """Energy balance, exact for one undamped mass; sampling and quantisation take a few per cent."""
+    """The energy balance is exact for one undamped mass; sampling and quantisation add a few per cent."""
     mechanics = ("motor_damping", "link_damping", "motor_coulomb", "link_coulomb")
     zeros = ["wall.damping", "rig.amplifier.lag_s", *(f"rig.mechanics.{name}" for name in mechanics)]
     experiment = changed(dict.fromkeys(zeros, 0.0), RIGID)
@@ -70,7 +70,7 @@ def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
 @pytest.mark.parametrize("name", presets.names())
 @pytest.mark.parametrize("realtime", [False, True])
 def test_the_prediction_errs_on_the_hard_side(name: Any, realtime: bool) -> None:
-    """A real hit, with damping in the rig and in the wall, arrives slower and goes less deep."""
+    """A real hit, damped by rig and wall, arrives more slowly and goes less deep than predicted."""
     experiment = presets.load(name)
     if realtime:
         experiment = config.with_realtime(experiment)
@@ -82,7 +82,7 @@ def test_the_prediction_errs_on_the_hard_side(name: Any, realtime: bool) -> None
 
 
 def test_the_prediction_in_closed_form() -> None:
-    """v² = 2 F d / m; the spring stops it at x = F/K + sqrt((F/K)² + m v²/K)."""
+    """Check v² = 2·F·d/m before the wall, and the depth x = F/K + √((F/K)² + m·v²/K)."""
     experiment = presets.load("chawda-linear")
     mass, push = 0.52, 8.0 - 0.19
     distance, stiffness = abs(experiment.trial.start), experiment.wall.stiffness
@@ -145,7 +145,7 @@ def test_peak_penetration_against_the_window(side: int) -> None:
 
 
 def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
-    """A hit that saturates is poor science and no danger."""
+    """A hit that saturates spoils its measurement but is not dangerous."""
     base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
     low, high = around(predict_impact(changed(base)).peak_effort)
     assert check(changed({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
@@ -169,7 +169,7 @@ def test_resting_penetration_against_the_least_counts() -> None:
 
 
 def test_ripple_is_the_share_by_which_the_wall_varies() -> None:
-    """At most by the crests of all harmonics in one place: 0.05 and 0.05 of 300 N·m/rad are 30."""
+    """At worst the crests of all harmonics coincide: 0.05 + 0.05 of 300 N·m/rad are 30."""
     zeros = {f"rig.cogging.{part}": [0.0, 0.0] for part in ("cosine", "sine")}
     ripples = {"rig.cogging.ripple_cosine": [0.03, 0.0], "rig.cogging.ripple_sine": [0.04, -0.05]}
     given = changed({"rig.cogging.period": 0.6, "rig.cogging.orders": [1, 7], **zeros, **ripples})
@@ -178,7 +178,7 @@ def test_ripple_is_the_share_by_which_the_wall_varies() -> None:
 
 
 def test_motor_heat_over_all_repeats() -> None:
-    """One time constant at load L spends L² (1 − 1/e) of the budget; above the nominal effort for ever, all of it."""
+    """A time constant at load L uses L²·(1 − 1/e) of the budget; above nominal effort, long enough, all is used."""
     tau, nominal = COMPLIANT.rig.limits.thermal_time_constant_s, COMPLIANT.rig.limits.nominal_effort
     limits = {"rig.limits.effort": 2 * nominal, "rig.limits.override_stall": True}
     hot = {"trial.effort": 1.5 * nominal, "trial.duration_s": 1.0, **limits}

@@ -1,4 +1,4 @@
-"""A hit does what its plan predicts: a small sample of `tests.benchmarks.plausible_rigs`, and each finding once."""
+"""Hits match the predictions of their plans: a sample of `tests.benchmarks.plausible_rigs`, and each bug it found."""
 
 from typing import Any
 

@@ -1,6 +1,6 @@
-"""The torque pulse: a rig that moves as it is described may be armed for a person, any other is refused, with why.
+"""The torque pulse before a person's trial: only a rig that moves as described is armed; else the reason is given.
 
-The cases are those of `tests/benchmarks/pulses.py`, which tries them over the presets and many places of the handle.
+The cases are those of `tests/benchmarks/pulses.py`, which runs them over the presets and many handle positions.
 """
 
 import dataclasses
@@ -103,7 +103,7 @@ def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, 
 def test_a_push_in_coarse_steps_of_current_shows_the_scale(
     fault: str, outcome: Outcome, tmp_path: Path
 ) -> None:
-    """A quantum is a ninth of hapkit's friction, and damping takes most of what is beyond."""
+    """A current quantum is a ninth of the hapkit's friction, and damping takes most of the effort above friction."""
     hapkit = config.override(presets.load("hapkit"), {"rig.amplifier.current_monitor": False})
     found = pulsed(hapkit, FAULTS[fault], 0.0, tmp_path / "pulse.rigcap")
     assert {check.name: check.outcome for check in found.checks}["size"] is outcome
@@ -112,7 +112,7 @@ def test_a_push_in_coarse_steps_of_current_shows_the_scale(
 def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current(
     tmp_path: Path,
 ) -> None:
-    """The step at which the handle begins to move ends the push: inertia and friction show only together."""
+    """The push ends in the step in which the handle starts to move, so inertia and friction show only together."""
     sheets = rig.new_rig(
         mechanism="lever", torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048,
         transmission=12.0, handle_length=0.08, handle_mass=0.06, amplifier="escon-50-5-pwm", peak_current=5.0,
@@ -125,7 +125,7 @@ def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_cur
 
 
 def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None:
-    """Nothing moved, and the described friction alone would explain it."""
+    """Nothing moved, and the described friction alone explains it."""
     still = dataclasses.replace(
         sound.signs,
         pushes=tuple(dataclasses.replace(push, moved=False, seen=0.0) for push in sound.signs.pushes),
@@ -140,7 +140,7 @@ def test_friction_beyond_a_push_is_not_called_a_dead_motor(sound: Pulse) -> None
 
 @pytest.mark.parametrize("friction", first_by_default([0.0, 0.01]))
 def test_a_push_against_friction_shows_the_inertia_and_when_it_began(friction: float) -> None:
-    """6·m·x = g·(t − t₀)³ with g·t₀ the friction: in fine counts the fit gives m and t₀."""
+    """With 6·m·x = g·(t − t₀)³ and friction g·t₀, a fit of fine counts gives m and t₀."""
     growth, inertia, time_s = 0.1, 2e-4, 1e-5 * np.arange(40_000)
     began_s = friction / growth
     position = growth * np.maximum(time_s - began_s, 0.0) ** 3 / (6.0 * inertia)
@@ -174,7 +174,7 @@ def person_request(device: FramedDevice, output: Path, **others: Any) -> HitRequ
 
 
 class Failing(FirmwareDevice):
-    """A device that finds a fault once it runs, if `fails` is set."""
+    """A simulated device that reports an over-current fault once it runs, if `fails` is set."""
 
     fails = False
 
@@ -186,7 +186,7 @@ class Failing(FirmwareDevice):
 
 
 def framed(**hardware: float) -> FramedDevice:
-    """A rig of the person's experiment that no person holds."""
+    """Return the rig of the person's experiment with a free handle."""
     device = Failing(config.rig_model(config.override(PERSON, BARE)), law_maximum=0)
     for name, value in hardware.items():
         setattr(device.hardware, name, value)
@@ -208,7 +208,7 @@ def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_
 
 
 def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: None, tmp_path: Path) -> None:
-    """With the longest lifetime of supervision, as where the system is not Linux."""
+    """Uses the longest supervision lifetime, as on systems other than Linux."""
     need_compiler()
     changes = {"controller.loop": "device", "controller.supervise_lifetime_s": 0.1}
     person, prompts = config.override(PERSON, changes), []
@@ -287,7 +287,7 @@ DIRECT = {"rig.encoder.ratio": 1.0, "rig.encoder.counts_per_revolution": 250, "w
 
 
 def test_single_counts_of_a_coarse_encoder_do_not_end_the_pushes(tmp_path: Path) -> None:
-    """At 250 lines on the handle one count reads as 7 rad/s behind the filter of a fine encoder."""
+    """With 250 lines at the handle, one count through the filter of a fine encoder reads as 7 rad/s."""
     x = config.override(presets.load("koul-rigid"), {**DIRECT, "rig.limits.speed": 3.0})
     assert check_rig_moves(FreeRigRequest(experiment=x, output=tmp_path)).ok
 

@@ -1,4 +1,4 @@
-"""Default ranges of maps: the walls that the push can show, a device may hit and theory allows."""
+"""Default ranges of maps: stiffnesses that the push can show, that a device may hit, and that theory allows."""
 
 from dataclasses import replace
 from typing import Any
@@ -42,7 +42,7 @@ def test_bounds_that_are_given_are_kept() -> None:
 
 @pytest.mark.parametrize("preset", ["chawda-linear", "koul-compliant", "hapkit"])
 def test_the_softest_wall_is_well_below_every_linear_limit_without_damping(preset: str) -> None:
-    """On chawda-linear the push over 100 times two counts is 40 kN/m, above its undamped limit of 20 to 26 kN/m."""
+    """On chawda-linear, push/(100·2 counts) would be 40 kN/m, above its undamped limit of 20 to 26 kN/m."""
     experiment = presets.load(preset)
     schemes = [Scheme.parse(text) for text in ("uniform:1k", "dual:10k/1k")]
     limit = min(theory.k_max(experiment, scheme, 0.0).stiffness for scheme in schemes)
@@ -52,7 +52,7 @@ def test_the_softest_wall_is_well_below_every_linear_limit_without_damping(prese
 
 
 def test_no_rung_is_added_below_the_walls_in_which_the_push_stays_in_the_window() -> None:
-    """A Hapkit pushed by 0.2 N·m: a fourth of its limit at 250 Hz is so soft that the paddle reaches its stop."""
+    """A quarter of the limit at 250 Hz is so soft that a Hapkit pushed by 0.2 N·m reaches its end stop."""
     pushed = config.override(presets.load("hapkit"), {"trial.effort": 0.2, "trial.start": -0.01})
     schemes = [Scheme.parse("uniform:250")]
     lowest = ranges.search_for(pushed, ratio=1.1, schemes=schemes).lowest
@@ -63,7 +63,7 @@ def test_no_rung_is_added_below_the_walls_in_which_the_push_stays_in_the_window(
 
 
 def test_with_a_coarse_encoder_the_softest_wall_still_holds_the_push_in_the_window() -> None:
-    """360 counts at the handle: a hundredth of the stiffest wall that the push shows let it run 7 rad deep."""
+    """With 360 counts at the handle, a hundredth of the stiffest wall let the push go 7 rad deep."""
     knob = rig.new_rig(
         mechanism="lever", torque_constant=0.07, rotor_inertia=3e-5, nominal_current=1.5, encoder_lines=90,
         encoder_at="lever", transmission=1.0, handle_length=0.06, handle_mass=0.04, board="none",

@@ -1,4 +1,4 @@
-"""After a crash: every capture is sealed, the loss is reported, and a capture in use is left alone."""
+"""Recovery after a crash: every capture is sealed, losses are reported, and a capture in use is left alone."""
 
 import json
 import os
@@ -27,7 +27,7 @@ BLOCK = 100
 
 
 def write(path: Path, *, whole: bool = False, kind: str = "monotonic") -> Recording:
-    """A capture of three blocks, with its end or without, as if written long ago."""
+    """Write a capture of three blocks with an old modification time; with `whole`, also its end record."""
     header = example_header(experiment=EXPERIMENT, clocks={"kind": kind})
     recording = Recording(header, example_rows(ROWS), {"reason": "finished"}, whole)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +112,7 @@ def test_a_directory_is_searched_to_the_bottom_for_unsealed_captures(tmp_path: P
 
 
 def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None:
-    """Named itself, a capture whose sealed file exists is compared with it: unequal, both stay."""
+    """A capture is compared with the sealed file of its name; if they differ, both stay."""
     capture = tmp_path / "trial.rigcap"
     write(capture)
     (tmp_path / "trial.parquet").write_text("precious")
@@ -123,7 +123,7 @@ def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None
 
 
 def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
-    """Both files are there and equal: the capture goes."""
+    """If capture and sealed file both exist and are equal, the capture is removed."""
     capture = tmp_path / "trial.rigcap"
     write(capture)
     kept = capture.read_bytes()
@@ -174,7 +174,7 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also when the loop is done and its process judges, and on file systems without locks."""
+    """Also while the process judges after its loop is done, and on file systems without locks."""
     write(tmp_path / "trial.rigcap", whole=True)
     write(tmp_path / "other.rigcap", whole=True)
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""The reference: position zero is found wherever the handle was, or the search ends at rest with a reason."""
+"""The reference search: it finds position zero from any start, or ends at rest with a reason."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,7 +77,7 @@ def last_effort(recording: Path) -> float:
 def test_zero_is_at_the_same_place_wherever_the_handle_was_at_power_up(
     end: str, position: float, sign: int, at: float, loop: str, tmp_path: Path
 ) -> None:
-    """With the law on the host and on the board: count zero of the truth, to the count."""
+    """Position zero is exact to the count, with the law on the host and on the board."""
     marks = {"rig.reference.limit_switch": end, "rig.reference.position": position}
     x = config.override(MARKED, {"rig.encoder.sign": sign, "controller.loop": loop, **marks})
     if loop == "device":
@@ -203,7 +203,7 @@ def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
 
 @pytest.mark.parametrize("x", first_by_default([MARKED, BY_BOARD]), ids=["host", "board"])
 def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tmp_path: Path) -> None:
-    """As by a brake that bears more than the servo gives: no edge comes; the device or the host ends it."""
+    """A brake stronger than the servo holds the handle, so no edge comes; the device or the host ends the search."""
     with powered_up(x) as device:
         device.configure(
             {"position_rate": 2000}
@@ -244,9 +244,9 @@ LAW_ON_BOARD = {
 def test_the_switch_ends_a_run_when_it_is_reached_and_when_its_wire_is_broken(
     at: float, rows: range, url: str, changes: dict[str, Any], tmp_path: Path
 ) -> None:
-    """It stands within the window here, which it must not; at 1 rad it is pressed from the first sample on.
+    """Here the switch is within the window, which is wrong; at 1 rad it is pressed from the first sample on.
 
-    The host, which sees a STATE every 5 ms, ends a law on the board: some ticks later than one on the host.
+    The host sees a STATE every 5 ms, so it ends a law on the board some ticks later than one on the host.
     """
     x = config.override(MARKED, changes)
     with devices.open_device(url, config.rig_model(x)) as device:
@@ -262,7 +262,7 @@ def test_the_switch_ends_a_run_when_it_is_reached_and_when_its_wire_is_broken(
 
 
 class Hand:
-    """Moves the handle of a device that is looked at, turning back at the switch: a push over viscous damping."""
+    """A hand that pushes the handle against viscous damping, and turns back at the limit switch."""
 
     def __init__(self, device: FramedDevice, effort: float) -> None:
         self._hardware, self._states = hardware_of(device), device.states

@@ -1,4 +1,4 @@
-"""How much of a damping is rendered where one count saturates the motor: closed forms, and what then counts."""
+"""The share of damping that is rendered if one count saturates the motor: closed forms and effects on widths."""
 
 import math
 from typing import Any
@@ -34,7 +34,7 @@ def test_of_an_unfiltered_difference_limit_times_period_over_count_is_rendered(r
 
 
 def test_of_a_filtered_difference_the_pulse_of_the_filter_is_cut_off() -> None:
-    """Against scipy's filter: the difference of one count through a Butterworth of order 2 at 200 Hz and 2 kHz."""
+    """Compare with scipy: the difference of one count through a Butterworth of order 2 at 200 Hz and 2 kHz."""
     pulse = np.zeros(4096)
     pulse[0] = DELTA * 2000.0
     velocity = signal.lfilter(*signal.butter(2, 200.0, fs=2000.0), pulse)
@@ -59,7 +59,7 @@ def test_more_damping_is_rendered_by_a_smaller_share(dampings: list[float]) -> N
 
 
 def width_of(*columns: tuple[float, float, float]) -> Width:
-    """Width of a map whose columns have these dampings, limits and rendered shares."""
+    """Return the width of a map; each column is a damping, a stiffness limit and a rendered share."""
     plan = short_map(0.1)
     boundaries = tuple(
         Boundary(0, damping, "any", limit, 0.0, limit, limit, 0, 0, (), rendered)

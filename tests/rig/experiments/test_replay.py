@@ -1,4 +1,4 @@
-"""Replay: the recorded inputs through the same law give the recorded outputs to the last bit, however the run ended."""
+"""Replay: recorded inputs through the same law give the recorded outputs exactly, however the run ended."""
 
 import json
 from dataclasses import replace
@@ -135,7 +135,7 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path: Path) -> None:
     ],
 )
 def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path) -> None:
-    """Every seventh sample of the push is struck: the gaps are inputs of the law and stand in the rows."""
+    """A fault strikes every seventh sample of the push: gaps are inputs of the law and are stored in the rows."""
     faults = tuple(
         FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=3)
         for frame in range(armed + 5, armed + 95, 7)
@@ -156,7 +156,7 @@ def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path: Path) -> None
 
 
 def test_a_fault_state_without_a_code_counts_as_an_end_too(finished: Any) -> None:
-    """The loop ends on either; a device may say FAULT before it says why."""
+    """The loop ends on the state or the code; a device may report the FAULT state before its code."""
     half = finished.rows[: len(finished) // 2].copy()
     assert half["current_sent"][-1] != 0
     half["device_state"][-1] = State.FAULT
@@ -166,7 +166,7 @@ def test_a_fault_state_without_a_code_counts_as_an_end_too(finished: Any) -> Non
 
 
 def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_exactly(tmp_path: Path) -> None:
-    """The loop cuts to zero in the last tick, where the guard alone would still be on its way down."""
+    """The loop sets zero in the last tick, where the guard alone would still be lowering the effort."""
     slow = config.override(SHORT, {"homing.slew": 4.0, "trial.duration_s": 0.02, "verdict.tail_s": 0.01})
     recording = recorded(tmp_path, slow)
     assert recording.rows["phase"][-1] == Phase.DONE
@@ -219,7 +219,7 @@ def test_a_law_that_raises_in_a_replay_is_a_law_error(finished: Any) -> None:
 
 
 def test_the_recording_of_a_killed_writer_replays_exactly(tmp_path: Path) -> None:
-    """Cut in the middle of the last block: the rows of the blocks before it are all good."""
+    """If a capture ends in the middle of a block, the rows of all blocks before it are valid."""
     long = config.override(
         presets.load("koul-compliant"),
         {"trial.duration_s": 0.5, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.1},
@@ -287,7 +287,7 @@ def test_another_stiffness_changes_the_wall_alone(finished: Any) -> None:
 
 
 def test_changes_that_change_nothing_are_exact(finished: Any) -> None:
-    """The controller is then built from the experiment, not from the bits in the header: both are one."""
+    """With changes the controller is rebuilt from the experiment instead of the header; both must be equal."""
     assert_exact(replay(finished, {"wall.stiffness": SHORT.wall.stiffness}))
 
 
@@ -304,7 +304,7 @@ def test_impossible_changes_are_refused(finished: Any) -> None:
 def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_tick(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two sets while the handle approaches: the loop takes each between two ticks, and the trailer keeps them."""
+    """The loop accepts two changes between ticks while the handle approaches; the trailer stores them."""
     rings = []
     allocate = Ring.allocate
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""The three ways through the rungs, against walls whose limits are known."""
+"""The three search strategies over stiffness levels, on walls whose limits are known."""
 
 import itertools
 import math
@@ -14,7 +14,7 @@ RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 
 
 def walked(search: Any, passes: Any) -> Any:
-    """Return the walls that a search tries, with `passes(stiffness)[criterion]`: True, False or None."""
+    """Return the walls that a search tries, given `passes(stiffness)[criterion]`: True, False or None."""
     tried = {}
     criteria = list(passes(1.0))
     way = search.walk(criteria)

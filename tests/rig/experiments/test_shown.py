@@ -1,4 +1,4 @@
-"""Representations of results: ten lines at a prompt, tables in a notebook, a picture, columns with their unit."""
+"""How results display: ten lines at a prompt, tables in a notebook, a picture, columns with their units."""
 
 import io
 import sys
@@ -19,7 +19,7 @@ from rig.experiments.mapping.zwidth_frequency import FrequencyMap
 
 
 def soft(penetration: float, p: rig.Parameters) -> float:
-    """A spring with a gain."""
+    """A spring with an adjustable gain."""
     return p.gain * p.stiffness * penetration
 
 
@@ -57,7 +57,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 class Tags(HTMLParser):
-    """Opened and closed elements of a fragment."""
+    """A parser of the opened and closed elements of an HTML fragment."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

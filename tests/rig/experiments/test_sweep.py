@@ -1,6 +1,6 @@
-"""A sweep gives the same results to the last bit however it was cut up, and loses nothing that was done.
+"""A sweep gives the same results to the last bit however it was interrupted, and keeps all finished tasks.
 
-Clusters are in `tests/extras/cluster/test_sweep_cluster.py`.
+Clusters are tested in `tests/extras/cluster/test_sweep_cluster.py`.
 """
 
 import errno
@@ -38,7 +38,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.parametrize("error", [OSError("the sources cannot be read"), SystemExit(3)])
 def test_a_thread_returns_what_a_call_raises_and_serves_the_next_call(error: BaseException) -> None:
-    """Else the coordinator would wait for the result forever."""
+    """Otherwise the coordinator would wait for the result forever."""
 
     def fail() -> None:
         raise error
@@ -56,7 +56,7 @@ def marks(number: Any, log: Any, **payload: Any) -> Any:
 
 
 def numbers(number: int, *payloads: dict[str, Any]) -> list[Task]:
-    """Tasks of `raise_as_given`; the first ones with something more in their payload."""
+    """Return tasks of `raise_as_given`; `payloads` are added to the payloads of the first ones."""
     more = [*payloads, *({} for _ in range(number - len(payloads)))]
     work = sweep_work.raise_as_given
     return [Task(f"number {i}", work, {"number": i, **one}) for i, one in enumerate(more)]
@@ -306,7 +306,7 @@ def test_memory_does_not_grow_with_the_results(tmp_path: Path) -> None:
 
 
 def interrupt_at(done: Any) -> Any:
-    """A watch that presses Ctrl-C once so many tasks are done."""
+    """Return a progress callback that sends Ctrl-C once, after `done` tasks."""
     pressed = []
 
     def watch(progress: Progress) -> None:
@@ -340,7 +340,7 @@ def test_ctrl_c_keeps_finished_and_running_tasks_and_the_same_command_resumes(
 
 
 def test_ctrl_c_after_the_last_task_is_reported_like_one_before_it(tmp_path: Path) -> None:
-    """However quick the tasks were: the last thing that a watcher sees is that all is done."""
+    """However quick the tasks are, the last progress report says that all are done."""
     tasks, journal = sines_of(3), tmp_path / "journal"
 
     def watch(progress: Any) -> None:
@@ -384,7 +384,7 @@ def test_ctrl_c_ends_a_watcher_that_blocks_as_a_stopped_terminal_does(tmp_path: 
 
 
 def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> None:
-    """Press Ctrl-C, and again until the sweep stops: Python drops one that falls into a finaliser."""
+    """Send Ctrl-C until the sweep stops: Python loses one that arrives in a finaliser."""
     wait_s = first_s
     while not ended.wait(wait_s):
         signal.pthread_kill(thread, signal.SIGINT)

@@ -1,4 +1,4 @@
-"""One trial from configuring to sealing: what it leaves when something refuses, raises, breaks or is interrupted."""
+"""One trial from configuring to sealing: its recording and the device after any rejection, error or interrupt."""
 
 import errno
 import os
@@ -86,7 +86,7 @@ def judged(recording: Any) -> Any:
 
 
 def judged_while_interrupted(recording: Any) -> Any:
-    """As where Ctrl-C comes while the recording is sealed."""
+    """Judge the recording after a Ctrl-C that arrives while it is sealed."""
     signal.raise_signal(signal.SIGINT)
     return judged(recording)
 
@@ -140,7 +140,7 @@ def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path: Pa
 
 
 def test_trials_follow_each_other_on_one_device(tmp_path: Path) -> None:
-    """The handle rests in the wall after the first; the second homes it again. Session and memory start anew."""
+    """The handle rests in the wall after a trial; the next one homes it and starts with a new session and memory."""
     bench = Bench(tmp_path)
     recordings = [open_recording(bench.run(name=f"trial-{n}").recording) for n in range(3)]
     for recording in recordings:
@@ -231,7 +231,7 @@ def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(
 def test_a_bug_of_the_simulation_is_the_cause_of_a_lost_link(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever breaks at the far end, the recording is closed and sealed and the cause is named."""
+    """Whatever breaks at the far end, the recording is sealed and the error names the cause."""
     bench = Bench(tmp_path)
     ticks = []
 
@@ -266,7 +266,7 @@ def test_the_error_of_the_run_is_not_lost_when_sealing_fails_too(
 
 
 def test_the_error_of_an_early_end_has_the_messages_of_the_link(tmp_path: Path) -> None:
-    """That is often why it ended."""
+    """A problem of the link is often the reason for the early end."""
     bench = Bench(tmp_path)
     bench.link.messages = ["the port waits 16 ms. To fix it: ..."]
     with pytest.raises(LawError) as caught:
@@ -300,7 +300,7 @@ def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path: Path) -> 
 def test_an_error_of_the_progress_after_the_last_tick_is_not_forgotten(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The watch is called once more while the loop ends by itself."""
+    """The progress callback runs once more while the loop ends by itself."""
     bench = Bench(tmp_path)
     wait = LoopThread.wait
 
@@ -404,7 +404,7 @@ def test_a_second_ctrl_c_does_not_cut_short_what_the_first_began(
 def test_ctrl_c_while_the_recording_is_sealed_is_not_forgotten(
     options: Any, reason: str, tmp_path: Path, handlers: None
 ) -> None:
-    """A Z-width continues with the next wall after a guard, but not after Ctrl-C."""
+    """A Z-width map continues with the next wall after a guard stop, but not after Ctrl-C."""
     bench = Bench(tmp_path)
     with pytest.raises(StoppedError) as caught:
         bench.run(judge=judged_while_interrupted, **options)
@@ -435,7 +435,7 @@ def test_ctrl_c_while_arming_moves_nothing(
 
 @pytest.mark.signals
 def test_an_ignored_interrupt_stays_ignored(tmp_path: Path) -> None:
-    """As under nohup, and in the background of a shell without job control."""
+    """SIGINT is ignored under nohup, and in the background of a shell without job control."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         bench = Bench(tmp_path)

@@ -1,4 +1,4 @@
-"""Weighing: the effort of an ampere by a known mass equals the truth, whatever the friction, or it is refused."""
+"""Weighing with a known mass gives the true effort per ampere, whatever the friction, or is rejected."""
 
 import io
 from collections.abc import Callable
@@ -57,7 +57,7 @@ def test_a_described_rig_agrees_with_its_weight(tmp_path: Path) -> None:
 def test_a_wrong_constant_is_measured_beside_a_bent_cable(
     true: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The motor gives `true` times the described effort for each ampere, and a steady effort acts besides."""
+    """The motor gives `true` times the described effort per ampere; a bent cable adds a constant effort."""
 
     def disturb(device: FramedDevice) -> None:
         hardware = device.link.device.hardware  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Maps of walls: physics against the exact linear theory, and the same bits however a map was computed."""
+"""Z-width maps: walls against exact linear theory, and the same bits however a map was computed."""
 
 import json
 import math
@@ -108,7 +108,7 @@ def test_without_damping_no_estimator_matters() -> None:
 
 
 def rows_of(outcomes: Any, **numbers: Any) -> Any:
-    """Rows of one series as `run_series` gives them; `outcomes` by stiffness."""
+    """Return rows of one series as `run_series` returns them; `outcomes` maps stiffness to passed or failed."""
     tail = {"tail_begins_s": 0.1, "inside_ticks_in_tail": 1}
     measured = dict.fromkeys(maps.NUMBERS.names, 0.0) | tail | numbers
     truths = {f"{name}_true": value for name, value in measured.items()}
@@ -180,7 +180,7 @@ def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: An
 
 
 def test_a_handle_that_never_comes_home_passes_and_fails_no_criterion() -> None:
-    """The end mass weighs more than homing can carry: there is no trial to judge."""
+    """The end mass is too heavy for the homing servo, so there is no trial to judge."""
     changes = {
         "rig.mechanics.gravity": 9.81,
         "homing.effort": 0.05,

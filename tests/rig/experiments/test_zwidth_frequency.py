@@ -1,4 +1,4 @@
-"""Z-width in the frequency domain: closed forms on a linear rig, widths of made-up regions, the boundary search."""
+"""Z-width in the frequency domain: closed forms on a linear rig, widths of given regions, the boundary search."""
 
 import json
 import math
@@ -63,12 +63,12 @@ def plan(experiment: Any, schemes: Any, stiffnesses: Any, dampings: Any, **other
 
 @pytest.fixture(scope="module")
 def undamped() -> Any:
-    """Three linear estimators at B = 0, which none of them has a part in."""
+    """Map three linear estimators at B = 0, where the velocity estimate has no effect."""
     return zwidth(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
 
 
 def test_without_damping_every_estimator_ends_at_2b_over_t(undamped: Any) -> None:
-    """26.4 kN/m at 1 kHz, within a step of the grid."""
+    """The limit 2·b/T is 26.4 kN/m at 1 kHz, and is found within a step of the grid."""
     for row in table_one(undamped).rows:
         width = row.widths.together
         assert width.stiffness_undamped == width.stiffness
@@ -77,7 +77,7 @@ def test_without_damping_every_estimator_ends_at_2b_over_t(undamped: Any) -> Non
 
 
 def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped: Any) -> None:
-    """√mean(b² + (2πmf)²) over the lines, the same for every estimator."""
+    """It is √mean(b² + (2πmf)²) over the lines, the same for every estimator."""
     f = np.arange(1.0, 251.0)
     exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f) ** 2))
     assert undamped.fidelity[:, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
@@ -88,7 +88,7 @@ def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped: Any) -> None:
 
 
 def test_with_damping_the_edge_is_that_of_the_closed_form() -> None:
-    """At B = 40 and 80 an unfiltered difference holds some 32 kN/m up to 250 Hz; stable it would be far beyond."""
+    """At B = 40 and 80 an unfiltered difference is passive to some 32 kN/m up to 250 Hz, and stable far beyond."""
     asked = plan(LINEAR, [FDM], np.arange(26e3, 40e3, 2e3), [40.0, 80.0])
     found = zwidth(asked)
     _, stable, passive = linear_curves(asked, 2)[0]
@@ -99,7 +99,7 @@ def test_with_damping_the_edge_is_that_of_the_closed_form() -> None:
 
 
 def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory() -> None:
-    """From B = 40 on, both of what is stable and of what is passive (REPRODUCTION: "AKF > FDM in K")."""
+    """Its limits of stability and passivity are higher from B = 40 on (REPRODUCTION: "AKF > FDM in K")."""
     schemes = [FILTERED, KALMAN, "uniform:1k,estimator=foaw-best"]
     asked = plan(CHAWDA, schemes, [1e3], [0.0, 40.0, 100.0, 200.0])
     curves = linear_curves(asked, 11)
@@ -116,13 +116,13 @@ def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory() -> None
 
 @pytest.fixture(scope="module")
 def rough() -> Any:
-    """The rig as it is: friction, 1 µm; four estimators, a coarse grid."""
+    """Map the rig with its friction and 1 µm resolution: four estimators on a coarse grid."""
     schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
     return zwidth(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
 
 
 def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough: Any) -> None:
-    """Its describing function damps: a difference holds 40 kN/m, where linear theory ends at 32. Sticking stiffens."""
+    """Friction damps: a difference is passive at 40 kN/m, where linear theory ends at 32; sticking adds stiffness."""
     _, _, passive = linear_curves(rough.plan, 2)[0]
     assert max(passive) < 35e3
     assert rough.passive[0, -1, 1, :3].all()
@@ -168,7 +168,7 @@ def test_a_wall_that_throws_the_handle_out_has_time_and_reason() -> None:
 
 
 def test_dual_rate_goes_through_the_same_plan() -> None:
-    """On a two-mass rig the handle's own motion is measured: the encoder is on the other mass."""
+    """On a two-mass rig the handle's true motion is measured, because the encoder is on the other mass."""
     once = dict.fromkeys(("excitation.periods", "excitation.settle_periods", "excitation.realisations"), 1)
     koul = config.override(presets.load("koul-compliant"), {**once, "excitation.low_hz": 5.0})
     asked = plan(koul, ["dual:20k/2k,estimator=kalman"], [20.0], [0.0])
@@ -245,7 +245,7 @@ def test_tuned_numbers_are_counted_as_in_the_paper() -> None:
 
 
 def region(text: Any) -> Any:
-    """Rows of a drawing are dampings, # is passive, stiffness rises to the right."""
+    """Parse a drawn region: rows are dampings, # is passive, stiffness rises to the right."""
     return np.array([[mark == "#" for mark in row] for row in text.split()])
 
 
@@ -326,7 +326,7 @@ def test_on_any_region_the_search_ends_and_requests_no_wall_twice(rows: Any, loo
 
 
 def test_the_search_moves_up_to_an_island_and_stays() -> None:
-    """From the first edge at 2 it meets an island above the next edge, and stays up there."""
+    """From the first edge at 2 the search meets an island above the next edge, and stays on the island."""
     passive = region("###..... ##.###.. ##..##.. ##......")
     found = trace_grid(passive)
     assert dict(found.edge) == {0: 2, 1: 5, 2: 5, 3: 1}
@@ -349,7 +349,7 @@ def test_the_search_ends_at_a_start_or_a_damping_without_a_passive_wall() -> Non
 
 
 def test_the_search_needs_a_tenth_of_the_tests_of_the_paper() -> None:
-    """REPRODUCTION: some 70 tests in place of 960."""
+    """REPRODUCTION: some 70 tests suffice instead of 960."""
     b = np.arange(16)
     heights = np.rint(22 + 14 * np.sin(np.pi * b / 15)).astype(int)
     found = trace_grid(np.arange(60) < heights[:, None])

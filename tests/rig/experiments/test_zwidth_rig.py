@@ -1,4 +1,4 @@
-"""A map on a device: recorded hits in place of simulated ones, a person who agrees, and the ends of a session."""
+"""A map on a device: recorded hits in place of simulated ones, a person who confirms them, and how a session ends."""
 
 import json
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ def planned(changes: Any = None, **others: Any) -> Any:
 
 
 class Person:
-    """Agrees to `patience` hits; records requests, results and waits."""
+    """A simulated person who confirms `patience` hits and records requests, results and waiting times."""
 
     def __init__(self, patience: int = 10_000) -> None:
         self.patience = patience
@@ -168,7 +168,7 @@ def test_an_error_that_the_wall_did_not_cause_ends_the_session(
 def test_a_hit_that_ended_by_missed_ticks_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its device missed ticks in the middle of the push; the map is that of an undisturbed session."""
+    """The device misses ticks in the middle of the push; the map still equals that of an undisturbed session."""
     plan = planned(dampings=(0.1,), search=StiffnessSearch(lowest=100.0, highest=110.0, ratio=1.2))
     undisturbed = zwidth_on_rig(plan, Person().session(tmp_path / "undisturbed"))
     (path,) = (tmp_path / "undisturbed" / "hits").glob("*.parquet")
@@ -233,7 +233,7 @@ def test_the_next_hit_waits_until_the_rig_is_calm(tmp_path: Path) -> None:
 
 @pytest.fixture
 def real_devices(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Devices that do not say that they are simulated, in virtual time: all that were opened."""
+    """Open simulated devices that claim to be real, in virtual time; return the list of those opened."""
     open_simulated = devices.open_device
     opened = []
 
