@@ -1,4 +1,4 @@
-"""The compiled timer of a device against the readable device, in virtual time behind a scripted port."""
+"""The compiled timer of a simulated board against the readable device, in virtual time behind a scripted port."""
 
 import errno
 import itertools
@@ -45,7 +45,7 @@ def _compiler() -> None:
 class ScriptedPort:
     """A host that sends bytes at given times, on a clock that jumps.
 
-    `late` is by how much a wait passes its deadline (ns); in `gone` the port is closed; in `full` it accepts nothing.
+    `late`: delay of a wait after its deadline (ns); in `gone` the port is closed; in `full` it accepts nothing.
     """
 
     def __init__(self, script: Sent, late: Callable[[int], int] = lambda deadline_ns: 0) -> None:
@@ -82,13 +82,13 @@ class ScriptedPort:
         return len(data)
 
     def states(self) -> list[m.State]:
-        """Return all STATE messages that were sent, each whole."""
+        """Return all STATE messages that were sent."""
         found = [unpack(frame)[1] for frame in FrameSplitter().feed(b"".join(data for _, data in self.sent))]
         return [message for message in found if isinstance(message, m.State)]
 
 
 def conversation(commands: int) -> Sent:
-    """Return what a host sends and when: it configures, arms, answers so many STATEs, each a little after a sample."""
+    """Return the host's bytes with their times: it configures, arms, and answers `commands` STATEs a little late."""
 
     class Noted(MemoryLink):
         def write(self, data: bytes) -> None:
@@ -106,7 +106,7 @@ def conversation(commands: int) -> Sent:
 
 
 def reference(script: Sent, until_ns: int) -> Sent:
-    """Return what the readable device sends and when, for the same input."""
+    """Return the bytes that the readable device sends for the same input, with their times."""
     device = SimulatedDevice(RIG, position_rate_default=RATE, keep_truth=False)
     sent: Sent = []
     for at_ns, data in [*script, (until_ns, b"")]:
@@ -118,14 +118,14 @@ def reference(script: Sent, until_ns: int) -> Sent:
 
 
 def run(port: ScriptedPort, duration_s: float, **options: Any) -> FirmwareDevice:
-    """Let the firmware run behind a port."""
+    """Run the firmware behind a port for some seconds and return its device."""
     device = FirmwareDevice(RIG, law_maximum=0, position_rate_default=RATE, keep_truth=False)
     BoardTime(device, port.loop_port(), threading.Event(), **options).run(duration_s)
     return device
 
 
 def grouped(sent: Sent) -> Sent:
-    """Return the bytes of each time at which some were sent."""
+    """Join the bytes that were sent at the same time."""
     found: dict[int, bytes] = {}
     for at_ns, data in sent:
         found[at_ns] = found.get(at_ns, b"") + data
@@ -248,7 +248,7 @@ print(len(announced), late, "scipy.linalg" in sys.modules)
 
 @pytest.mark.parametrize("hand", first_by_default(["held", "free"]))
 def test_nothing_compiles_once_a_host_can_open_the_port(hand: str) -> None:
-    """A host without a reply for a second reports a lost link. Linear algebra takes a tenth of a second to load."""
+    """A host reports a lost link after a second without reply; loading linear algebra alone takes 0.1 s."""
     done = subprocess.run(
         [sys.executable, "-c", ANNOUNCED, hand], capture_output=True, text=True, timeout=100, check=False
     )

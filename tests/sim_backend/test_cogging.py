@@ -1,4 +1,4 @@
-"""A motor that cogs, simulated: against a pendulum's closed form, the conservation of energy, and plants without it."""
+"""Simulated motor cogging against a pendulum's closed form, energy conservation, and plants without cogging."""
 
 import math
 from dataclasses import replace
@@ -24,7 +24,7 @@ EFFORTS = {"linear": 1.0, "rotary": 0.01}
 
 
 def cogging(rig: RigModel, *harmonics: tuple[int, float, float]) -> RigModel:
-    """The rig with harmonics (order, cosine, sine), in shares of a usual effort."""
+    """Return the rig with cogging harmonics (order, cosine, sine), as shares of a usual effort."""
     orders, cosine, sine = zip(*harmonics, strict=True)
     scale = EFFORTS[rig.motion]
     given = Cogging(
@@ -119,7 +119,7 @@ def test_a_motor_that_hardly_cogs_moves_like_one_that_does_not(
 
 @pytest.mark.parametrize("rig", [LINEAR, LOSSLESS], ids=["rigid", "two-mass"])
 def test_friction_holds_a_motor_that_cogs_to_the_last_bit_until_both_are_overcome(rig: RigModel) -> None:
-    """At a crest of cogging along the position a push breaks away at Coulomb − cogging, against it at the sum."""
+    """At a peak of cogging, a push along it breaks away at Coulomb − cogging, a push against it at their sum."""
     scale, share = EFFORTS[rig.motion], 0.3
     rig = replace(
         rig,
@@ -174,7 +174,7 @@ def test_an_effort_that_ripples_does_the_work_of_its_integral_over_the_way() -> 
 
 @pytest.mark.parametrize("lag_s", [0.0, 1e-5, 3e-4, 1e-2])
 def test_a_ripple_that_is_the_same_everywhere_is_a_larger_torque_constant(lag_s: float) -> None:
-    """Velocities are 1 + r times as large to the last digits, also while the effort comes up to its command."""
+    """Velocities are 1 + r times as large to the last digits, also while the effort still rises to its command."""
     even, larger = (
         DiscretePlant.build(rippling({1: (share, 0.0)}, lag_s, period=1e9), 1e-4) for share in (0.0, 0.07)
     )

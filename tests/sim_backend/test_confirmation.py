@@ -1,4 +1,4 @@
-"""Effort on two neighbouring counts: a hand that holds still keeps its wall, a dead encoder does not keep it."""
+"""Stall check on two neighbouring counts: a hand that holds still keeps its wall, a dead encoder loses it."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ def armed(**changes: Any) -> Safety:
 
 
 def run(safety: Safety, wanted: Any, counts: Any) -> tuple[Any, Any]:
-    """Currents that flow and limit flags, tick by tick."""
+    """Return the active currents and the limit flags of each tick."""
     flowing, flags = [], []
     for want, count in zip(wanted, counts, strict=True):
         current = limit_current(safety.rules, safety.heat, int(want))

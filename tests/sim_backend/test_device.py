@@ -1,4 +1,4 @@
-"""The readable simulated device: its protocol, its physics and its safety monitors."""
+"""The simulated device in readable Python: its protocol, physics and safety monitors."""
 
 import math
 from dataclasses import replace
@@ -61,7 +61,7 @@ def armed(model: RigModel | None = None, **values: Value) -> Host:
 
 
 def exchange(host: Host, current: int, ticks: int = 1, **command: int) -> m.State:
-    """Command a current for some ticks, one COMMAND for each STATE."""
+    """Command a current for some ticks, one COMMAND for each STATE, and return the last STATE."""
     for _ in range(ticks):
         host.command(current, **command)
         state = host.next_state()
@@ -69,7 +69,7 @@ def exchange(host: Host, current: int, ticks: int = 1, **command: int) -> m.Stat
 
 
 def silence(host: Host, ticks: int) -> list[m.State]:
-    """The STATEs of some ticks without a COMMAND."""
+    """Return the STATEs of some ticks in which the host sends no COMMAND."""
     host.states.clear()
     while len(host.states) < ticks:
         list(host.events(0.1))

@@ -1,4 +1,4 @@
-"""Lines between a host and a simulated drive: text, checksums, scripted faults. Time is virtual."""
+"""Links between a host and a simulated drive: text lines, checksums, scripted faults. Time is virtual."""
 
 import itertools
 import os
@@ -25,7 +25,7 @@ TORQUE = bytes.fromhex("01000a0c0620 0000c07f 00000000 cdcc4c3d 00000000 0000000
 
 
 def bitwise(data: bytes) -> int:
-    """CRC-8, polynomial 0x97, most significant bit first, from its definition."""
+    """Return the CRC-8 with polynomial 0x97, most significant bit first, computed by its definition."""
     crc = 0
     for bit in itertools.chain.from_iterable(f"{byte:08b}" for byte in data):
         crc = (crc << 1 & 0xFF) ^ (0x97 if (crc >> 7) ^ int(bit) else 0)
@@ -126,7 +126,7 @@ def commands(frames: int) -> list[tuple[int, bytes]]:
 
 
 def run(fault: str, frames: int = 60, duration_s: float = 0.3) -> tuple[Wire, Moteus]:
-    """Serve a moteus, let go after `frames` ms, and watch it beyond its watchdog."""
+    """Command a simulated moteus for `frames` ms, then stop and run beyond its watchdog."""
     drive = Moteus(settings=STILL)
     return served(drive.drive, Uart(), commands(frames), DriveScript.of([fault]), duration_s), drive
 

@@ -1,4 +1,4 @@
-"""A driven hand: it follows its wishes like a hand, stays in reach, and rests without wishes. Time is virtual."""
+"""A hand driven from outside: it follows requested positions, stays in reach, and rests without requests."""
 
 import math
 from dataclasses import replace
@@ -47,7 +47,7 @@ LEAD_S = MODEL.reach.wait_s - MODEL.reach.free_s  # from the arrival at the star
 
 
 class Wishes:
-    """The source of the wishes of a hand."""
+    """The requested position and press of a hand."""
 
     def __init__(self) -> None:
         self.wish = Wish(0, 0.0, 0.0)
@@ -60,7 +60,7 @@ class Wishes:
 
 
 def played(driven: Any, seconds: Any, hand: Any = START, wish: Any = None) -> Any:
-    """Return the intentions of so many seconds; `wish` is called before each block."""
+    """Return the hand's intended motion for some seconds; `wish` is called before each block."""
     rows = []
     while sum(map(len, rows)) < seconds * RATE:
         if wish is not None:
@@ -117,7 +117,7 @@ def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:
 
 @pytest.mark.parametrize("far", [0.05, 0.2, 1e6])
 def test_a_jump_to_the_other_end_is_a_reach_at_a_bounded_speed(far: float) -> None:
-    """The end key, or a mouse that jumps: it went at 0.26 m/s, the faster the further."""
+    """The end key or a mouse can jump; once, the speed grew with the distance, to 0.26 m/s."""
     driven, wishes = begun()
     rows = played(driven, 3.0, wish=lambda: wishes.set(START + far))
     speed = rows[:, 1] * RADIUS

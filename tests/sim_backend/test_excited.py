@@ -1,4 +1,4 @@
-"""A rig excited in one compiled call: physics of the second actuator, time of the law, reasons of an early end."""
+"""An excitation simulated in one compiled call: second actuator, timing of the law, reasons for an early end."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
 def the_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any) -> Any:
-    """Experiment as an excited run, its model, and a fresh controller."""
+    """Return an experiment with excitation, its rig model, and a new controller."""
     x = config.excited(config.override(presets.load(name), changes))
     quantum = x.rig.amplifier.current_quantum_a
     chosen = laws.get(law) if isinstance(law, str) else law
@@ -60,7 +60,7 @@ def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
     ],
 )
 def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
-    """Compare every bit, also with a delay, which stays as many ticks of the law, and with cogging."""
+    """The compiled call equals single steps in every bit, also with cogging and with a delay in ticks of the law."""
     changes = {"rig.simulation.computation_delay_ticks": delay, **cogging}
     x, model, law = the_rig(name, **changes)
     _, _, other = the_rig(name, **changes)

@@ -1,4 +1,4 @@
-"""The compiled far end of a loop sends and moves as the readable device does, at the same times."""
+"""The compiled far end of a loop sends the same bytes and moves as the readable device does, at the same times."""
 
 import errno
 from contextlib import suppress
@@ -33,7 +33,7 @@ TICK_S = 1.0 / RATE
 
 
 class ThroughThePort:
-    """A link as the compiled loop sees it: every byte passes the plug functions."""
+    """A link as the compiled loop uses it: every byte passes through the compiled port functions."""
 
     def __init__(self, link: MemoryLink) -> None:
         self.link, self.clock = link, link.clock
@@ -58,7 +58,7 @@ def fresh(**options: Any) -> MemoryLink:
 
 
 def three() -> list[ThroughThePort]:
-    """The compiled far end of the firmware; the firmware and the readable device behind callbacks."""
+    """Return the compiled far end, the firmware behind callbacks, and the readable device behind callbacks."""
     rig = rotary_rig(current_noise_a=0.002)
     return [
         ThroughThePort(fresh()),

@@ -1,4 +1,4 @@
-"""The firmware as a simulated device: its library is built once, and a call of many ticks equals single ticks."""
+"""The firmware as a simulated device: its library is built once, and one call of many ticks equals single ticks."""
 
 import ctypes
 import itertools
@@ -72,7 +72,7 @@ RIGS = {
 
 @pytest.fixture
 def small(tmp_path: Path) -> tuple[CLibrary, Path]:
-    """A library of one function, built like the firmware's, and its directory."""
+    """Return a library of one function, built like the firmware's, and its directory."""
     (tmp_path / "sources" / "core").mkdir(parents=True)
     (tmp_path / "sources" / "core" / "answer.c").write_text("int answer(void) { return 42; }\n")
     (tmp_path / "made").mkdir()

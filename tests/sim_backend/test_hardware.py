@@ -1,4 +1,4 @@
-"""The simulated hardware layer at another rate than the one it was built for."""
+"""The simulated hardware layer at a rate other than the one that it was built for."""
 
 import pytest
 

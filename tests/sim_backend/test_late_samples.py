@@ -1,4 +1,4 @@
-"""Late and lost samples in a trial without bytes: what the loop does over a link that loses and delays frames."""
+"""Late and lost samples in the direct simulation of a trial equal those of a loop over a lossy, delaying link."""
 
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ def test_the_newest_sample_is_the_last_that_came_and_a_line_keeps_the_order() ->
 
 
 def over_bytes(experiment: Any, path: Path, delays: Any, first_frame: int) -> Any:
-    """Rows of a run over the byte link whose STATE frames from `first_frame` on are lost or late."""
+    """Return the rows of a run over the byte link whose STATE frames from `first_frame` on are lost or late."""
     faults = tuple(
         FrameFault(
             kind=FaultKind.DROP if delay == LOST else FaultKind.DELAY,
@@ -63,7 +63,7 @@ def without_bytes(experiment: Any, delays: Any) -> Any:
 
 
 def first_frame(experiment: Any, directory: Path) -> int:
-    """Number of the frame that has the law's first sample, found by losing one (the device is known by then)."""
+    """Return the number of the frame with the law's first sample, found by losing one; the dictionary is cached."""
     over_bytes(experiment, directory / "known.rigcap", np.zeros(0, np.int64), 0)
     delays = np.zeros(90, np.int64)
     delays[80] = LOST

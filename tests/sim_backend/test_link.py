@@ -37,7 +37,7 @@ def fresh(faults: Faults | None = None, **device: Any) -> MemoryLink:
 
 
 def run(link: MemoryLink, ticks: int = SHORT_RUN) -> Host:
-    """Run for some ticks with a COMMAND for each STATE."""
+    """Run a host on the link for some ticks, with a COMMAND for each STATE, and return the host."""
     host = Host(link)
     host.begin(position_rate=RATE, command_lifetime_us=3_000)
     for _ in range(ticks):

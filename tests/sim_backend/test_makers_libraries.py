@@ -1,6 +1,6 @@
-"""Foreign libraries drive the simulated drives: for a moteus its maker's own, for an ODrive `odrive-can`.
+"""Third-party libraries operate the simulated drives: the maker's own for a moteus, `odrive-can` for an ODrive.
 
-ODrive's maker has none in Python for CAN Simple; `odrive-can` contains the maker's description (DBC, of 0.6.10).
+ODrive's maker has no Python library for CAN Simple; `odrive-can` contains the maker's description (DBC, of 0.6.10).
 """
 
 import asyncio
@@ -36,7 +36,7 @@ FREE = {
 
 
 def asked(path: str, line: bytes, enough: bytes) -> bytes:
-    """Return the reply of a serial line, up to `enough`."""
+    """Send a line to a serial port and return the reply up to `enough`."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         tty.setraw(port)
@@ -60,7 +60,7 @@ def test_a_moteus_is_driven_by_one_host_after_the_other_and_by_its_makers_librar
 
 
 async def moteus_session(moteus: Any, path: str) -> None:
-    """Configure, drive, let the watchdog expire, stop."""
+    """Configure the drive, command it, let its watchdog expire, and stop it."""
     transport = moteus.Fdcanusb(path)
     drive = moteus.Controller(id=1, transport=transport)
     register, mode = moteus.Register, moteus.Mode
@@ -114,7 +114,7 @@ def test_its_codec_reads_each_of_our_replies_as_we_meant_it() -> None:
 
 
 def test_its_command_to_stay_within_is_a_wall_of_its_gains() -> None:
-    """`make_stay_within` as the library encodes it, to a drive that stands a tenth of a turn beyond the bound."""
+    """The library's `make_stay_within` is sent to a drive that stands a tenth of a turn beyond the bound."""
     moteus = pytest.importorskip("moteus")
     drive = Moteus(drive_rig(coulomb=1.0))  # friction holds it
     drive.start()
@@ -138,7 +138,7 @@ def test_its_command_to_stay_within_is_a_wall_of_its_gains() -> None:
 
 
 class Described:
-    """An ODrive with messages by the names of its maker's description."""
+    """A simulated ODrive whose messages are encoded by the names in its maker's description (DBC)."""
 
     def __init__(self, drive: Odrive) -> None:
         odrive_can = pytest.importorskip("odrive_can")
@@ -188,7 +188,7 @@ def test_each_error_has_the_name_that_the_maker_gives_its_bit() -> None:
 
 
 class Bus:
-    """A bus of python-can over the drive's socket."""
+    """A python-can bus over the socket of a simulated drive."""
 
     channel_info = "the socket of a simulated drive"
 

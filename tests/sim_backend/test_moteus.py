@@ -1,4 +1,4 @@
-"""The simulated moteus against the pages of its maker's documentation that its modules name. Time is virtual."""
+"""The simulated moteus against the pages of the maker's documentation that its modules cite. Time is virtual."""
 
 import math
 from dataclasses import replace
@@ -173,7 +173,7 @@ def test_a_question_feeds_no_watchdog() -> None:
 
 
 def moving(kd_scale: float = 0.0, **settings: str) -> Moteus:
-    """A drive whose watchdog expires while it turns at some revolutions a second."""
+    """Return a drive whose watchdog expires while it turns at some revolutions per second."""
     drive = Moteus(settings={f"servo.{name}": value for name, value in settings.items()})
     drive.start()
     drive.torque(0.05)

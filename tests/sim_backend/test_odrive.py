@@ -1,4 +1,4 @@
-"""The simulated ODrive against what its modules name. Time is virtual."""
+"""The simulated ODrive against the documentation that its modules cite. Time is virtual."""
 
 import math
 import struct

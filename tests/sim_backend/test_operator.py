@@ -1,4 +1,4 @@
-"""A simulated person: the script of the hand's intentions, the held plant, and the session."""
+"""A simulated person: the scripted intentions of the hand, the plant in that hand, and whole trials."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Laws of mechanics across structures, hands and step sizes; test_plant has those of a free plant."""
+"""Laws of mechanics over structures, hands and step sizes; test_plant tests the free plant."""
 
 import math
 from dataclasses import replace
@@ -90,10 +90,10 @@ def test_without_any_damping_the_energy_of_a_held_rig_stays(rig: RigModel) -> No
 
 
 def test_a_mass_on_a_moving_spring_sticks_and_slips_as_the_closed_form_says() -> None:
-    """The far end of a spring moves at V, and back; F is the friction.
+    """The far end of a spring moves at V, then back; F is the friction.
 
-    Stuck until the spring pulls with F, then a slide x = V τ − V/ω · sin ω τ, at rest again after one period; turned
-    round there, stuck while the spring unloads and loads again by 2 F.
+    The mass sticks until the spring pulls with F, slides by x = V τ − V/ω · sin ω τ, and rests after one period. After
+    the reversal it sticks until the spring force has changed by 2 F.
     """
     mass, stiffness, coulomb, speed = 0.52, 400.0, 0.2, 0.01
     omega = math.sqrt(stiffness / mass)

@@ -57,7 +57,7 @@ def path(firmware: bool) -> Iterator[str]:
 
 
 def run(host: Host, states: int) -> list[m.State]:
-    """Answer every STATE until there are so many; return the STATEs of the session."""
+    """Answer every STATE until there are `states` of them, and return them."""
     end = time.monotonic() + WAIT_S
     host.states.clear()
     while len(host.states) < states:
@@ -68,7 +68,7 @@ def run(host: Host, states: int) -> list[m.State]:
 
 
 def fault_of(host: Host) -> int:
-    """Wait for a fault in the log of the device."""
+    """Wait for a fault in the log of the device and return its code."""
     end = time.monotonic() + WAIT_S
     log: m.FaultLog
     while not (log := host.ask(m.GetFaultLog(host.nonce(), 0))).fault:
@@ -200,7 +200,7 @@ def test_kill_of_the_host_process_and_sigterm_of_the_rig(tmp_path: Path, firmwar
 
 
 def test_a_pause_of_the_whole_process_is_counted_and_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The clock of the server jumps by half a second, then by an hour; only the first passes in the simulated world."""
+    """The server's clock jumps by half a second, then by an hour; only the first passes in simulated time."""
     jump_ns, monotonic_ns = 0, time.monotonic_ns
     with served_rig(firmware=False) as path:  # it ends before its clock jumps back, which no real one does
         host = Host(open_port(path))

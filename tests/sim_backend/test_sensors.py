@@ -82,7 +82,7 @@ def test_current_at_halves_limits_and_beyond(current_a: float, quanta: int) -> N
 def test_an_index_is_latched_where_it_begins_however_far_a_tick_goes(
     counts: list[int], first: int, every: int, way: int
 ) -> None:
-    """Against the handle that passes count by count: each index cell that is entered, from either side, is one edge."""
+    """The oracle moves the handle count by count: entering an index cell, from either side, is one edge."""
     wires = Wires(
         effort_quantum=1.0, ampere_per_effort=1.0, quantum_a=1.0, external_effort=0.0, slip=100, leak=0,
         index_first=first, index_counts=every, switch_count=5, switch_way=way,

@@ -1,4 +1,4 @@
-"""The USB shape of the simulated rig: its descriptors, read independently, and its pipes."""
+"""The simulated rig as a USB device: its descriptors, parsed independently, and its pipes."""
 
 import contextlib
 import socket
@@ -24,7 +24,7 @@ WAIT_S = 20.0
 
 @pytest.fixture
 def pipe() -> Iterator[Any]:
-    """Device's end and host's end."""
+    """Yield the device's end and the host's end of a USB pipe."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     yield ours, theirs
     ours.close()
@@ -32,7 +32,7 @@ def pipe() -> Iterator[Any]:
 
 
 def descriptors(data: bytes) -> list[bytes]:
-    """Split a configuration by the length in each part."""
+    """Split a configuration into descriptors by their length bytes."""
     parts = []
     while data:
         assert 2 <= data[0] <= len(data)
@@ -102,7 +102,7 @@ def test_frames_are_cut_into_packets_and_keep_their_order(pipe: Any) -> None:
 
 
 def test_a_host_that_fetches_nothing_costs_the_device_nothing(pipe: Any) -> None:
-    """A few packets wait, newer ones are dropped whole, and the waiting ones arrive in order."""
+    """A few packets stay queued, newer ones are dropped whole, and the queued ones arrive in order."""
     ours, theirs = pipe
     port = UsbPort(ours)
     for number in range(1000):

@@ -1,6 +1,6 @@
-"""A session's desk with an operator: at a terminal, or at a page of the console; its texts, and the keys.
+"""Helpers that run a session's desk with an operator, at a terminal or at a page of the console.
 
-The page's desk, seat and service are the real ones; between them, in place of processes and sockets, are queues.
+Desk, seat and service of the page are the real ones; queues replace the processes and sockets between them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def answered(reply: Future[Reply]) -> tuple[str, str]:
 
 
 def watched(desk: Desk) -> StoppedError:
-    """Return the error by which this desk ends a hit."""
+    """Wait until the desk ends a hit, and return the error by which it does so."""
     watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
     assert watch is not None
     try:
@@ -80,23 +80,23 @@ class Place(ABC):
     desk: AskingDesk
 
     def sees(self, *texts: str) -> None:
-        """Wait until they stand there."""
+        """Wait until the screen shows all these texts."""
         until(lambda: all(text in self.screen for text in texts), f"{texts} on the screen:\n{self.screen}")
 
     @property
     @abstractmethod
     def screen(self) -> str:
-        """All that stands there, or was printed since the last key; keys as ``[g] go``."""
+        """Return the text on the screen, or printed since the last key; keys as ``[g] go``."""
 
     @property
     @abstractmethod
     def all_shown(self) -> str:
-        """All that was ever sent there."""
+        """Return all text that was ever sent to the screen."""
 
     @property
     @abstractmethod
     def rings(self) -> int:
-        """Number of rings."""
+        """Return how often the bell has rung."""
 
     @abstractmethod
     def press(self, key: str) -> None:
@@ -104,11 +104,11 @@ class Place(ABC):
 
     @abstractmethod
     def line(self, text: str) -> None:
-        """Type a line, once one is wanted."""
+        """Type a line as soon as the desk expects one."""
 
     @abstractmethod
     def hang(self) -> None:
-        """Send nothing from now on."""
+        """Send nothing from now on, as a hung console."""
 
     @abstractmethod
     def leave(self) -> None:
@@ -164,7 +164,7 @@ class AtTerminal(Place):
 
 
 class Line(Talk):
-    """A job's line whose other end is in this process."""
+    """The link between a job and its console, whose other end is in this process."""
 
     def __init__(self, page: AtPage) -> None:
         super().__init__(is_detached=False)
@@ -181,7 +181,7 @@ class Line(Talk):
 
 
 class FakeJob:
-    """What the service has of a job: its process is this one."""
+    """The part of a job that the service uses; its process is this one."""
 
     name, asks, is_detached, pid = JOB, True, False, os.getpid()
 
@@ -196,7 +196,7 @@ class FakeJob:
 
 
 class FakeClient:
-    """A page: its newest messages, and the text of all."""
+    """A page in a browser, with the newest message of each kind and the text of all messages."""
 
     def __init__(self, name: str, *, participant: bool = False) -> None:
         self.name, self.participant = name, participant
@@ -217,7 +217,7 @@ class FakeClient:
 
 
 class AtPage(Place):
-    """The service of the page in a thread, as the console's server has it."""
+    """An operator's page: its service runs in a thread, as in the console's server."""
 
     def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
         self._loop = asyncio.new_event_loop()
@@ -251,7 +251,7 @@ class AtPage(Place):
         return self.service.handle_job_message(cast("Job", self.job), message)
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
-        """A request of a page, as its socket brings it, and its answer, whenever it comes."""
+        """Send a request as a page's socket would, and return its reply or raise its error."""
         client = client or self.client
         handlers = self.service.handlers()
         request = request_of(
@@ -267,7 +267,7 @@ class AtPage(Place):
 
     @property
     def session(self) -> dict[str, Any]:
-        """What the operator's page shows."""
+        """Return the session that the operator's page shows."""
         return self.client.newest["session"]
 
     @property

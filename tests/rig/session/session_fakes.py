@@ -1,4 +1,4 @@
-"""Stand-ins for the rig and the person of a session: no simulation, so that a session takes milliseconds."""
+"""Simulated rig and person for tests of sessions, without physics, so that a session takes milliseconds."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TEXT = b"# as it was\n"  # of the protocol's file
 
 
 def study(**keys: Any) -> dict[str, Any]:
-    """The section of that name, with a press that the motor of koul-rigid can hold."""
+    """Return a `study` section whose press the motor of koul-rigid can hold."""
     changes = {"operator.press": 2.0, "trial.minimum_rest_counts": 0.0}
     return {"title": "fakes", "preset": "koul-rigid", "seed": 5, "changes": changes, **keys}
 
@@ -45,7 +45,7 @@ SHORT_SEARCH: Mapping[str, Any] = {  # one trial
 
 
 def protocol_of(**sections: Any) -> Protocol:
-    """A short protocol about koul-rigid; sections replace those here."""
+    """Return a short protocol about koul-rigid; given sections replace the default ones."""
     table: dict[str, Any] = {
         "study": study(),
         "search": {
@@ -64,7 +64,7 @@ def protocol_of(**sections: Any) -> Protocol:
 
 
 def started(directory: Path, protocol: Protocol | None = None) -> Session:
-    """A session about koul-rigid that has just begun, on a day of its own."""
+    """Begin a session about koul-rigid, on a simulated clock of its own."""
     return begin(
         directory, protocol or protocol_of(), preset("koul-rigid"), text=TEXT, sha256="0" * 64, code="P01", row=0,
         versions={"haptic-rig": "test"}, clock=Day(),
@@ -72,16 +72,16 @@ def started(directory: Path, protocol: Protocol | None = None) -> Session:
 
 
 def rehearsed(session: Session, runner: FakeRunner, person: Person) -> SessionState:
-    """Conduct a session on its own day with a simulated person."""
+    """Conduct a session on its simulated clock with a simulated person, and return its final state."""
     assert isinstance(session.clock, Day)
     with session:
         return conduct(session, runner, RehearsalDesk(person, session.clock))
 
 
 class FakeRunner:
-    """A rig whose automatic verdict is that of a sharp limit; `fails` says which trials do otherwise.
+    """A rig whose automatic verdict is that of a sharp stiffness limit, except in the trials of `fails`.
 
-    `fails` maps a trial's number to what its event says instead, and to the error that ended it.
+    `fails` maps a trial's number to changes of its log event, and to the error that ended it.
     """
 
     virtual = True
@@ -177,7 +177,7 @@ SPOILED = {**INVALID, "reasons": [LOST], "by_machine": True}
 
 
 class ScriptedDesk(Desk):
-    """Answers with what a function of the question says, and remembers all that it was shown and asked."""
+    """A desk that answers by a function of the question, and records all views and questions."""
 
     def __init__(self, answer: Callable[[Question], Reply | None] = lambda question: None) -> None:
         self.answer = answer
@@ -200,5 +200,5 @@ class ScriptedDesk(Desk):
 
 
 def decisions(events: list[Event]) -> list[tuple[str, dict[str, Any]]]:
-    """What a log decided, without what interruptions add and without times."""
+    """Return kind and content of a log's events, without times and without bookkeeping of interruptions."""
     return [(event.kind, dict(event.content)) for event in events if event.kind not in BOOKKEEPING]

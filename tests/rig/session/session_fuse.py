@@ -20,7 +20,7 @@ Call = Callable[[], Any]
 
 
 class DeadError(BaseException):
-    """The process is gone."""
+    """Raised by each disk call after the simulated death of the process."""
 
 
 class Fuse:
@@ -67,7 +67,7 @@ class FullDisk:
 
 
 class FusedFile(io.FileIO):
-    """A file whose writes and cuts are calls of the fuse."""
+    """A file that reports its writes and truncations to the fuse."""
 
     fuse: Fuse | FullDisk
 
@@ -85,7 +85,7 @@ class FusedFile(io.FileIO):
 
 @contextmanager
 def fused(monkeypatch: pytest.MonkeyPatch, fuse: Fuse | FullDisk) -> Iterator[None]:
-    """Send each call of a session that changes the disk through the fuse; paths must be absolute."""
+    """Pass each call of a session that changes the disk to the fuse; paths must be absolute."""
     file_class = type("FusedFileOfThisFuse", (FusedFile,), {"fuse": fuse})
     real_open, real_write = os.open, os.write
 

@@ -1,4 +1,4 @@
-"""Search rules: pure functions of the answers so far, that find the limit of an observer whose limit is known."""
+"""Search rules, pure functions of the answers so far, find the limit of an observer whose limit is known."""
 
 import itertools
 import math
@@ -89,7 +89,7 @@ def test_a_verdict_that_says_nothing_is_asked_again_and_changes_nothing(rule: An
 
 @every_rule
 def test_beyond_the_levels_only_the_side_is_known(rule: Any) -> None:
-    """The end of the levels, and an open interval: how far the posterior reaches out there is the prior's doing."""
+    """The interval is open at the end of the levels: beyond it only the prior would bound the posterior."""
     above = rule.estimate(run(rule, Observer(threshold=1e5, spread=1e-4), seed=1))
     assert (above.censored, above.value, above.high) == ("above", LEVELS[-1], math.inf)
     assert LEVELS[-6] < above.low <= LEVELS[-1]
@@ -113,7 +113,7 @@ def test_a_limit_beyond_the_levels_is_censored_also_after_a_slip(name: str) -> N
 
 
 def test_walls_that_all_held_tell_no_more_than_the_stiffest_of_them() -> None:
-    """A search that was left early has not been at the end of its levels."""
+    """A search that ended early has not reached the highest level, so its estimate is censored at the last wall."""
     answers = [JudgedProbe(search.Probe(level), True) for level in LEVELS[:8]]
     estimate = RULES["psi"].estimate(answers)
     assert (estimate.value, estimate.censored, estimate.high) == (LEVELS[7], "above", math.inf)
@@ -238,7 +238,7 @@ def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other()
 
 @pytest.mark.parametrize("n", first_by_default([1, 2, 3]))
 def test_up_down_rules_settle_where_levitt_says(n: int) -> None:
-    """Share of stable verdicts to the n-th power is a half: by counting the walls that a long track visits."""
+    """The share of stable verdicts to the n-th power is a half (Levitt); measured on the walls of a long run."""
     observer = Observer(threshold=500.0, spread=60.0)
     rule = Staircase(levels=LEVELS, stable_to_rise=n, steps=(1,), turns=1000, most=900)
     visited = np.array([answer.probe.level for answer in run(rule, observer, seed=4)[100:]])
@@ -258,7 +258,7 @@ def catching(rule: Any, share: float = 0.5) -> Any:
 
 @pytest.mark.parametrize("name", MAKE)
 def test_catch_trials_among_any_rule_leave_it_as_it_is(name: Any) -> None:
-    """The rule asks for the same walls, and finds the same limit, as if there were none."""
+    """The rule requests the same walls and finds the same limit as without catch trials."""
     rule, observer = MAKE[name](seed=1), Observer(threshold=430.0, spread=1e-3)
     alone = run(rule, observer, seed=1)
     answers = run(catching(rule), observer, seed=1)
@@ -310,7 +310,7 @@ def test_catch_trials_show_how_often_a_person_slips() -> None:
 def test_catch_trials_at_an_end_beyond_which_the_limit_lies_are_not_counted(
     threshold: float, counted: str
 ) -> None:
-    """For a person without a limit on the levels the stiffest wall is stable, and that answer is no lapse."""
+    """If a person's limit is above all levels, the stiffest wall is stable, and that answer is no lapse."""
     rule = catching(Interleaved(levels=LEVELS, seed=1))
     answers = run(rule, Observer(threshold=threshold, spread=1e-4), seed=1)
     caught = caught_of(rule, answers)
@@ -352,7 +352,7 @@ def test_the_posterior_is_bayes_rule_by_hand() -> None:
 
 
 def test_quantiles_are_those_of_the_posterior_on_a_fine_grid() -> None:
-    """Against the density itself, spread over each grid point's width; also where the share is no half."""
+    """Compare with the density spread over the width of each grid point, also for shares other than a half."""
     drawn = np.random.default_rng(3)
     truth = Observer(threshold=430.0, spread=15.0)
     verdicts = [(level, truth.judge(level, drawn)) for level in LEVELS * 4]
@@ -392,7 +392,7 @@ def test_values_of_k50_are_spaced_like_the_levels() -> None:
 def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(
     threshold: float, share: float
 ) -> None:
-    """Where levels are close together K50 is searched as closely, also for an observer with a small spread."""
+    """Where levels are dense the grid of K50 is too, also for observers of small spread."""
     make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
     observer = Observer(threshold=threshold, spread=share * threshold, lapse_rate=0.02)
     found = performance("psi", make, observer, 40, seed=5, off_lattice=0.04 * threshold)

@@ -1,4 +1,4 @@
-"""The guide's claims about search rules: in the committed table of 1000 sessions, and in a few sessions again."""
+"""The guide's numbers for search rules: in the stored table of 1000 sessions, and in a few sessions simulated again."""
 
 import math
 from functools import cache, partial
@@ -36,7 +36,7 @@ def test_the_guide_shows_the_committed_table_in_sections_that_exist_once() -> No
 
 @pytest.mark.parametrize("rule", first_by_default(observers.RULES, 3))
 def test_a_few_sessions_again_agree_with_the_table(rule: Any) -> None:
-    """Within what their number allows: the table is of the code that is here."""
+    """Agreement within the scatter of so few sessions shows that the table belongs to the current code."""
     row, now = ROWS[rule, 0.02, 15.0], again((rule, 0.02, 15.0))
     assert abs(now["bias"] - row["bias"]) < 4.0 * row["scatter"] / math.sqrt(AGAIN)
     assert now["scatter"] == pytest.approx(row["scatter"], rel=0.5)
@@ -70,7 +70,7 @@ def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
     "tests/rig/session/test_search.py::test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals"
 )
 def test_intervals_of_psi_hold_the_limit_of_gradual_observers_too() -> None:
-    """A prior that ends at a quarter of the range gave intervals that hold it in 91 to 93 % of sessions."""
+    """With a prior that ended at a quarter of the range, only 91 to 93 % of intervals contained the limit."""
     assert again(("psi", 0.0, 120.0), sessions=600)["covered"] >= 0.935
     for (name, lapse_rate, spread), row in GRADUAL.items():
         if name in OTHERS:

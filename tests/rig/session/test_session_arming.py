@@ -1,4 +1,4 @@
-"""Walls of a study that the arming gate refuses: named before a person touches the handle, consented to once."""
+"""Walls of a study that the arming check rejects: named before a person touches the handle, consent asked once."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ KOUL = preset("koul-rigid")
 
 
 class RealRunner(FakeRunner):
-    """A rig that moves, whose gate refuses the stiffest walls of a study: of each search all from its third on."""
+    """A rig that moves, whose arming check rejects the stiffest walls of each search, from its third on."""
 
     simulated = False
 
@@ -169,7 +169,7 @@ def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> N
 
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that claims to be a real one, on a link whose every trip takes 30 µs."""
+    """Make a simulated device claim to be real, on a link that takes 30 µs each way."""
     open_simulated = devices.open_device
 
     def open_device(url: str, model: Any = None) -> Any:

@@ -1,4 +1,4 @@
-"""Bands of impact speed and press: what lies outside, its consequences and reasons, and the simulated hand."""
+"""Allowed bands of impact speed and press: values outside, their consequences and reasons, and the simulated hand."""
 
 import json
 import subprocess
@@ -130,7 +130,7 @@ def test_the_press_is_the_mean_effort_into_the_wall_over_the_judged_tail(walls: 
 
 
 def session_with(tmp_path: Path, **trial: Any) -> tuple[ScriptedDesk, Any, list[Event]]:
-    """Three trials, the first of them hit too fast and pressed too hard."""
+    """Run three trials, the first hit too fast and pressed too hard; return desk, result and log events."""
     numbers = {"impact_velocity": 0.3, "press": 0.2}
     fails: dict[int, Any] = {number: ({"numbers": numbers}, None) for number in range(2, 9)}
     fails[1] = ({"numbers": {"impact_velocity": 0.5, "press": 0.3}}, None)
@@ -159,7 +159,7 @@ def test_a_hit_outside_is_repeated_and_a_blinded_operator_reads_no_effort(tmp_pa
 
 
 def test_a_hit_that_is_kept_is_judged_and_marked_after_its_verdict_alone(tmp_path: Path) -> None:
-    """A judged press would reveal that the wall was not unstable."""
+    """If the press were judged before the person's verdict, it would reveal that the wall was not unstable."""
     desk, result, events = session_with(tmp_path, outside="keep")
     assert (result.invalid, result.outside, result.trials) == (0, 1, 3)
     asked = [view for view in desk.views if view.state == "verdict?"]

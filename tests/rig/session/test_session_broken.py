@@ -1,4 +1,4 @@
-"""A session in which something breaks: the hit is in the log, no trial is lost, and the operator stays blinded."""
+"""Errors inside a session: the hit is in the log, no trial is lost, and the operator stays blinded."""
 
 import re
 from collections.abc import Callable
@@ -87,7 +87,7 @@ def quick() -> Protocol:
 
 
 def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
-    """On the simulated rig: the loop stops, the recording is sealed, judged and logged."""
+    """On the simulated rig the loop stops, and the recording is sealed, judged and logged."""
     error = KeyError("a bug of the console")
     with (
         started(tmp_path / "P01", quick()) as session,
@@ -103,7 +103,7 @@ def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
 
 
 class Attends(ScriptedDesk):
-    """Any desk may follow the session; the engine knows none of them by name."""
+    """A desk that follows the session's state; the engine must not depend on the desk's name."""
 
     session: Session | None = None
 
@@ -116,7 +116,7 @@ class Attends(ScriptedDesk):
 
 
 class Slow(WallClock):
-    """A clock that stores its calls."""
+    """A clock that records its calls."""
 
     def __init__(self) -> None:
         self.calls: list[float] = []
@@ -182,7 +182,7 @@ def test_no_error_reveals_a_wall_to_a_blinded_operator(tmp_path: Path, error: Ex
 def test_a_wall_that_an_experiment_refuses_stays_hidden(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What refuses is the check of the experiment, before the rig is asked."""
+    """The experiment's own check rejects the wall, before the rig is involved."""
     override = config.override
 
     def strict(*given: Any, **options: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The plan of a study: what it counts, what it refuses, and that no device is needed for it."""
+"""The check of a study before its first session: what it counts and rejects, without any device."""
 
 import json
 import math
@@ -133,7 +133,7 @@ def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: S
 def test_a_largest_number_of_verdicts_that_cannot_hold_the_turns_is_warned_of(
     schemes: Protocol, rule: str
 ) -> None:
-    """Three verdicts cannot hold six turns in any search; sixty do in every one."""
+    """Three verdicts cannot contain six turns in any search; sixty can in every search."""
     found = {}
     for most in (3, 60):
         wanted = replace(schemes.search, rule=rule, settings={"turns": 6, "most": most})
@@ -218,7 +218,7 @@ def test_the_first_template_fits_the_simulated_rig_in_real_time(
 
 
 def test_a_wall_has_the_seed_of_the_study(schemes: Protocol) -> None:
-    """As its trials have: a simulated device that was started for the checks serves them, too."""
+    """Trials use the same seed, so a simulated device started for the checks also serves the trials."""
     seeded = replace(schemes, study=replace(schemes.study, seed=3))
     walls = Walls(seeded, base_of(seeded, Path()))
     assert {walls.softest(one).trial.seed for one in seeded.condition} == {3}
@@ -237,7 +237,7 @@ def test_a_condition_without_theory_has_a_note(schemes: Protocol) -> None:
 def test_the_times_of_people_who_have_finished_replace_the_planned_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Trials 8 s and verdicts 2 s after the line before; an unfinished and a rehearsed session say nothing."""
+    """Unfinished and rehearsed sessions do not count; here trials take 8 s and verdicts 2 s."""
     planned = template(DEFAULT, tmp_path)
     table = as_mapping(planned)
     person = Person(threshold=lambda *_: 100.0)

@@ -1,4 +1,4 @@
-"""The engine of a session: what comes next, what is written, what people may say, what the blinded never see."""
+"""The session engine: order of trials, log, accepted answers, and what blinded people never see."""
 
 import json
 import math
@@ -108,7 +108,7 @@ def test_a_rig_that_was_left_is_pushed_again_and_a_simulated_one_never(tmp_path:
 def test_a_rig_that_a_trial_left_in_doubt_is_pushed_before_the_next(
     ended: str, again: int, tmp_path: Path
 ) -> None:
-    """A motor that had another current than was set may be another motor."""
+    """If the measured current differed from the set one, the motor must be tested again with a push."""
     runner = RealRunner({2: ({**INVALID, "ended": ended}, GuardError("ended early", remedy="look"))})
     session = started(tmp_path / "P01")
     run_with(session, runner, ScriptedDesk())
@@ -181,7 +181,7 @@ def test_after_as_many_attempts_as_are_allowed_the_operator_decides(tmp_path: Pa
 
 
 def first(kind: str, action: str, value: str = "") -> Callable[[Question], Reply | None]:
-    """Return answers with this action to the first question of a kind, and no other."""
+    """Return a desk function that gives one answer, to the first question of a kind."""
     answers_given: list[bool] = []
 
     def answer(question: Question) -> Reply | None:
@@ -517,7 +517,7 @@ def test_a_directory_without_a_session_is_neither_resumed_nor_corrected(tmp_path
 
 
 def test_a_stop_is_a_question_to_a_person_and_ends_a_rehearsal(tmp_path: Path) -> None:
-    """After `rig stop` in a hit a simulated person leaves; a person is asked."""
+    """After `rig stop` in a hit a rehearsal ends; a real operator is asked how to continue."""
     stop = StoppedError("stopped; the effort is zero")
     fails = {1: ({**INVALID, "ended": "stopped"}, stop)}
     with pytest.raises(StoppedError):

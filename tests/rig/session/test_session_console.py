@@ -1,4 +1,4 @@
-"""The console without a terminal: keys, what they mean, what is asked and answered, what may be seen."""
+"""The console without a terminal: keys and their meaning, questions and answers, and what may be displayed."""
 
 import os
 import re

@@ -26,7 +26,7 @@ START_S, DURATION_S = 100.0, 10.0
 
 @dataclass
 class SessionEnds:
-    """The session's ends of the console's pipes (file descriptors)."""
+    """The session's ends of its pipes to the console (file descriptors)."""
 
     to_console: int
     from_console: int
@@ -34,7 +34,7 @@ class SessionEnds:
 
 @pytest.fixture
 def console(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[program._Console, SessionEnds]]:
-    """A console whose session is this process; no key is typed."""
+    """Yield a console whose session is this process; no key is typed."""
     console_reads, to_console = os.pipe()
     from_console, console_writes = os.pipe()
     keyboard_read, keyboard_write = os.pipe()

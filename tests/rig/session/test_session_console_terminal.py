@@ -1,4 +1,4 @@
-"""The console on a terminal: it is read and answered, it hangs, it dies, and the terminal is as it was afterwards.
+"""The console on a terminal: input and answers, a hang, a death, and the terminal's settings restored afterwards.
 
 The console is the real child process; the session's side is a `ConsoleDesk` in this process or in one of its own.
 """
@@ -36,7 +36,7 @@ def terminal() -> Iterator[Terminal]:
 
 @contextmanager
 def console(terminal: Terminal, **options: Any) -> Iterator[tuple[ConsoleDesk, ThreadPoolExecutor]]:
-    """Yield a desk at this terminal, and a thread to ask from, which ends with the terminal."""
+    """Yield a desk at this terminal and a thread for its questions, which ends with the terminal."""
     with ThreadPoolExecutor(1) as asker, ConsoleDesk(place=Path(terminal.path), **options) as desk:
         try:
             yield desk, asker
@@ -74,7 +74,7 @@ def test_space_before_the_next_console_is_there_is_stop(terminal: Terminal) -> N
 
 
 def test_an_escape_does_not_wait_for_the_session_to_be_silent(terminal: Terminal) -> None:
-    """Each message wakes the console; the escape is as old as it is all the same."""
+    """Messages wake the console all the time; the escape key must still time out at its own age."""
     pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
     with console(terminal) as (desk, _):
         desk.show(DeskView(state="hold"))

@@ -1,4 +1,4 @@
-"""A session that dies at any write, flush or rename is resumed without a trace: nothing lost, nothing twice."""
+"""A session that dies at any write, flush or rename resumes completely: nothing is lost, nothing happens twice."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -27,7 +27,7 @@ PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, laps
 
 
 def short() -> Protocol:
-    """Two runs of one trial each, a question, a rest: every kind of write, and few of them."""
+    """Return a protocol with every kind of write in few events: two runs of one trial, a question, a rest."""
     return protocol_of(
         search=SHORT_SEARCH,
         rest={"every": 1, "seconds": 5.0},
@@ -40,7 +40,7 @@ def finish(session: Session) -> SessionState:
 
 
 def continue_session(directory: Path) -> SessionState:
-    """Resume as a person does after a crash, or start again if there is nothing to resume."""
+    """Resume a session after a crash, or start it again if nothing can be resumed."""
     try:
         session = resume(directory, clock=Day())
     except ConfigError as error:
@@ -51,7 +51,7 @@ def continue_session(directory: Path) -> SessionState:
 
 
 def check_equal(directory: Path, calm: Path) -> None:
-    """The same decisions and results as an uninterrupted session; every recording there, once, and unchanged."""
+    """Check that decisions and results equal an uninterrupted session's, and each recording exists once, unchanged."""
     events = read(directory / LOG)
     assert decisions(events) == decisions(read(calm / LOG))
     state = SessionState.of(events)
@@ -99,7 +99,7 @@ def test_death_at_every_write_flush_and_rename(
 def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
     tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The process lives, reports it, and leaves a session that can be resumed when there is space again."""
+    """The session reports the full disk, ends, and can be resumed once there is space again."""
     whole = Fuse()
     with fused(monkeypatch, whole):
         finish(started(tmp_path / "counted" / "P01", short()))
@@ -114,7 +114,7 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
 def test_death_in_the_middle_of_coming_back(
     tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Recordings are moved aside, listed and named in the log: each of that may be the last thing that happens."""
+    """On resuming, recordings are moved aside, listed and logged; the process may die after any of these steps."""
     for place in range(12):
         directory = tmp_path / str(place) / "P01"
         with fused(monkeypatch, Fuse(28)), suppress(DeadError):  # at the write of the second recording

@@ -1,4 +1,4 @@
-"""A session's desk for its operator, at a terminal and at a page of the console alike."""
+"""A session's desk for its operator: the same behaviour at a terminal and at a page of the console."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -34,7 +34,7 @@ def asker() -> Iterator[ThreadPoolExecutor]:
 
 @pytest.fixture(params=PLACES)
 def sit(request: pytest.FixtureRequest, asker: ThreadPoolExecutor) -> Iterator[Sit]:
-    """Makes a desk with an operator; ends before `asker`, which may be waiting."""
+    """Yield a function that makes a desk with an operator; the desks end before `asker`, which may be waiting."""
     places: list[Place] = []
 
     def make(
@@ -158,7 +158,7 @@ def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
 
 
 def wished(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
-    """What the hand is to do, once it is that."""
+    """Wait until the request to the hand fulfils a condition, and return it."""
     found: list[Wish] = []
 
     def is_there() -> bool:

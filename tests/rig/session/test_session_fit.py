@@ -1,4 +1,4 @@
-"""What a condition needs on the rig, which no command changes: the protocol says it, the session asks for it."""
+"""Parts that an operator must fit to the rig for a condition: stated in the protocol, confirmed in the session."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -38,7 +38,7 @@ def factorial(**order: Any) -> Protocol:
 
 
 class Helper(ScriptedDesk):
-    """Says that all is fitted as asked, and leaves after so many trials."""
+    """An operator who confirms each fitting as requested, and leaves after so many trials."""
 
     def __init__(self, leaves_after: int = 1000) -> None:
         super().__init__(self.helps)
@@ -96,7 +96,7 @@ def test_a_changed_part_of_the_machine_needs_a_fit_and_blocks_by_condition() -> 
 
 
 def test_a_device_of_another_encoder_is_refused_with_what_to_do() -> None:
-    """As a board has its resolution in its firmware."""
+    """A board has its encoder resolution in its firmware, so no setting can change it."""
     base = presets.load("koul-rigid")
     board = describe(
         config.rig_model(base), firmware="1", simulated=False, rate_default=4000, rate_maximum=20000

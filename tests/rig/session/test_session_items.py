@@ -1,4 +1,4 @@
-"""Answers to the questionnaire: one function parses them for the console, the engine and a correction."""
+"""Answers to the questionnaire: console, engine and corrections parse them with the same function."""
 
 from typing import Any
 

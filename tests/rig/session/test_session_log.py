@@ -1,4 +1,4 @@
-"""The session log: events stay, wherever the process dies, and none can be removed unnoticed."""
+"""The session log: events survive a death of the process at any point, and none can be removed unnoticed."""
 
 import errno
 import io
@@ -54,7 +54,7 @@ def test_events_are_read_back_in_order_and_with_their_time(tmp_path: Path) -> No
 
 
 def test_a_log_torn_at_any_byte_is_continued_without_a_trace(tmp_path: Path) -> None:
-    """Whatever part of the last line reached the disk: it is there as a whole, or it never was; the end is the same."""
+    """However much of the last line reached the disk, the event is there completely or not at all."""
     whole = written(tmp_path / "whole").read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
     for length in range(start, len(whole) + 1):
@@ -182,7 +182,7 @@ def test_two_processes_never_write_the_same_session(tmp_path: Path) -> None:
 
 
 class Failing(io.FileIO):
-    """A file of which `fails` says what is refused."""
+    """A file that raises errors for the operations named in `fails`."""
 
     fails: set[str]
 
@@ -203,7 +203,7 @@ class Failing(io.FileIO):
 def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: str, other: str
 ) -> None:
-    """A remainder that cannot be cut off stays the last line until the log is opened again."""
+    """If a partial line cannot be cut off, it stays the last one until the log is opened again."""
     path, fsync = written(tmp_path / "log"), os.fsync
 
     def sync(descriptor: Any) -> None:
@@ -235,7 +235,7 @@ def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(
 
 @pytest.mark.parametrize("place", range(60))
 def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, place: int) -> None:
-    """Ctrl-C comes between any two lines of the program; the event of the stop must not damage the log then."""
+    """Ctrl-C may come between any two program lines; the stop event that follows must not damage the log."""
     path, left = written(tmp_path / "log"), place
     traced = [module.__file__ for module in (log_module, lines, files)]
     with SessionLog(path, clock=lambda: 12.5) as log:

@@ -1,4 +1,4 @@
-"""Names are made one spelling where they enter, so they are equal everywhere or nowhere; each title has a directory."""
+"""Names are normalised on input, so that spellings compare equal everywhere; each study title has a directory."""
 
 from pathlib import Path
 from unicodedata import normalize

@@ -1,4 +1,4 @@
-"""Samples that a computer or a link loses: measured before a session, logged, refused where it is hopeless."""
+"""Samples lost by a computer or link: measured before a session, logged, and rejected if there are too many."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ LIMITS = VerdictLimits(longest_gap=2, lost_fraction=0.01)
 
 
 def measured(stalls_s: Mapping[int, float], usual_s: float = 0.3e-3) -> LinkMeasurement:
-    """Two seconds of answers in 0.3 ms at 1 kHz, but for those that take longer."""
+    """Return a link measured for two seconds at 1 kHz: replies in 0.3 ms, except those with a stall (s)."""
     travel_s = np.full(2000, usual_s)
     for place, stall in stalls_s.items():
         travel_s[place] = stall

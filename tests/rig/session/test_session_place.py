@@ -1,4 +1,4 @@
-"""A session stays on its rig: what a resumption goes by, what it refuses, and what an analysis says of a mixture."""
+"""A session stays on its rig: how a resumption identifies it, what it rejects, how an analysis reports mixtures."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,8 +1,8 @@
-"""The power fails during a session: what its log had acknowledged is there afterwards, with all that it names.
+"""A power cut during a session: all events that its log acknowledged survive, with all files that they name.
 
-The file system of the test is the page cache; beside it stands what a disk would hold: of a file what it was when it
-was last synced, of a directory the names that it had when it was. After a power cut each file and each directory is as
-it was last synced or, since the kernel may have written it back on its own, as it is.
+The test's file system stands for the page cache, beside a model of the disk: file contents and directory entries as of
+their last sync. After a power cut each file and directory is as last synced or, since the kernel may have written it
+back on its own, as it is now.
 """
 
 import os
@@ -37,7 +37,7 @@ Tree = dict[str, Any]  # names; a file is its bytes
 
 
 class Disk:
-    """What a power cut leaves of a directory, all of which is on the disk when this begins."""
+    """A model of what a power cut leaves of a directory, all of which is on the disk at the start."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -49,7 +49,7 @@ class Disk:
             self.sync(path)
 
     def sync(self, path: Path) -> None:
-        """Take over what a file or a directory holds now."""
+        """Copy the current content of a file or directory to the modelled disk."""
         inode = self._inode(path)
         if inode in self._directories:
             self._names[inode] = {child.name: self._inode(child) for child in path.iterdir()}
@@ -64,7 +64,7 @@ class Disk:
         return inode
 
     def left(self, drawn: random.Random, chance: float) -> Tree:
-        """What there would be if the power failed now."""
+        """Return a tree that may remain if the power fails now; `chance` is that of an early write-back."""
         now = {self._inode(path): path for path in (self._root, *self._root.rglob("*"))}
 
         def files(inode: int) -> bytes:
@@ -101,7 +101,7 @@ def put(tree: Tree, place: Path) -> Path:
 
 @contextmanager
 def cut_anywhere(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[int, float, Tree]]]:
-    """Collect what cuts before and after each flush and each event leave: events acknowledged, chance, tree."""
+    """Yield a list that collects, at each flush and event, acknowledged events, chance and the tree after a cut."""
     disk, drawn, acknowledged = Disk(root), random.Random(1), 0
     found: list[tuple[int, float, Tree]] = []
 
@@ -140,7 +140,7 @@ def conduct_session(session: Session) -> None:
 
 
 def check_kept(directory: Path, acknowledged: int) -> None:
-    """Every event that was acknowledged is there, and every file that events name."""
+    """Check that every acknowledged event is in the log, and that every file named by an event exists."""
     events = read(directory / LOG)
     assert len(events) >= acknowledged
     assert (directory / PROTOCOL).read_bytes() == TEXT
@@ -169,7 +169,7 @@ def test_directories_are_made_once_and_not_in_the_place_of_a_file(
 def test_a_first_participant_survives_a_power_cut_at_any_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The directories of the study do not exist before."""
+    """The directories of the study do not exist before this session."""
     root = tmp_path / "cache"
     root.mkdir()
     with cut_anywhere(root, monkeypatch) as cuts:

@@ -1,4 +1,4 @@
-"""A protocol file is either a protocol, or one error that says everything that is wrong with it."""
+"""A protocol file is either a valid protocol, or one error that lists everything wrong with it."""
 
 import json
 import tomllib
@@ -57,7 +57,7 @@ def written(folder: Path, text: str = TEXT) -> Path:
 
 
 def changed(changes: dict[str, Any]) -> dict[str, Any]:
-    """The table with some keys changed; condition.0.name is one in a list."""
+    """Return the table with some keys changed; `condition.0.name` is a key of the first item in a list."""
     return _changed(json.loads(json.dumps(TABLE)), changes)
 
 
@@ -83,7 +83,7 @@ def refusal_of_file(folder: Path, changes: dict[str, Any]) -> str:
 
 
 def toml(table: dict[str, Any]) -> str:
-    """TOML is a superset enough of what JSON writes: inline tables, one key a line."""
+    """Return a table as TOML, one key a line, with inline tables written almost as JSON."""
 
     def value(one: Any) -> str:
         if isinstance(one, dict):
@@ -411,7 +411,7 @@ def test_the_schema_for_editors_knows_every_key_with_meaning_and_unit() -> None:
 
 
 def as_an_editor(table: dict[str, Any]) -> list[str]:
-    """What an editor underlines: where, and why."""
+    """Return place and reason of each error that an editor with the JSON schema underlines."""
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator.check_schema(json_schema())
     validator = jsonschema.Draft202012Validator(json_schema())

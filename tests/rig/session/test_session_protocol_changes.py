@@ -1,4 +1,4 @@
-"""A study has one protocol: what changed is named before a session begins, and an analysis across it is stated."""
+"""A changed protocol within a study: differences are listed before a session begins, and the analysis reports them."""
 
 from pathlib import Path
 from typing import Any

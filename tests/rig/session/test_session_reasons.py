@@ -1,4 +1,4 @@
-"""Why a trial is invalid, on the screen, in lines and in JSON: at once, whole, and for the blinded without the wall."""
+"""Reasons of invalid trials, on the screen, in lines and in JSON: complete, and without the wall for blinded people."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def reason(objection: Objection, **changes: Any) -> str:
 
 @pytest.mark.parametrize("objection", list(MAKES_INVALID), ids=lambda one: one.name)
 def test_every_reason_is_shown_and_effort_only_as_a_rig_limit(objection: Objection) -> None:
-    """A new reason, or a new wording, is hidden until its text for the blinded is defined."""
+    """A new or reworded reason stays hidden until a text for blinded people is defined."""
     text = reason(objection)
     shown = summarise_reasons([text], blind=True)
     assert shown != HIDDEN
@@ -186,7 +186,7 @@ def test_the_unblinded_line_of_an_event_has_more(kind: str, content: Any, whole:
 
 
 def test_no_question_and_no_pause_reveals_the_wall_to_a_blinded_operator(tmp_path: Path) -> None:
-    """After as many attempts as are allowed, after an early end, and after trials that the machine spoiled."""
+    """After the last allowed attempt, an early end, and trials that the computer spoiled."""
     spoiled = {**SPOILED, "reasons": [reason(Objection.GAPS), reason(Objection.OVERRULED)]}
     guarded = GuardError("the motor gave the handle 4179 J: the effort oscillated")
     ended = [

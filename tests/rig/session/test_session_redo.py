@@ -1,4 +1,4 @@
-"""Redo: a trial that does not count comes again, also when a stop rule is about to end the session."""
+"""Redo: a trial that does not count is repeated, also if a stop rule is about to end the session."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +24,7 @@ def run(
 
 
 def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
-    """Return the state of a session at whose end the operator answers redo so often, one after the other."""
+    """Return the state of a session at whose end the operator answers redo `redos` times in succession."""
     answered = 0
 
     def answer(question: Question) -> Reply | None:
@@ -89,7 +89,7 @@ def test_every_end_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
 
 
 def test_an_invalid_redone_trial_is_repeated_until_its_run_is_skipped(tmp_path: Path) -> None:
-    """Then nothing is owed any more, and the rule ends the session."""
+    """After the skip no repetition is due, and the stop rule ends the session."""
 
     def answer(question: Question) -> Reply | None:
         if question.text == "end the session?" and len(runner.hits) == 3:

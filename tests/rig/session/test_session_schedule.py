@@ -1,4 +1,4 @@
-"""The order of a session: balanced as declared, the same from the seed, and a rule for each run."""
+"""The order of a session's conditions: balanced as declared, reproducible from the seed, with a search rule per run."""
 
 from collections import Counter
 from dataclasses import replace
@@ -151,7 +151,7 @@ def test_a_fixed_order_is_as_written_and_a_drawn_one_depends_on_all_that_it_shou
 
 
 def test_the_order_of_a_seed_never_changes() -> None:
-    """Participants of a study that runs over a year must not get another order by an update."""
+    """A study may run for a year, and a software update must not change the order of its participants."""
     drawn = protocol([1, 1, 1, 1], kind="randomised")
     assert sequences(drawn, 0) == [[("c0", 0.0), ("c3", 0.0), ("c2", 0.0), ("c1", 0.0)]]
     square = protocol([1, 1, 1, 1], kind="latin-square")
