@@ -1,4 +1,4 @@
-"""The laws of a measurement: a wall on both sides, and the same with an excitation that is played by elapsed ticks."""
+"""Laws for impedance measurements: a wall on both sides, and one with an excitation timed by elapsed ticks."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ TABLE = np.array([1.0, -2.0, 3.0, 0.5])
 
 
 def excited(wall: Any = WALL, table: Any = TABLE, ramp_ticks: int = 0) -> Any:
-    """The law with its memory, as a function of penetration, velocity and elapsed ticks."""
+    """Return the law with its memory as a function of penetration, velocity and elapsed ticks."""
     prepared = bilateral.excited_law(table, ramp_ticks).prepare(wall)
 
     def react(penetration: float = 0.0, velocity: float = 0.0, elapsed: int = 1) -> Any:
@@ -51,7 +51,7 @@ def test_excitation_acts_along_the_position_on_either_side() -> None:
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=30), st.integers(0, 12))
 def test_lost_samples_are_skipped_in_the_excitation(elapsed: list[int], ramp_ticks: int) -> None:
-    """The excitation is a function of the tick alone, however many of them the law saw; the first call is tick 0."""
+    """The excitation depends on the tick number only, not on how many samples arrived; the first call is tick 0."""
     react = excited(ramp_ticks=ramp_ticks)
     ticks = np.concatenate([[0], np.cumsum(elapsed[1:])]).astype(int)
     whole = bilateral.played(

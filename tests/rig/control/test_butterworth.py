@@ -1,4 +1,4 @@
-"""Butterworth sections: those of scipy, in its order."""
+"""Butterworth second-order sections equal scipy's, in the same order."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ SHARES = st.floats(1e-3, 0.495)  # of the rate
 
 
 def check(sections: Any, expected: Any) -> None:
-    """A dozen operations on numbers of order one: rounding is some 1e-15 of a coefficient, of the gain relative."""
+    """Compare sections; a dozen operations round to about 1e-15 of a coefficient, and of the gain relatively."""
     np.testing.assert_allclose(np.array(sections)[1:], expected[1:], rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(sections[0][:3], expected[0, :3], rtol=1e-12)
     np.testing.assert_allclose(sections[0][3:], expected[0, 3:], rtol=0.0, atol=1e-13)

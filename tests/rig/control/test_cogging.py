@@ -1,4 +1,4 @@
-"""Cogging compensated: what the map says, no more than the limit, and nothing where nothing was measured."""
+"""Cogging compensation follows the measured map, stays within its limit, and is zero outside the map."""
 
 import math
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_compensation_is_the_map_within_range_and_limit(x: Any, limit: Any) -> N
 
 @pytest.mark.parametrize("side", first_by_default([1, -1]))
 def test_the_wall_stays_the_wall_and_the_motor_pushes_against_its_cogging(side: int) -> None:
-    """A reaction is an effort against the side; so side · F(x) of it is the effort −F(x)."""
+    """A reaction is an effort against the side, so a reaction side · F(x) is the effort −F(x)."""
     plain = laws.get("spring-damper")
     wall = {**WALL, "side": side}
     law, alone = compensate_cogging(plain, MAP, 0.1).prepare(wall), plain.prepare(wall)
@@ -113,7 +113,7 @@ def test_handle_moves_as_if_nothing_cogged(rig_hit: Hits) -> None:
 
 
 def test_late_compensation_costs_the_coggings_stiffness() -> None:
-    """K_max(B = 0) = b/τ for a rigid rig; the law's part, K − k, may have no more: at k = −s that is b/τ − s."""
+    """For a rigid rig K_max(B = 0) = b/τ limits the law's part K − k; with k = −s that leaves b/τ − s."""
     limits: dict[str, Any] = {
         "rig.cogging.orders": [1],
         "rig.cogging.cosine": [0.0],

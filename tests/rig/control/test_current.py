@@ -52,7 +52,7 @@ def answers(words: Any, active: Any, measured: Any, counts: Any = None) -> list[
 
 
 def lagged(active: Any, rate: int, lag_s: float) -> Any:
-    """The exact current behind a first-order lag at the end of each tick, as a converter rounds it."""
+    """Return the current behind a first-order lag at the end of each tick, exact, rounded as by a converter."""
     share = 1.0 if lag_s == 0.0 else -np.expm1(-1.0 / (rate * lag_s))
     return np.floor(lfilter([share], [1.0, share - 1.0], active) + 0.5)
 
@@ -64,7 +64,7 @@ def outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:
 
 
 def commands(rate: int, seed: int, ticks: int = 0) -> Any:
-    """Steps, ramps and oscillations of a wall, up to some amperes in quanta of a milliampere."""
+    """Return currents of steps, ramps and oscillations as of a wall, up to 6 A in quanta of 1 mA."""
     random = np.random.default_rng(seed)
     time = np.arange(ticks or max(2_000, rate // 10)) / rate
     hz, size = random.uniform(0.0, min(rate / 8, 400.0)), random.uniform(10.0, 6_000.0)
@@ -82,7 +82,7 @@ def commands(rate: int, seed: int, ticks: int = 0) -> Any:
 def test_sound_amplifier_never_disagrees(
     rate: int, lag_s: float, share: float, seed: int, noise: float
 ) -> None:
-    """Its lag is one of those that the check passes the active current through."""
+    """The true lag is one of those for which the check predicts the current."""
     active = commands(rate, seed)
     random = np.random.default_rng(seed + 1)
     measured = lagged(active, rate, share * lag_s) + np.round(random.normal(0.0, noise, len(active)))
@@ -92,7 +92,7 @@ def test_sound_amplifier_never_disagrees(
 
 @pytest.mark.parametrize("share", [0.75, 1.5])
 def test_lag_between_those_of_the_check_rarely_disagrees(share: float) -> None:
-    """An oscillation faster than the lag may leave the range of the three: at 1.5 times the lag in 3 runs of 400."""
+    """Oscillations faster than the lag may leave the predicted range: at 1.5 times the lag in 3 runs of 400."""
     rate, lag_s, found = 1_000, 1e-3, 0
     for seed in range(200):
         active = commands(rate, seed)
@@ -102,7 +102,7 @@ def test_lag_between_those_of_the_check_rarely_disagrees(share: float) -> None:
 
 
 def delayed(active: Any, rate: int, delay_s: float, lag_s: float) -> Any:
-    """The exact current of set-points that act a whole or fractional number of ticks late, as a converter rounds it."""
+    """Return the exact current of set-points that act late, also by fractions of a tick, rounded as by a converter."""
     fine = 16  # parts of a tick
     parts = round(delay_s * rate * fine)
     acting = np.concatenate([np.zeros(parts), np.repeat(active, fine)])[: fine * len(active)]
@@ -120,7 +120,7 @@ def delayed(active: Any, rate: int, delay_s: float, lag_s: float) -> Any:
 def test_late_set_point_never_disagrees_and_a_dead_motor_does(
     rate: int, lag_s: float, delay_s: float, share: str, seed: int
 ) -> None:
-    """In fractions of a tick, in whole ticks as the simulation has it, and where it is half or twice the stated one."""
+    """The true delay is as stated, half or twice of it, or rounded up to whole ticks as in the simulation."""
     whole = np.ceil(delay_s * rate - 1e-9) / rate
     late_s = {"half": 0.5 * delay_s, "as stated": delay_s, "whole ticks": whole, "twice": 2.0 * delay_s}[
         share
@@ -136,7 +136,7 @@ def test_late_set_point_never_disagrees_and_a_dead_motor_does(
 
 
 def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None:
-    """At 1 kHz, 3 ms late: what was set before the gap flows for up to 6 ms after it."""
+    """At 1 kHz with a delay of 3 ms, currents set before the gap flow for up to 6 ms after it."""
     words = watched(1_000, delay_s=3e-3)
     current.resume(words, 0)
     active, before = np.full(200, 900), np.full(3, -800)
@@ -220,7 +220,7 @@ def test_after_a_gap_a_window_begins_anew() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("rate", [1_000, 20_000])
 def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> None:
-    """At a steady speed the current is the set one less the back-EMF; standing still it is the set one."""
+    """At steady speed the current is the set one minus back-EMF; at standstill it is the set one."""
     back_emf, counts_a_second = 0.02, 20_000.0
     counts = sign * np.floor(counts_a_second * np.arange(rate // 5) / rate)
     active = np.full(len(counts), 1_000)
@@ -235,9 +235,10 @@ def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> 
 
 
 def moving(rate: int, lag_s: float, back_emf: float, most: float, seed: int) -> tuple[Any, Any, Any]:
-    """Counts, active and flowing current of a motor that is moved at up to 60 Hz while it is driven.
+    """Return counts, active and flowing current of a driven motor that is moved at up to 60 Hz.
 
-    `most` is the largest back-EMF (quanta). In steady state a wave of speed v·cos ωt takes v·Re(e^{jωt}/(1 + jωτ)).
+    `most` is the largest back-EMF (quanta). In steady state a speed v·cos ωt reduces the current by
+    v·Re(e^{jωt}/(1 + jωτ)).
     """
     random = np.random.default_rng(seed)
     ticks = max(400, rate // 5)
@@ -284,7 +285,7 @@ def test_sound_motor_under_voltage_drive_never_disagrees(
 def test_dead_or_reversed_motor_under_voltage_drive_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
 ) -> None:
-    """Where what should flow, as smooth as the speed, is clearly above the noise."""
+    """Judged where the expected current, smoothed like the speed, is clearly above the noise."""
     counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
     for gain in (0.0, -1.0):
         words = of_voltage(rate, lag_s, back_emf, sign)

@@ -1,4 +1,4 @@
-"""Estimators over arrays: the same bits as the loop, honest about what arrays may hold."""
+"""Estimators over arrays give the same bits as in the loop, and reject arrays that they cannot interpret."""
 
 import math
 import re

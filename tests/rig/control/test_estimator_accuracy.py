@@ -1,4 +1,4 @@
-"""No estimator gets worse than the committed table, unnoticed; and the guide shows that table."""
+"""No estimator becomes less accurate than the stored table without a failing test; the guide shows that table."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ ROWS = {name: [r for r in TABLE["rows"] if r["estimator"] == name] for name in a
 
 
 def differences(row: accuracy.Row) -> tuple[list[str], list[str]]:
-    """Return the numbers of a row that became worse, and those that became better."""
+    """Return a text for each number of a row that became worse, and for each that became better."""
     case = accuracy.case_of(row["case"], row["rate_hz"], row["resolution"])
     now = score(case, Variant(row["estimator"], row["settings"]))
     case_text = f"{row['case']} at {row['rate_hz']:g} Hz, {row['resolution']:g} a count"
@@ -52,7 +52,7 @@ FAST_CASES = sum(rate_hz <= 10_000 for _, rate_hz, _ in GRID)
 
 @pytest.mark.parametrize(("signal", "rate_hz", "resolution"), first_by_default(GRID, FAST_CASES))
 def test_estimators_are_as_good_as_the_table_says(signal: str, rate_hz: int, resolution: float) -> None:
-    """All on one case, which takes up to 20 MB: kept for an estimator after the other they took 260 MB."""
+    """All estimators run on one case of up to 20 MB; cases cached per estimator took 260 MB."""
     worse, better = [], []
     for row in TABLE["rows"]:
         if (row["case"], row["rate_hz"], row["resolution"]) == (signal, rate_hz, resolution):
@@ -70,7 +70,7 @@ def test_estimators_are_as_good_as_the_table_says(signal: str, rate_hz: int, res
 
 @pytest.mark.parametrize("name", accuracy.scored())
 def test_the_table_holds_every_case_of_the_grid(name: Any) -> None:
-    """Look at new rows before you commit them."""
+    """Review new rows before you commit them."""
     found = {(r["case"], r["rate_hz"], r["resolution"]) for r in ROWS[name] if r["tuned"] is None}
     assert found == set(accuracy.grid()), f"run {accuracy.REGENERATE} {name}"
 

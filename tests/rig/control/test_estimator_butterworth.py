@@ -40,7 +40,7 @@ def test_each_order_is_scipys_filter(motion: Any, order: Any, cutoff_hz: float) 
 @settings(max_examples=30)
 @given(motion=MOTION, cutoff_hz=st.floats(5.0, 900.0))
 def test_order_two_is_one_biquad_to_the_bit(motion: Any, cutoff_hz: float) -> None:
-    """Transposed direct form II as one writes it down, with the coefficients of ``butter(2, …)``: recordings replay."""
+    """The oracle is a plain transposed direct form II with scipy's coefficients; exact bits let recordings replay."""
     counts = np.cumsum(motion).tolist()
     (b0, b1, b2), (_, a1, a2) = (c.tolist() for c in signal.butter(2, cutoff_hz, fs=1 / PERIOD))
     s1 = s2 = 0.0

@@ -1,4 +1,4 @@
-"""The fixed-point Butterworth: bit for bit exact arithmetic, and what word lengths do to a velocity."""
+"""The fixed-point Butterworth filter: bit-exact arithmetic, and the effect of word lengths on velocity."""
 
 from typing import Any
 
@@ -42,7 +42,7 @@ def design(**given: Any) -> Biquad:
 
 
 def response(f: Biquad) -> tuple[np.ndarray, np.ndarray]:
-    """Impulse responses of the rounded coefficients: of the filter, and of 1/A, which rounding errors pass."""
+    """Return impulse responses of the rounded coefficients: of the filter, and of 1/A, which filters rounding."""
     one = 2.0**f.coefficient_bits
     a = np.array([one, f.a1, f.a2]) / one
     impulse = np.eye(1, 4000)[0]
@@ -50,7 +50,7 @@ def response(f: Biquad) -> tuple[np.ndarray, np.ndarray]:
 
 
 def largest_error(f: Biquad) -> float:
-    """Return the most that rounding can add to the output (counts per period): e·Σ|g| LSB."""
+    """Return the largest error of the output by rounding (counts per period): e·Σ|g| LSB."""
     return (0.5 if f.rounding == 2 else 1.0) * np.abs(response(f)[1]).sum() * f.state.lsb
 
 
@@ -77,7 +77,7 @@ def test_gap_of_days_reads_one_count() -> None:
 @settings(max_examples=40)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), cutoff_hz=st.sampled_from((100.0, 200.0, 500.0)))
 def test_wide_words_give_the_float_filter(motion: Any, rounding: Any, cutoff_hz: Any) -> None:
-    """|error| ≤ e·Σ|g|·LSB for the outputs, and max|x|·Σ|h − h'| for the coefficients; 28 and 18 bits."""
+    """With 28 and 18 bits: |error| ≤ e·Σ|g|·LSB by rounding outputs, plus max|x|·Σ|h − h'| by coefficients."""
     given = {"cutoff_hz": cutoff_hz, "coefficient_bits": 28, "state_bits": 18, "rounding": rounding}
     f = design(**given)
     counts = [0, *np.cumsum(motion).tolist()]
@@ -91,13 +91,13 @@ def test_wide_words_give_the_float_filter(motion: Any, rounding: Any, cutoff_hz:
 
 
 def steady(per_period: int, out_of: int = 1, **given: Any) -> float:
-    """Return the settled velocity of so many counts in so many periods (counts per period)."""
+    """Return the settled velocity for `per_period` counts in `out_of` periods (counts per period)."""
     counts = [per_period * k // out_of for k in range(4000)]
     return float(velocities(fixed(**given), counts)[-200:].mean() / ONE_COUNT)
 
 
 def test_slow_motion_reads_as_rest_below_the_dead_zone() -> None:
-    """State of 0 bits: one count a period is one LSB, and the dead zone at fs/20 is 12.45 of them."""
+    """Without fraction bits, one count a period is one LSB, and the dead zone at fs/20 is 12.45 LSB."""
     given = {"cutoff_hz": 100.0, "state_bits": 0, "rounding": "zero"}
     dead_zone = design(**given).dead_zone
     assert dead_zone == pytest.approx(12.45, abs=0.01)
@@ -120,7 +120,7 @@ def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator: str) -> None:
 @settings(max_examples=40)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), bits=st.integers(0, 8))
 def test_limit_cycle_at_rest_stays_within_its_bound(motion: Any, rounding: Any, bits: int) -> None:
-    """After any motion rest reads at most e·Σ|g| LSB; rounding to zero reads zero."""
+    """At rest after any motion the output is at most e·Σ|g| LSB; with rounding to zero it is zero."""
     given = {"cutoff_hz": 100.0, "state_bits": bits, "rounding": rounding}
     counts = [*np.cumsum(motion).tolist()]
     rest = velocities(fixed(**given), counts + counts[-1:] * 600)[-100:] / ONE_COUNT
@@ -130,7 +130,7 @@ def test_limit_cycle_at_rest_stays_within_its_bound(motion: Any, rounding: Any, 
 
 
 def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign() -> None:
-    """A word of 16 bits with 4 behind the point ends at 2048 counts a period."""
+    """A word of 16 bits with 4 fraction bits ends at 2048 counts a period."""
     given = {"word_bits": 16, "state_bits": 4}
     assert steady(5000, **given) == pytest.approx(2048, abs=1)
     assert steady(-5000, **given) == pytest.approx(-2048, abs=1)

@@ -1,4 +1,4 @@
-"""Adaptive windowing against a textbook search in exact fractions, numpy's polyfit, and what the physics demands."""
+"""Adaptive windowing against a textbook search in exact fractions, numpy's polyfit, and physical requirements."""
 
 from fractions import Fraction
 from typing import Any
@@ -32,7 +32,7 @@ def prepare(name: Any, **given_settings: Any) -> Any:
 
 
 def run(prepared: Any, counts: Any, elapsed: Any = None) -> Any:
-    """Velocities in counts per period, and the window of each."""
+    """Return the velocities (counts per period) and the window of each."""
     update, memory = prepared.estimator.update, (prepared.state_f, prepared.state_i, prepared.parameters)
     velocities, windows = [], []
     for count, periods in zip(counts, elapsed or [1] * len(counts), strict=True):
@@ -42,9 +42,9 @@ def run(prepared: Any, counts: Any, elapsed: Any = None) -> Any:
 
 
 def textbook(fit: Any, anchor: Any, stop: Any, band: Any, limit: Any, counts: Any, times: Any) -> Any:
-    """The algorithm as a book states it, newest sample last, in exact fractions: slope and window.
+    """Return slope and window by the textbook algorithm in exact fractions, newest sample last.
 
-    Every line is drawn anew and every sample tested anew: O(W²) at least.
+    It draws every line and tests every sample again: O(W²) at least.
     """
     now, newest = times[-1], counts[-1]
     band = Fraction(band * (1 + 1e-9))
@@ -112,7 +112,7 @@ def test_longest_window_is_searched_as_in_the_textbook(fit: str, anchor: str) ->
 
 @pytest.mark.parametrize("fit", FITS)
 def test_one_count_of_band_never_cuts_a_true_ramp(fit: Any) -> None:
-    """PHYSICS 2i (A) 3: rounding moves each sample by half a count, hence a chord by up to one."""
+    """PHYSICS 2i (A) 3: rounding moves each sample by up to half a count, hence a chord by up to one."""
     random = np.random.default_rng(7)
     slope, offset = random.uniform(-5, 5, (500, 1)), random.uniform(0, 1, (500, 1))
     for ramp in np.floor(slope * np.arange(17) + offset).astype(int):

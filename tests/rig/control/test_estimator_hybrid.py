@@ -1,4 +1,4 @@
-"""The hybrid of FOAW and Levant: each alone where the weight says so, both at once in between."""
+"""The hybrid of FOAW and Levant: only one of them where its weight is 1, a weighted sum between."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ BOUND = 25.0
 
 
 def bounce(period_s: Any = PERIOD, resolution: Any = RESOLUTION) -> Any:
-    """PHYSICS 2i (C): 0.1 m/s into a wall that rings at 34 Hz with ζ = 0.05; counts and true velocity."""
+    """Return counts and true velocities of PHYSICS 2i (C): 0.1 m/s into a wall that rings at 34 Hz, ζ = 0.05."""
     t = np.arange(0.0, 0.4, period_s) - 0.1
     w, zeta = 2 * np.pi * 34.0, 0.05
     wd, s = w * np.sqrt(1 - zeta**2), np.maximum(t, 0.0)

@@ -1,4 +1,4 @@
-"""The Kalman filter against its matrices in SI units, the Riccati equation, and what the physics demands."""
+"""The Kalman filter against matrices in SI units, the Riccati equation, and physical requirements."""
 # ruff: noqa: N806  (matrices have capital letters)
 
 import math
@@ -37,7 +37,7 @@ def textbook(
     counts: Any, elapsed: Any, *, order: Any, q: Any, r: Any, fading: str = "none", memory: int = 16,
     rho: float = 0.95, printed: bool = False, period: Any = PERIOD, resolution: Any = RESOLUTION,
 ) -> Any:  # fmt: skip
-    """The filter as a book writes it: matrices, metres and seconds, absolute positions. Velocities, largest λ."""
+    """Return velocities and largest λ of the textbook filter: matrices, metres and seconds, absolute positions."""
     T, n = period, order
     A = linalg.expm(np.diag(np.ones(n - 1), 1) * T)
     H = np.eye(1, n)
@@ -94,7 +94,7 @@ MOTION = st.lists(
 def test_every_variant_is_the_textbook_filter(
     samples: Any, order: Any, variance: Any, fading: Any, bandwidth_hz: Any, memory: Any, rho: Any
 ) -> None:
-    """Counts, periods, scalars and a moving origin against matrices in metres and seconds."""
+    """The product computes with scalars in counts and periods about a moving origin, the oracle with SI matrices."""
     name, divisor = variance
     counts, elapsed = np.cumsum([s for s, _ in samples]).tolist(), [n for _, n in samples]
     r = RESOLUTION**2 / divisor
@@ -125,7 +125,7 @@ def test_the_noise_as_printed_runs_as_printed(fading: Any) -> None:
 
 @pytest.mark.parametrize("order", [2, 3])
 def test_the_process_noise_is_the_integral_over_one_period(order: int) -> None:
-    """PHYSICS 2i (A) 1: the covariance of white noise carried to the end of the period."""
+    """PHYSICS 2i (A) 1: it is the covariance of white noise propagated to the end of the period."""
     a, g = np.diag(np.ones(order - 1), 1), np.eye(order)[:, -1:]
 
     def carried(s: Any) -> Any:
@@ -153,7 +153,7 @@ def test_a_bandwidth_is_a_q(model: str, order: int) -> None:
 @pytest.mark.parametrize("model", ["triple", "double"])
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 30.0, 100.0, 450.0])
 def test_the_recursion_converges_to_the_steady_gain(model: str, bandwidth_hz: float) -> None:
-    """PHYSICS 2i (A) 1: two roads to one number, the recursion that runs and scipy's Riccati equation."""
+    """PHYSICS 2i (A) 1: two ways to one number, the recursion of the loop and scipy's Riccati equation."""
     recursive = prepare(model=model, bandwidth_hz=bandwidth_hz)
     velocities(recursive, [0] * int(20_000 / bandwidth_hz + 50))
     gain = covariance(recursive)[0] * 12  # the first row of the covariance is r·K
@@ -164,7 +164,7 @@ def test_the_recursion_converges_to_the_steady_gain(model: str, bandwidth_hz: fl
 @pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("turn", [1e-3, 1e-2, 0.3, 2.0])
 def test_the_steady_gain_solves_the_riccati_equation(order: int, turn: float) -> None:
-    """Put back into one step of the recursion, in matrices, it returns itself."""
+    """One step of the recursion in matrices, started with this gain, returns it."""
     r = 1 / 12
     noise = turn ** (2 * order) * r * process_noise(order)
     K = steady_gain(noise, r)
@@ -189,7 +189,7 @@ def test_the_covariance_stays_positive(fading: Any) -> None:
 @pytest.mark.parametrize("noise", ["integral", "printed"])
 @pytest.mark.parametrize("fading", ["none", *FADINGS])
 def test_a_burst_of_false_counts_is_forgotten(fading: Any, noise: str) -> None:
-    """Jumps over the whole counter leave nothing behind: neither in the state nor in the covariance."""
+    """Jumps over the whole counter range must not persist in the state or the covariance."""
     random = np.random.default_rng(6)
     counts = np.cumsum(random.integers(-3, 4, 3000)).tolist()
     burst = random.integers(-(2**31), 2**31, 7).tolist()
@@ -200,7 +200,7 @@ def test_a_burst_of_false_counts_is_forgotten(fading: Any, noise: str) -> None:
 
 
 def test_over_a_gap_the_steady_filter_predicts_with_its_acceleration() -> None:
-    """Constant acceleration, no rounding: nothing is lost with the samples."""
+    """At constant acceleration without rounding, lost samples cost no accuracy."""
     elapsed = [1] * 400 + [7, 1, 30, 1]
     k = np.cumsum(elapsed) - 1
     for gain in ("recursive", "steady"):

@@ -1,4 +1,4 @@
-"""Levant's differentiator: chatter, rest, convergence and error, each against a number that was known before."""
+"""Levant's differentiator: chatter, rest, convergence and error, each against a published or derived number."""
 
 import math
 from typing import Any
@@ -32,7 +32,7 @@ def rms(values: Any) -> Any:
 
 
 def textbook(position: Any, period_s: Any, bound: Any, gains: Any, scheme: Any) -> Any:
-    """Equation (9) in SI units and the textbook's words; u and u1 at each sample."""
+    """Return u and u1 at each sample by equation (9) of the paper, in SI units."""
     alpha, gain = gains[0] * bound, gains[1] * math.sqrt(bound)
     x, u1, out = position[0], 0.0, [(0.0, 0.0)]
     for f in position[1:]:
@@ -128,7 +128,7 @@ CHATTER = [  # gains, scheme, rms and peak of u in α·T: PHYSICS 2c
 def test_explicit_scheme_chatters_by_a_fixed_number_of_alpha_t(
     gains: Any, scheme: Any, expected_rms: Any, peak: Any, period_s: float, bound: float, offset: int
 ) -> None:
-    """For any T, C and offset at the start: 0.77 N of force at B = 100, C = 6, 1 kHz."""
+    """It holds for any T, C and initial offset: 0.77 N of force at B = 100, C = 6, 1 kHz."""
     counts = np.full(15_000, offset)
     counts[0] = 0
     v = run(counts, RESOLUTION, period_s, lipschitz=bound, gains=gains, discretisation=scheme)[-10_000:]
@@ -159,7 +159,7 @@ def test_implicit_scheme_rests_exactly(
     gain=st.floats(1e-3, 100.0),
 )
 def test_the_implicit_step_solves_its_inclusion(error: float, u1: float, alpha: float, gain: float) -> None:
-    """x⁺ = x + u, u = u1⁺ − λ·|e⁺|^½·σ, u1⁺ = u1 − α·σ with one σ ∈ sign(e⁺), the set [−1, 1] at zero."""
+    """Check x⁺ = x + u, u = u1⁺ − λ·|e⁺|^½·σ, u1⁺ = u1 − α·σ with one σ ∈ sign(e⁺), the set [−1, 1] at zero."""
     after, u1_after, u = step(error, u1, alpha, gain, 2)
     scale = 1e-9 * (abs(error) + abs(u1) + alpha)
     assert after == pytest.approx(error + u, abs=scale)
@@ -175,7 +175,7 @@ def test_the_implicit_step_solves_its_inclusion(error: float, u1: float, alpha: 
 
 
 def sine(period_s: Any, duration_s: float = 1.0, amplitude: float = 0.01, frequency_hz: float = 5.0) -> Any:
-    """Position, velocity and largest acceleration (9.87 m/s²) of a swing that starts at full speed."""
+    """Return position, velocity and largest acceleration (9.87 m/s²) of a sine that starts at full speed."""
     t, w = np.arange(0.0, duration_s, period_s), 2 * math.pi * frequency_hz
     return amplitude * np.sin(w * t), amplitude * w * np.cos(w * t), amplitude * w * w
 

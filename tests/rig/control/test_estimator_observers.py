@@ -1,4 +1,4 @@
-"""Tracking loop and disturbance observer: their poles, what they follow without error, and what biases the first."""
+"""Tracking loop and disturbance observer: poles, motions followed without error, and the tracking loop's bias."""
 
 import math
 
@@ -20,7 +20,7 @@ COUNTS = np.cumsum(np.random.default_rng(1).integers(-40, 41, 400))
 
 
 def error_dynamics(gains: list[float], order: int) -> NDArray[np.float64]:
-    """Return (I − L·H)·F of the error after the correction, written down without the product's code."""
+    """Return (I − L·H)·F, the error after the correction, computed without the product's code."""
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])[:order, :order]
     measured = np.eye(order)[0]
     return np.asarray((np.eye(order) - np.outer(gains[:order], measured)) @ transition)
@@ -61,7 +61,7 @@ def test_the_tracking_loop_with_the_gains_of_a_steady_kalman_filter_is_that_filt
 def test_the_disturbance_observer_without_effort_tends_to_the_steady_kalman_filter_of_three_integrators() -> (
     None
 ):
-    """Both have Butterworth poles of third order in the limit of a high rate; apart by about ω0·T."""
+    """At high rates both have third-order Butterworth poles; they differ by about ω0·T."""
     common = {"resolution": RESOLUTION}
     filtered = rig.estimate("kalman", COUNTS, PERIOD, **common, bandwidth_hz=50.0, gain="steady")
     observed = rig.estimate(
@@ -73,7 +73,7 @@ def test_the_disturbance_observer_without_effort_tends_to_the_steady_kalman_filt
 
 
 def motion(effort: NDArray[np.float64], force: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Velocity and position of an inertia, exactly sampled, under an effort held over each period and a force."""
+    """Return velocity and position of an inertia, exactly sampled, under a constant force and efforts held a period."""
     acceleration = (effort + force) / INERTIA
     velocity = np.cumsum(acceleration) * PERIOD
     before = velocity - acceleration * PERIOD
@@ -81,7 +81,7 @@ def motion(effort: NDArray[np.float64], force: float) -> tuple[NDArray[np.float6
 
 
 def test_a_known_effort_and_a_constant_force_leave_only_the_noise_of_the_counts() -> None:
-    """An effort that a tracking loop follows with 2·ζ·a/ω0 is followed without lag; the force is found."""
+    """A tracking loop would err by 2·ζ·a/ω0; the observer has no lag, and also estimates the constant force."""
     effort = 0.3 * np.sin(2.0 * math.pi * 60.0 * PERIOD * np.arange(RATE))
     velocity, position = motion(effort, 0.02)
     counts = rig.quantise(position, RESOLUTION)
@@ -98,7 +98,7 @@ def test_a_known_effort_and_a_constant_force_leave_only_the_noise_of_the_counts(
 
 
 def test_a_handle_pressed_at_rest_reads_zero_because_the_force_is_a_state() -> None:
-    """Without it a loop fed with the effort F would read −2·ζ·F/(ω0·J) at rest."""
+    """Without the force as a state, a loop fed with the effort F would read −2·ζ·F/(ω0·J) at rest."""
     at_rest = rig.estimate(
         "disturbance", np.zeros(RATE, int), PERIOD, resolution=RESOLUTION, effort=np.full(RATE, -2.0),
         inertia=INERTIA, frequency_hz=150.0,
@@ -126,6 +126,6 @@ def test_an_experiment_gives_the_inertia_of_its_rig() -> None:
 def test_the_inertia_of_an_observer_includes_the_end_mass_only_where_it_hangs(
     kind: str, inertia: float
 ) -> None:
-    """A person's trial has no end mass; the observer had 3.2 times the device's inertia in it."""
+    """A bug gave a person's trial, which has no end mass, an observer with 3.2 times the true inertia."""
     x = rig.load("koul-rigid", changes={"trial.kind": kind, "rig.limits.human": False})
     assert settings_of_rig(x)["inertia"] == pytest.approx(inertia)

@@ -1,4 +1,4 @@
-"""The optimal robust exact differentiator: its bound, its exactness, and a brute force of its definition."""
+"""The optimal robust exact differentiator: its error bound, its exactness, and brute force over its definition."""
 
 import math
 from typing import Any
@@ -21,7 +21,7 @@ def prepare(resolution: Any = RESOLUTION, period_s: Any = PERIOD, **given: Any) 
 
 
 def brute_force(counts: Any, bend: Any, longest: Any) -> Any:
-    """The definition in the module's docstring, word by word: slopes in counts per period, and chords."""
+    """Return slopes (counts per period) and chords by the definition in the docstring of the product's module."""
     slopes, chords = [0.0], [0]
     for k in range(1, len(counts)):
         n, noise = min(k, longest), 0.0
@@ -63,7 +63,7 @@ def swing(period_s: Any, resolution: Any, offset: float = 0.5) -> Any:
 @pytest.mark.parametrize("period_s", [1e-3, 2e-4, 5e-5])
 @pytest.mark.parametrize("resolution", [1e-6, 5e-6, 2e-5])
 def test_error_keeps_to_the_theoretical_bound(period_s: float, resolution: float) -> None:
-    """|v̂ − v| ≤ 2·√(2·N·C) + C·T/2 with N half a count, once the longest chord is filled."""
+    """Check |v̂ − v| ≤ 2·√(2·N·C) + C·T/2 with N half a count, once enough samples fill the longest chord."""
     counts, velocity, bound = swing(period_s, resolution)
     prepared = prepare(resolution, period_s, lipschitz=bound, window_limit=64.0)
     error = np.abs(arrays.run(prepared, *arrays.inputs(counts, period_s))[0] - velocity)

@@ -1,4 +1,4 @@
-"""Velocity from edge times: exact between edges, honest between them, zero where the geometry says so."""
+"""Velocity from edge times: exact between edges, bounded without edges, zero where the count only toggles."""
 
 import math
 from bisect import bisect_right
@@ -27,12 +27,12 @@ def prepare(name: str, **given: Any) -> Any:
 
 
 def on_the_wire(age_s: Any) -> Any:
-    """Edge ages as the loop gets them: device time in 1/16 µs, then whole nanoseconds."""
+    """Return edge ages (s) as the loop receives them: rounded to 1/16 µs of device time, then to nanoseconds."""
     return np.floor(np.rint(np.asarray(age_s) / TICK) * 62.5) * 1e-9
 
 
 def steady(speed: float, start: float, samples: int) -> Any:
-    """Counts and edge ages of a handle at `speed` (counts per period) that was at `start` (counts) at sample 0."""
+    """Return counts and edge ages at constant `speed` (counts per period) from `start` (counts) at sample 0."""
     position = start + speed * np.arange(samples)
     count = np.floor(position)
     beyond = position - count if speed > 0 else count + 1 - position  # travelled since the last boundary
@@ -56,7 +56,7 @@ def velocities(prepared: Any, counts: Any, ages: Any, elapsed: Any = None) -> An
 def test_steady_motion_reads_to_the_resolution_of_edge_times(
     speed: Any, sign: Any, start: float, name: Any
 ) -> None:
-    """From the second edge on. Two edges used lie half a period apart at least, else a count."""
+    """The estimate holds from the second edge; its two edges are at least half a period or one count apart."""
     samples = 20 + math.ceil(4 / speed)
     counts, ages = steady(sign * speed, start, samples)
     v = velocities(prepare(name), counts, on_the_wire(ages))
@@ -75,7 +75,7 @@ def test_a_window_of_many_periods_reads_that_much_finer(speed: float, start: flo
 
 
 def edges_of(motion: Any, until_s: float, step_s: float = 5e-6) -> Any:
-    """Independent oracle: every boundary crossing (time, boundary) of a motion in counts, by bisection."""
+    """Return time and boundary of every crossing of a motion in counts, by bisection: an independent oracle."""
     times = np.arange(0.0, until_s, step_s)
     cells = np.floor(motion(times))
     found = []
@@ -99,7 +99,7 @@ def sampled(motion: Any, edges: Any, samples: int) -> Any:
 
 
 def mean_velocities(edges: Any, last: Any) -> Any:
-    """Mean velocity between the edges that two samples saw last, bounded by the silence since (counts per period)."""
+    """Return mean velocities between each sample's newest edges, bounded by the time since (counts per period)."""
     expected, speed = [], 0.0
     for k, (i, before) in enumerate(zip(last, [-1, *last], strict=False)):
         if i != before:
@@ -112,7 +112,7 @@ def mean_velocities(edges: Any, last: Any) -> Any:
 
 @pytest.mark.parametrize("turn_s", [0.0487, 0.0501, 0.0612])
 def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s: float) -> None:
-    """A parabola that turns inside a cell: positive, zero at the edge that it goes back over, then negative."""
+    """A parabola turns inside a cell: the velocity is positive, zero at the edge crossed back, then negative."""
 
     def motion(t: Any) -> Any:
         return 100.3 - 8000.0 * (t - turn_s) ** 2
@@ -131,7 +131,7 @@ def test_a_slow_reversal_reads_the_mean_velocity_between_true_edges(turn_s: floa
 
 @pytest.mark.parametrize("frequency_hz", first_by_default([3.0, 17.0]))
 def test_a_swinging_handle_is_read_within_the_acceleration_of_half_the_span(frequency_hz: float) -> None:
-    """Against the true velocity, where edges come every few periods at least."""
+    """Compare with the true velocity where edges come at least every few periods."""
     amplitude, omega = 150.3, 2 * math.pi * frequency_hz
 
     def motion(t: Any) -> Any:
@@ -161,7 +161,7 @@ def test_a_handle_that_stops_decays_as_one_over_the_time_since_its_last_edge(nam
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_handle_that_toggles_one_count_reads_zero(name: Any) -> None:
-    """Up and down over the same boundary is no distance: a quiet wall stays quiet."""
+    """Crossing the same boundary to and fro is no net motion, so a wall at rest stays quiet."""
     counts, ages = [0] * 5 + [1, 0] * 30, [134.0] * 5 + [1e-4, 2e-4] * 30
     assert not velocities(prepare(name), counts, ages).any()
 
@@ -178,7 +178,7 @@ def test_two_edges_within_a_period_leave_an_unknown_boundary_and_a_velocity_of_z
 
 
 def test_a_reversal_begins_a_new_window() -> None:
-    """Twenty periods of mean would show a handle that turned with the wrong sign for ten of them."""
+    """A mean over twenty periods would keep the wrong sign for ten of them after the reversal."""
 
     def motion(t: Any) -> Any:
         return 1000.3 - np.abs(2.0e4 * (t - 0.02015))
@@ -193,7 +193,7 @@ def test_a_reversal_begins_a_new_window() -> None:
 @settings(max_examples=20)
 @given(speed=st.floats(6.0, 40.0), start=st.floats(0, 1, allow_subnormal=False))
 def test_uneven_encoder_lines_are_averaged_by_the_window(speed: float, start: float) -> None:
-    """Every other boundary 0.2 counts late: the distance is 0.2 counts off at most, over one period or over 32."""
+    """Every other boundary is 0.2 counts late, so the error is at most 0.2 counts over one period or over 32."""
     position = start + speed * np.arange(200)
     count = np.floor(position)
     count = np.where(count + 0.2 * (count % 2) <= position, count, count - 1)

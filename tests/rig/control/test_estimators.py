@@ -1,4 +1,4 @@
-"""The velocity estimators: finite difference, and the Butterworth filter behind it."""
+"""The basic velocity estimators: finite difference, and finite difference with a Butterworth filter."""
 
 import math
 from typing import Any

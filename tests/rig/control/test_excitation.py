@@ -1,4 +1,4 @@
-"""Multisines: phases and sizes from closed forms, peaks that nothing exceeds, numbers for a plan."""
+"""Multisines: phases and sizes from closed forms, bounds of peaks, and predicted numbers for a plan."""
 
 import json
 from typing import Any
@@ -104,7 +104,7 @@ def test_multisine_fades_in_over_whole_periods() -> None:
 
 
 def test_predicted_motion_is_that_of_the_equation_of_motion() -> None:
-    """The position put into m·x″ + b·x′ + K·x gives the effort back."""
+    """Inserted into m·x″ + b·x′ + K·x, the predicted position gives the effort again."""
     m, b, k = 0.52, 13.2, 2e4
     multisine = Multisine.schroeder((2.0, 60.0), rms=3.0)
     x = multisine.position(lambda f: 2j * np.pi * f * m + b + k / (2j * np.pi * f))

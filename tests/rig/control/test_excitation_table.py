@@ -1,4 +1,4 @@
-"""The table that a device plays: its distance from the multisine, its peak and its room in 16 bits."""
+"""The excitation table that a device plays: its error against the multisine, its peak, and its 16-bit range."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Fixed-point arithmetic against exact fractions, and what rounding leaves of a low pass."""
+"""Fixed-point arithmetic against exact fractions, and the effect of rounding on a low-pass filter."""
 
 from fractions import Fraction
 from typing import Any
@@ -84,7 +84,7 @@ def test_the_gain_at_rest_is_one_to_the_bit(relative_cutoff: float) -> None:
 
 
 def test_coefficients_as_they_round_may_scale_a_velocity() -> None:
-    """200 Hz at 20 kHz in 14 bits: 61 LSB over 62."""
+    """A filter of 200 Hz at 20 kHz in 14 bits has a DC gain of 61/62."""
     f = low_pass(0.01, unit_gain=False)
     assert f.dc_gain == pytest.approx(61 / 62, rel=1e-12)
     assert f.dc_gain == (f.b0 + f.b1 + f.b2) / at_rest(f)
@@ -96,7 +96,7 @@ def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused() -> None:
 
 
 def test_rounding_that_makes_another_filter_is_refused() -> None:
-    """1 + a1 + a2 is the square of the cut-off; here it has no bit left."""
+    """1 + a1 + a2 is proportional to the squared cut-off frequency, and rounds to nothing here."""
     with pytest.raises(
         ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB is rounded to -?\d.*changes the filter.*more coeff"
     ):
@@ -125,7 +125,7 @@ def test_no_design_that_is_accepted_can_overflow(cutoff: float, bits: int, word:
 @pytest.mark.parametrize("rounding", ROUNDINGS)
 @pytest.mark.parametrize("relative_cutoff", [0.02, 0.05, 0.1])
 def test_dead_zone_is_where_a_filter_may_rest(relative_cutoff: float, rounding: Any) -> None:
-    """Brute force over outputs: which of them does y = round(−(a1 + a2)·y) keep for ever?"""
+    """Brute force: try every output y that y = round(−(a1 + a2)·y) may keep for ever."""
     f = low_pass(relative_cutoff, rounding=rounding)
     one = 2**f.coefficient_bits
     reach = 2 * int(f.dead_zone) + 2

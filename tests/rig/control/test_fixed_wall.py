@@ -1,4 +1,4 @@
-"""The fixed-point wall and guard: bit for bit exact arithmetic, and the float wall to within one quantum."""
+"""The fixed-point wall and guard: bit-exact arithmetic, within one quantum of the float wall."""
 
 import json
 import math
@@ -56,7 +56,7 @@ def test_fixed_wall_is_exact_arithmetic_to_the_bit(given: Any, offset: int, data
 @settings(max_examples=60)
 @given(given=WALLS)
 def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
-    """The greatest depth against the fastest velocity, the constant effort and the half quantum of rounding."""
+    """The worst sum: greatest depth, fastest velocity, constant effort, and half a quantum for rounding."""
     w = designed(**given)
     largest = w.stiffness * DEPTH.limits[1] - w.damping * given["velocity"].limits[0] + abs(w.constant)
     assert largest + 2**w.shift < 2**63
@@ -69,7 +69,7 @@ def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
 @settings(max_examples=60)
 @given(given=WALLS, offset=st.integers(-2000, 2000), speed=st.floats(-3, 3, allow_subnormal=False))
 def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, speed: float) -> None:
-    """Away from the surface by more than its rounding; gains are held to 1e-3, so the limit of 1.3 N·m bounds all."""
+    """Away from the rounded surface; gains are exact to 1e-3, so the limit of 1.3 N·m bounds the error."""
     w = designed(**given)
     delta, side = given["resolution"], given["side"]
     velocity = round(speed * PERIOD / delta / given["velocity"].lsb)
@@ -133,6 +133,6 @@ def test_golden_quanta_are_what_the_compiled_wall_computes(seed: int) -> None:
 
 
 def test_golden_vectors_are_the_same_for_ever() -> None:
-    """A change here is a change of the law that devices run: of format, rounding or design."""
+    """If this checksum changes, the law that devices run has changed: its format, rounding or design."""
     text = json.dumps([(v.wall, v.counts, v.velocities, v.quanta) for v in map(golden_vectors, range(8))])
     assert crc32(text.encode()) == 3486532006

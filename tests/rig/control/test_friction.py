@@ -1,4 +1,4 @@
-"""Friction compensation: it takes friction off a slow hand, and has no way to put energy in."""
+"""Friction compensation reduces the friction that a slow hand feels, and cannot inject energy."""
 
 from typing import Any
 
@@ -58,7 +58,7 @@ levels = st.floats(0.0, 1.0, allow_subnormal=False)
 def test_compensation_and_friction_dissipate_for_any_estimate(
     velocity: Any, estimate: Any, up: Any, down: Any, share: float
 ) -> None:
-    """u·v − level·|v| ≤ −(1 − share)·level·|v|, for the smaller level when the direction is mistaken too."""
+    """Check u·v − level·|v| ≤ −(1 − share)·level·|v|; with a wrong direction the smaller level applies."""
     effort = compensation(estimate, up, down, 0.1, share)
     rubbing = up if velocity > 0.0 else down
     # By signs: the product of two small velocities is 0.
@@ -95,7 +95,7 @@ def test_compensation_that_could_drive_the_rig_is_refused(wrong: Any) -> None:
 
 
 def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, changes: Any = None) -> Any:
-    """Run the law on koul-rigid, pushed by `external(tick, state)` on the link; return states, efforts and pushes."""
+    """Simulate the law on koul-rigid, pushed by `external(tick, state)`; return states, efforts and pushes."""
     experiment = config.override(FREE, changes or {})
     rate = experiment.controller.position_rate
     plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / rate)
@@ -152,7 +152,7 @@ def helped(free: Any) -> Any:
 
 
 def hand(speed: Any) -> Any:
-    """A stiff, damped hand that takes the handle along at a slow constant speed."""
+    """Return the push of a stiff, damped hand that moves the handle at a slow constant speed."""
 
     def push(time_s: Any, state: Any) -> Any:
         return 20.0 * (speed * time_s - state[0]) + 0.2 * (speed - state[1])
@@ -172,7 +172,7 @@ def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any
 
 
 def test_compensation_cannot_drive_the_rig(helped: Any) -> None:
-    """Thrown and let go, the handle comes to rest and stays; at rest it is given nothing."""
+    """A thrown handle comes to rest and stays there, and the motor gives no effort at rest."""
     states, efforts, _ = bench(helped, lambda time_s, state: 0.0, velocity=2.0, seconds=0.5)
     assert states[-1, 1] == 0.0
     assert (states[-2000:, 0] == states[-1, 0]).all()
@@ -183,7 +183,7 @@ def test_compensation_cannot_drive_the_rig(helped: Any) -> None:
 
 @pytest.mark.parametrize("rate", [20_000, 1000])
 def test_compensation_injects_no_net_energy(helped: Any, rate: int) -> None:
-    """Excited at random, the motor's work is never above what friction takes: net energy of both ≤ 0 always."""
+    """Under random pushes the motor's work never exceeds what friction dissipates."""
     rng = np.random.default_rng(5)
     pushes = np.repeat(rng.normal(0.0, 0.05, 50), rate // 100)
     changes = {"controller.position_rate": rate, "controller.velocity_rate": min(rate, 2000),

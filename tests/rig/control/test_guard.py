@@ -1,4 +1,4 @@
-"""The guard: the last limits on an effort before it is sent."""
+"""The guard: the last limits of effort and slew before a current is sent."""
 
 import math
 
@@ -59,7 +59,7 @@ def test_whole_quanta_are_sent_as_they_are(quanta: int, quantum: float) -> None:
 
 
 def test_halves_round_towards_positive_infinity_on_host_and_firmware() -> None:
-    """The firmware's law must give the same integer, so the rule for halves is part of the contract."""
+    """The firmware must compute the same integers, so this rounding rule is part of the interface."""
     assert [current_quanta(effort, 1.0) for effort in (-1.5, -0.5, 0.5, 1.5)] == [-1, 0, 1, 2]
 
 

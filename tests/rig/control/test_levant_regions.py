@@ -1,4 +1,4 @@
-"""Where Levant's differentiator converges: the printed tables, the two proofs, and the computed worst case."""
+"""Convergence regions of Levant's differentiator: the published tables, two proofs, and the computed worst case."""
 
 import math
 from typing import Any
@@ -31,7 +31,7 @@ def test_boundaries_cross_at_3_2656_2_7443() -> None:
 
 @given(mu1=st.floats(0.5, 20.0), mu2=st.floats(0.05, 20.0), bound=st.floats(0.01, 1e3))
 def test_the_regions_are_the_papers_inequalities_for_every_c(mu1: float, mu2: float, bound: float) -> None:
-    """Equations (10) and (14) as printed, in α, λ and C: the regions must not depend on C."""
+    """Equations (10) and (14) are printed in α, λ and C; in mu1 and mu2 the regions must not depend on C."""
     alpha, gain = mu1 * bound, mu2 * math.sqrt(bound)
     hba = alpha > bound and gain**2 >= 4 * bound * (alpha + bound) / (alpha - bound)
     lfba = alpha > 3 * bound + 2 * bound**2 / gain**2
@@ -59,10 +59,10 @@ def test_the_worst_case_boundary_is_that_of_the_table(mu1: float, mu2: float) ->
 
 
 def bang_bang(mu1: float, mu2: float, switch: float) -> float:
-    """|x2| after a half cycle under f̈ = −C, then +C from the ray x2 = switch·w on: two linear flows, by expm."""
+    """Return |x2| after a half cycle, f̈ = −C, then +C from the ray x2 = switch·w: two linear flows, by expm."""
 
     def flow(gain: Any, z: Any, stop: Any) -> Any:
-        """From z to where stop falls to zero: in equal steps, then exactly; None when it never does."""
+        """Return the state where stop falls to zero, by equal steps, then exactly; None if it never does."""
         a = np.array([[-0.5 * mu2, 0.5], [-gain, 0.0]])
         one = expm(0.1 * a)
         for _ in range(1000):

@@ -1,4 +1,4 @@
-"""C from a recorded motion: sums of sines whose second derivative is known."""
+"""The Lipschitz constant C from a motion: sums of sines whose second derivative is known."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ QUANTUM = 1e-6
 
 
 def chord(time_s: Any, sines: Any) -> Any:
-    """Position and second derivative of Σ A·sin(2πft + φ)."""
+    """Return position and second derivative of Σ A·sin(2πft + φ)."""
     w = [(a, 2 * np.pi * f, p) for a, f, p in sines]
     position = sum(a * np.sin(k * time_s + p) for a, k, p in w)
     return position, sum(-a * k * k * np.sin(k * time_s + p) for a, k, p in w)

@@ -1,4 +1,4 @@
-"""The compiled numbers of a trial against scipy, numpy, closed forms, and trials of the simulated rig."""
+"""The compiled measures of a trial against scipy, numpy, closed forms, and trials of the simulated rig."""
 
 import math
 from dataclasses import asdict, replace
@@ -26,7 +26,7 @@ QUIET = np.zeros(RATE)
 def recorded(
     position: Any, *, effort: Any = None, resolution: Any = DELTA, rate: Any = RATE, limits: Any = LIMITS
 ) -> Any:
-    """Numbers of a trial from its counts alone."""
+    """Return the measures of a trial whose position is known by counts only."""
     flags = np.zeros(len(position), np.int64)
     effort = np.zeros(len(position)) if effort is None else effort
     return meter(limits, 1.0 / rate, resolution).recorded(position, effort, position, flags)
@@ -37,7 +37,7 @@ def rms(signal: Any) -> Any:
 
 
 def by_scipy(position: Any, velocity: Any, effort: Any, rate: Any, limits: Any = LIMITS) -> Any:
-    """Felt, heard, moved and growth with scipy's filters over the whole trial."""
+    """Return felt, heard, moved and growth, computed with scipy's filters over the whole trial."""
     tail = slice(max(0, len(position) - round(limits.tail_s * rate)), None)
     highpass = butter(2, limits.highpass_hz, "highpass", fs=rate, output="sos")
     band = highpass
@@ -70,7 +70,7 @@ def counts(position: Any, offset: float = 0.3) -> Any:
 def test_a_trial_that_is_filtered_whole_gives_what_scipy_gives(
     ticks: int, rate: Any, has_velocity: bool, seed: int
 ) -> None:
-    """Shorter than tail and lead-in: the same filters over the same samples, to rounding."""
+    """The trial is shorter than tail and lead-in, so both filter the same samples and differ by rounding only."""
     position, effort, velocity = np.cumsum(np.random.default_rng(seed).normal(size=(3, ticks)), axis=1)
     if not has_velocity:
         velocity = np.gradient(position, 1.0 / rate)
@@ -83,7 +83,7 @@ def test_a_trial_that_is_filtered_whole_gives_what_scipy_gives(
 
 
 def impact(seed: Any) -> Any:
-    """Half a second of violence, then a tail that is a thousand times calmer."""
+    """Return a signal with half a second of violent motion, then a tail that is a thousand times calmer."""
     rng = np.random.default_rng(seed)
     calm = 1e-3 * rng.normal(size=RATE)
     wild = np.where(TIME < 0.55, np.sin(2 * np.pi * 80 * TIME) + rng.normal(size=RATE), 0.0)
@@ -92,7 +92,7 @@ def impact(seed: Any) -> Any:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_lead_in_stands_for_the_whole_trial(seed: int) -> None:
-    """1 s at 20 kHz is filtered from 0.44 s on; what was before changes no number by a millionth."""
+    """1 s at 20 kHz is filtered from 0.44 s on; earlier samples change no measure by more than 1e-6."""
     effort, position = impact(seed), 1e-2 * impact(seed + 10)
     velocity = np.gradient(position, 1.0 / RATE)
     assert filters(1.0 / RATE, 30.0, 500.0).lead_ticks < 0.17 * RATE
@@ -150,7 +150,7 @@ def square(hz: Any, duty: float = 0.5) -> Any:
 
 
 def jittered(hz: Any, jitter: Any, seed: int = 0) -> Any:
-    """A count that changes 2·hz times a second, each time off by `jitter` of half a period (rms)."""
+    """Return a position that toggles by a count 2·hz times a second, each time off by `jitter` half periods (rms)."""
     changes = np.arange(2 * hz) + jitter * np.random.default_rng(seed).normal(size=2 * hz)
     marks = np.bincount(np.clip(changes * RATE / (2 * hz), 0, RATE - 1).astype(int), minlength=RATE)
     return DELTA * (np.cumsum(marks) % 2)
@@ -169,14 +169,14 @@ def floor_at(hz: Any) -> Any:
 
 
 def floor_hz(position: Any) -> Any:
-    """Return the frequency of the floor, where no harmonic lies in the band."""
+    """Return the toggling frequency that the measured floor implies, where no harmonic is in the band."""
     one_line = replace(LIMITS, highpass_hz=30.0, lowpass_hz=31.0)
     numbers = recorded(position, limits=one_line)
     return numbers["felt_floor"] / (2.0 * math.sqrt(2.0) * DELTA)
 
 
 def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> None:
-    """100 Hz: 100, 300 and 500 Hz; 20 Hz: 60, 100, … 500 Hz, twelve lines."""
+    """In the band 100 Hz has lines at 100, 300 and 500 Hz; 20 Hz has twelve: 60, 100, … 500 Hz."""
     fundamental = 2.0 * math.sqrt(2.0) * DELTA
     assert floor_at(100.0) == pytest.approx(math.sqrt(3.0) * fundamental * 100.0)
     assert floor_at(20.0) == pytest.approx(math.sqrt(12.0) * fundamental * 20.0)
@@ -194,14 +194,14 @@ def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> N
     ],
 )
 def test_one_changing_count_reads_no_more_than_its_floor(position: Any) -> None:
-    """A tenth more where a harmonic lies just above the band, which lets it through in part (510 Hz of 170)."""
+    """A harmonic just above the band passes in part and adds a tenth (510 Hz of 170)."""
     numbers = recorded(position)
     assert numbers["felt"] < 1.12 * numbers["felt_floor"]
 
 
 @pytest.mark.parametrize("stiffness", [15, 20, 30, 60, 200])
 def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness: int) -> None:
-    """0.4 N·m that swells by a fifth at 2 Hz crosses many counts; its true velocity in the band is next to none."""
+    """0.4 N·m that varies by a fifth at 2 Hz crosses many counts, but has almost no true velocity in the band."""
     press = 0.4 / stiffness * (1.0 + 0.2 * np.sin(2 * np.pi * 2.0 * TIME + 1.5))
     assert math.isnan(recorded(counts(press), limits=replace(LIMITS, felt_velocity=0.05))["felt"]) or (
         recorded(counts(press))["felt"] < 0.05
@@ -216,7 +216,7 @@ def test_oscillation_over_many_counts_has_its_own_floor(hz: float, amplitude: fl
 
 
 def test_columns_of_a_larger_array_give_the_same_bits() -> None:
-    """As a sweep has them: columns of the states of a trial."""
+    """A sweep passes columns of a trial's state array, which are not contiguous."""
     position = 1e-2 * impact(1)
     states = np.stack([position, np.gradient(position, 1.0 / RATE), impact(2), position], axis=1)
     columns = [*states.T, np.zeros(RATE, np.int64)]
@@ -287,7 +287,7 @@ def test_a_trial_too_short_to_be_measured_is_written_whole(ticks: Any) -> None:
 
 
 def test_measuring_allocates_nothing() -> None:
-    """Without numba's runtime a kernel that makes an array does not compile."""
+    """Without numba's runtime, a kernel that allocates an array does not compile."""
     assert measure.measure.targetoptions["_nrt"] is False
 
 
@@ -301,7 +301,7 @@ def test_filters_are_designed_once_for_a_rate() -> None:
 
 @pytest.mark.parametrize("hz", [800.0, 1300.0, 2000.0])
 def test_a_ripple_above_the_band_is_felt_as_little_as_the_filter_lets_through(hz: float) -> None:
-    """At any phase where the trial ends: an extension must not make a step of it."""
+    """At any phase at the trial's end, the filter's extension must not create a step."""
     rate, amplitude = 20_000, 0.05 * math.sqrt(2.0)
     time = np.arange(rate) / rate
     w = butter(2, [30.0, 500.0], "bandpass", fs=rate, output="sos")

@@ -1,6 +1,6 @@
-"""Counts that come from elsewhere: whatever type holds them, with samples missing, or from a narrow counter.
+"""Counts from other loggers: of any type, with samples missing, or from a narrow counter.
 
-A remedy of a message is applied here as it is printed: it must give the true speed.
+The remedy printed in a message is executed here: it must give the true speed.
 """
 
 import decimal
@@ -63,7 +63,7 @@ MISSING = {
 
 
 def apply(remedy: str, **names: Any) -> dict[str, Any]:
-    """Run the statements that a remedy prints after its colon; the last names the arguments to give."""
+    """Execute the statements of a remedy; return the arguments that its last part says to give."""
     *statements, call = remedy.partition(": ")[2].split("; ")
     known = {"numpy": np, "pandas": pd, "dt": DT, **names}
     for statement in statements:
@@ -201,7 +201,7 @@ def test_a_jump_that_is_real_is_stated_by_the_width() -> None:
 
 @pytest.mark.parametrize("width", [8, 12, 16])
 def test_a_motion_too_fast_for_its_counter_is_reported(width: int) -> None:
-    """Beyond half of the range in a period the sign is a guess."""
+    """Beyond half of the counter's range per period the sign is ambiguous."""
     half = 2 ** (width - 1)
     steps = np.linspace(0, 1.3 * half, 60).astype(np.int64)
     counts = np.cumsum(steps) % 2**width

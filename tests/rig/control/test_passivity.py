@@ -1,4 +1,4 @@
-"""The passivity controller: what it may add, and a wall that gives energy without it and none with it."""
+"""The passivity controller: limits of its added damping, and a wall that generates energy only without it."""
 
 import dataclasses
 
@@ -43,7 +43,7 @@ def test_at_a_speed_of_zero_nothing_can_be_taken_back() -> None:
 
 
 def test_a_wall_that_pulls_already_is_not_made_to_push() -> None:
-    """On the way out added damping lowers the reaction: one below zero stays what it is."""
+    """On the way out added damping lowers the reaction; a reaction below zero stays unchanged."""
     assert passivity.add_damping(-2.0, 0.1, -1.0, 10.0, TICK_S) == -2.0
 
 
@@ -51,7 +51,7 @@ def test_a_wall_that_pulls_already_is_not_made_to_push() -> None:
 def test_an_undamped_sampled_wall_is_active_and_the_controller_takes_its_energy_back(
     limit: float, passive: bool
 ) -> None:
-    """A spring that is sampled and held gives energy with each bounce: the handle leaves faster than it came."""
+    """A sampled and held spring adds energy at each bounce: the handle leaves faster than it came."""
     experiment = rig.load(
         "koul-rigid",
         stiffness=250.0,

@@ -33,7 +33,7 @@ def stiffening() -> PlainLaw:
 def blend() -> Estimator:
     @estimator(parameters={"weight": Parameter(default=0.5, minimum=0.0, maximum=1.0)}, memory=("slope",))
     def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
-        """Two slopes, weighed."""
+        """Return the weighted sum of the last two slopes."""
         before, memory.slope = memory.slope, travel / elapsed_s
         return p.weight * before + (1.0 - p.weight) * memory.slope
 
@@ -62,7 +62,7 @@ def test_other_parameters_make_another_law_and_leave_this_one_alone(stiffening: 
 
 
 def test_memory_lasts_and_time_is_in_seconds() -> None:
-    """A Maxwell element with a time constant of ten ticks: by backward Euler (10/11)^10 of a step remains after ten."""
+    """A Maxwell element of ten ticks: by backward Euler, (10/11)^10 of a step remains after ten ticks."""
 
     @law(memory=("held", "calls"), everywhere=True)
     def relaxing(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:

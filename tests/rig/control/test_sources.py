@@ -1,4 +1,4 @@
-"""Efforts that are not the wall: the homing servo."""
+"""The homing servo: the effort source before the wall."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def test_set_point_approaches_its_target_by_one_step_at_most(setpoint: Any, targ
 
 
 def test_a_set_point_arrives_exactly_and_stays() -> None:
-    """Exactly: the loop compares it with the target to know that homing is over."""
+    """It must be exact, because the loop ends homing when setpoint and target are equal."""
     setpoint, ticks = -0.05, 0
     while setpoint != 0.1 and ticks < 1000:
         setpoint, ticks = approach(setpoint, 0.1, 0.001), ticks + 1

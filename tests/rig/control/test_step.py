@@ -1,4 +1,4 @@
-"""One tick of the law: its order, its two rates, its phases, its cuts, and what a handle feels of it."""
+"""One tick of the control law: order of its steps, two rates, phases, cuts to zero, and the motion of a handle."""
 
 import json
 import math
@@ -51,7 +51,7 @@ PLAIN = {
 
 
 class Tick:
-    """A controller and a hand on its encoder: call with a count, get the quanta, look at `memory`."""
+    """A controller driven by encoder counts: a call with a count returns quanta; attributes read its `memory`."""
 
     def __init__(
         self,
@@ -120,7 +120,7 @@ def raises(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, para
 
 @kernel(LAW_SIGNATURE)
 def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    """Store the arguments behind the word that marks clamping."""
+    """Store the arguments in the state, after the word that marks clamping."""
     state[1] = penetration
     state[2] = velocity
     state[3] = elapsed_ticks
@@ -131,7 +131,7 @@ def spy(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, paramet
 def recorder(
     count: Any, edge_age_s: Any, elapsed_ticks: Any, effort: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
-    """Store the arguments; return the number of calls."""
+    """Store the arguments in the state and return the number of calls."""
     state_i[0] += 1
     state_i[1] = count
     state_i[2] = elapsed_ticks
@@ -172,7 +172,7 @@ def test_an_encoder_that_counts_backwards_changes_nothing_but_the_counts() -> No
 
 
 def test_a_wall_on_the_other_side_is_the_mirror_image() -> None:
-    """Entered with falling position it pushes up, and its damping brakes inward motion all the same."""
+    """Entered with falling position, it pushes up, and its damping brakes inward motion too."""
     right = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=1e-4)
     left = Tick(wall={"stiffness": 1e4, "damping": 5.0}, wall_position=-1e-4, wall_side=-1.0)
     for count in (0, 90, 200, 420, 400):
@@ -237,7 +237,7 @@ def test_law_receives_the_elapsed_ticks() -> None:
 
 
 def test_the_estimator_runs_outside_the_wall_too() -> None:
-    """Started afresh at the surface it would read zero there: the first peak would change by a fifth."""
+    """An estimator restarted at the surface would read zero there: the first peak would change by a fifth."""
     tick = Tick(wall={"stiffness": 0.0, "damping": 10.0})
     for count in (-300, -200, -100, 0, 100):
         tick(count)
@@ -348,7 +348,7 @@ def test_the_slew_limit_grows_with_the_ticks_that_were_lost() -> None:
 
 
 def test_rounding_does_not_pile_up_under_the_slew_limit() -> None:
-    """The limit starts from the effort before rounding: 0.4 quanta a tick reach the goal after all."""
+    """The limit starts from the unrounded effort, so steps of 0.4 quanta a tick reach the target."""
     tick = Tick(constant_effort=1.0, trial_slew=0.4, effort_quantum=1.0)
     assert [tick(-1) for _ in range(4)] == [0, 1, 1, 1]
 
@@ -365,7 +365,7 @@ def phases(tick: Tick, ticks: int, count: int = 0) -> list[Phase]:
 
 
 def test_a_run_goes_through_its_phases_tick_by_tick() -> None:
-    """Home already: one tick to start, three of rest, five of trial, four of release."""
+    """The handle is home already: one tick of homing, two of settling, five of trial, four of release."""
     tick = Tick(skip_homing=False, settle_ticks=3, trial_ticks=5, release_ticks=4)
     expected = [Phase.HOMING, Phase.SETTLE, Phase.SETTLE] + [Phase.TRIAL] * 5 + [Phase.RELEASE] * 4
     assert phases(tick, 14) == [*expected, Phase.DONE, Phase.DONE]
@@ -430,7 +430,7 @@ def test_lost_ticks_count_as_rest_and_as_way_of_the_set_point_in_homing() -> Non
 
 
 def test_the_wall_stands_during_the_release_and_fades_with_the_push() -> None:
-    """Push and wall leave together: a wall that vanished first would throw the handle."""
+    """Push and wall must fade together: a wall that vanished first would throw the handle."""
     tick = Tick(
         skip_homing=False, constant_effort=20.0, wall={"stiffness": 1e3}, trial_ticks=1, release_ticks=4
     )
@@ -525,9 +525,9 @@ def test_homing_efforts_rise_no_faster_than_the_homing_slew() -> None:
 def press(
     tick: Tick, *, seconds: float, mass: float = 0.5, friction: float = 20.0, start: float = -0.005
 ) -> Any:
-    """A mass on a viscous slide between encoder and motor, exact between ticks (Chawda's rig, damped well).
+    """Simulate a mass on a viscous slide (Chawda's rig, well damped), exact between ticks.
 
-    The law runs at its tick rate; effort held between. Returns positions and efforts.
+    The law runs at its tick rate; its effort is held between ticks. Returns positions and efforts.
     """
     decay = math.exp(-friction / mass * TICK_S)
     x, v, positions, efforts = start, 0.0, [], []
@@ -591,7 +591,7 @@ DUAL = {
 
 
 def test_a_saved_controller_continues_bit_for_bit_after_json() -> None:
-    """The header of a recording holds it so: replay starts where the run started."""
+    """A recording's header stores the controller as JSON, and replay starts from it."""
     one = Tick(**DUAL)
     lively(one, 137, seed=1)
     two = Tick(**DUAL)
@@ -625,7 +625,7 @@ def test_a_saved_controller_of_another_version_is_refused_not_filled_up_with_zer
 
 
 def test_a_saved_controller_with_a_memory_of_another_size_is_refused() -> None:
-    """Compiled code checks no size."""
+    """Compiled code does not check sizes."""
     for part, name in (("estimator", "state_f"), ("estimator", "state_i"), ("law", "state")):
         saved = Tick(**DUAL).controller.as_mapping()
         with pytest.raises(RecordingError, match="a different size"):
@@ -640,7 +640,7 @@ def test_a_saved_controller_whose_law_is_not_known_here_needs_it_given() -> None
 
 
 def digest() -> str:
-    """Every bit of 400 lively ticks through homing, trial and release."""
+    """Return every bit of 400 ticks through homing, trial and release."""
     return "\n".join(
         " ".join(v.hex() if isinstance(v, float) else str(v) for v in row)
         for row in lively(Tick(**DUAL), 400, 7)
@@ -662,7 +662,7 @@ def test_compiled_and_plain_python_give_the_same_bits() -> None:
 
 
 def test_between_velocity_samples_the_velocity_is_held_or_extrapolated_to_first_order() -> None:
-    """A uniformly accelerated handle: FDM rises linearly from sample to sample, and so does the prediction."""
+    """At constant acceleration the finite difference rises linearly, and so does the prediction."""
     counts = [k * k for k in range(41)]
     for extrapolate in (0, 1):
         tick = Tick(velocity_divider=10, extrapolate=extrapolate)
@@ -694,7 +694,7 @@ def test_a_slow_handle_is_sampled_more_rarely_and_a_fast_one_at_the_velocity_rat
 
 
 def test_the_passivity_observer_adds_up_the_effort_that_was_active() -> None:
-    """A command is active later than it was computed: the energy of that delay is given by the wall, too."""
+    """A command becomes active after it was computed; the energy of that delay counts as the wall's, too."""
     tick = Tick(wall={"stiffness": 1e4}, passive_damping=1.0, constant_effort=0.5)
     tick(1_000)
     energy = tick.wall_energy

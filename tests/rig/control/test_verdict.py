@@ -1,4 +1,4 @@
-"""The verdict of a hit, on signals whose answer is known in closed form."""
+"""The verdict of a hit, on signals whose measures are known in closed form."""
 
 import json
 import math
@@ -63,7 +63,7 @@ def signals(
 
 
 def first(count: int, of: np.ndarray = TIME) -> np.ndarray:
-    """Mark the last `count` samples, which lie in the tail."""
+    """Mark the last `count` samples, which are in the tail."""
     marked = np.zeros(len(of), bool)
     if count:
         marked[-count:] = True
@@ -131,7 +131,7 @@ PERSON = replace(LIMITS, may_leave=True)
 
 
 def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
-    """A handle that rests in the wall, is pulled out from some time on, and stays 30 mrad away."""
+    """Return positions that rest in the wall, leave it from time `at` on, and stay 30 mrad away."""
     return np.maximum(depth - speed * np.maximum(TIME - at, 0.0), -0.03)
 
 
@@ -192,7 +192,7 @@ def test_person_who_left_in_the_first_tick_of_the_tail_gives_no_verdict() -> Non
     ],
 )
 def test_a_hand_that_was_thrown_out_and_stays_away_was_at_an_unstable_wall(position: Any) -> None:
-    """If such trials were repeated, unstable walls would be left out."""
+    """If such trials were invalid and repeated, unstable walls would be missing from the results."""
     verdict = judge(signals(position), PERSON)
     assert verdict.kind is Kind.UNSTABLE
     assert "threw the hand out" in " ".join(verdict.reasons)
@@ -210,7 +210,7 @@ def test_a_wall_that_was_never_touched_says_nothing() -> None:
 
 @pytest.mark.parametrize("first", [0.0, 1.0, -1.0])
 def test_a_reach_with_one_dead_channel_is_named(first: float) -> None:
-    """The count then only toggles; a hand that trembles on an edge does so some twenty times a second."""
+    """With a dead channel the count only toggles; a trembling hand on an edge does so some twenty times a second."""
     count = np.arange(len(TIME)) // 2 % 2 + first
     verdict = judge(signals(REST - 2e-3 + DELTA * count, resolution=DELTA), LIMITS)
     assert verdict.kind is Kind.INVALID
@@ -315,7 +315,7 @@ def test_one_count_that_toggles_fast_has_not_moved() -> None:
 
 
 def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
-    """A hand breathes at 2 Hz by a fifth of its press: the two poles at 30 Hz must not leak it."""
+    """A press that varies by a fifth at 2 Hz must not leak through the two poles at 30 Hz."""
     press = 1.3e-3 * (1 + 0.2 * np.sin(2 * np.pi * 2 * TIME))
     verdict = judge(signals(press, effort=300 * press), LIMITS)
     assert verdict.kind is Kind.STABLE
@@ -324,7 +324,7 @@ def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
 
 
 def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity() -> None:
-    """2√2·f·Δ = 0.05 rad/s: above it counts cannot say whether anything is felt."""
+    """2√2·f·Δ = 0.05 rad/s: at higher frequencies counts cannot show whether a ripple is felt."""
     one_line = replace(LIMITS, lowpass_hz=200.0)  # lets nothing but the fundamental through
     below = judge(signals(toggling(112.0), resolution=DELTA), one_line)
     above = judge(signals(toggling(114.0), resolution=DELTA), one_line)
@@ -353,7 +353,7 @@ PUSH, INERTIA, STIFFNESS, DAMPING, START = 0.15, 2.48e-3, 300.0, 0.12, -0.015
 
 
 def hit() -> tuple[np.ndarray, np.ndarray, float]:
-    """A rigid link pushed from rest into a wall: exact position, velocity, and the time of contact."""
+    """Return exact position, velocity and contact time of a rigid link pushed from rest into a wall."""
     fall = PUSH / INERTIA
     contact = math.sqrt(-2 * START / fall)
     speed = fall * contact
@@ -390,7 +390,7 @@ def test_the_measures_of_a_hit_are_those_of_the_closed_form() -> None:
 @pytest.mark.parametrize("offset", [0.1, 0.4, 0.7, 0.95])
 @pytest.mark.parametrize("decimation", [1, 10, 20])
 def test_impact_velocity_is_that_of_the_accelerating_handle(offset: float, decimation: int) -> None:
-    """A mean over the last milliseconds would lag by half its length: 13 % here."""
+    """A mean over the last milliseconds would lag by half its length, 13 % here."""
     position, _, _ = hit()
     counts = np.floor(position[::decimation] / DELTA + offset) * DELTA
     s = signals(counts, resolution=DELTA)
@@ -403,7 +403,7 @@ def test_a_trial_that_begins_in_the_wall_has_no_impact_velocity_from_counts() ->
 
 
 def test_settling_is_never_finer_than_two_counts() -> None:
-    """Peak 11 counts: 5 % of it is half a count, which a toggling encoder would never satisfy."""
+    """5 % of a peak of 11 counts is half a count, which a toggling encoder would never satisfy."""
     short_pulses = DELTA * (10 + (np.sin(2 * np.pi * 20 * TIME) > 0.5))
     assert judge(signals(short_pulses, resolution=DELTA), LIMITS).settling_s == 0.0
     assert judge(signals(short_pulses), LIMITS).settling_s is None
@@ -454,7 +454,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
 
 
 def numbers_of_trials() -> np.ndarray:
-    """Records around every threshold, with everything that can be absent absent now and then."""
+    """Return records near every threshold, in which any optional value is missing now and then."""
     random = np.random.default_rng(1)
     records = np.zeros(3_000, NUMBERS)
     near = {
@@ -557,7 +557,7 @@ def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wa
 
 
 def measured(position: Any, **options: Any) -> Measured:
-    """The numbers of `signals`, as a sweep has them."""
+    """Return the measures of `signals` as a sweep stores them."""
     s = signals(position, **options)
     flags = np.where(s.slew_bound, int(RowFlag.SLEW_BOUND), 0)
     taken = meter(LIMITS, T, s.resolution).recorded(s.position, s.effort, s.penetration, flags, s.velocity)

@@ -1,4 +1,4 @@
-"""The virtual wall: a spring and damper that exists only inside. Koul et al., equation (1)."""
+"""The virtual wall, a spring and damper that acts only inside: Koul et al., equation (1)."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ def reaction(law: PreparedLaw, penetration: float, velocity: float) -> float:
     pull=st.sampled_from(["clamp", "allow"]),
 )
 def test_outside_there_is_no_wall(penetration: float, velocity: Any, pull: Any) -> None:
-    """Also on the very surface: inside means a penetration above zero."""
+    """On the surface itself the reaction is zero too: inside means penetration above zero."""
     law = wall(1000.0, 10.0, pull)
     assert reaction(law, penetration, velocity) == 0.0
     assert law.state[LAW_CLAMPED] == 0.0

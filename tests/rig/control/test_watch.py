@@ -1,4 +1,4 @@
-"""The watch in a tick: energy by an independent sum, oscillations by their definition, and the cut."""
+"""The limits on energy and oscillations in a tick: an independent sum, the definition, and the cut to zero."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ STIFF = {"stiffness": 1e6}  # 1 N a count, a hundred quanta
 
 
 def ran(tick: Tick, counts: list[int]) -> list[float]:
-    """Efforts sent, one for each count."""
+    """Return the effort sent for each count."""
     sent = []
     for count in counts:
         tick(count)
@@ -94,7 +94,7 @@ OSCILLATES = {
 
 
 def oscillate(tick: Tick, period: int, times: int, low: int = -4, high: int = 4) -> int | None:
-    """Throw the handle to and fro; the number of the oscillation that ended the run, or None."""
+    """Move the handle to and fro; return the number of the oscillation that ended the run, or None."""
     half = period // 2
     for number in range(1, times + 1):
         for count in [low] * half + [high] * (period - half):

@@ -67,8 +67,7 @@ def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
 @pytest.mark.parametrize("drive", first_by_default([1.0, -1.0, 2.0]))
 @pytest.mark.parametrize("way", [1, -1])
 def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive: float) -> None:
-    """After a sample beyond the allowed travel the effort is zero, even if the host continues or the leads are swapped.
-    """
+    """After a sample beyond the allowed travel the effort is zero, even if the host continues or leads are swapped."""
     host, device = board()
     device.hardware.drive = drive
     supervised(host, way, REST_S + 2.0 * PUSH_S)
