@@ -1,4 +1,4 @@
-"""What a real-time test tolerates is listed in the summary, also with workers, counted by test and reason."""
+"""The summary lists the events that real-time tests tolerated, also with workers, counted by test and reason."""
 
 from pathlib import Path
 

@@ -5,8 +5,8 @@
     python -m tests.attack --bytes 1e9 --only devices --only core
     python -m tests.attack --only liars --seed 7 --case 31   one failure again
 
-An area runs in processes and mounts of its own, where this user may have them. The exit code is 1 when something
-failed that has no name among the known findings. Ctrl-C ends it with the report.
+An area runs in its own process and mount namespaces if this user may create them. The exit code is 1 after a failure
+that is not a known finding. Ctrl-C stops the attack and prints the report.
 """
 
 import argparse

@@ -1,7 +1,6 @@
 """Run command lines in forks of one process that has imported everything, each in a directory and with a time limit.
 
-A fork costs milliseconds where a new interpreter costs seconds. The forked process is the leader of a group, which dies
-with it.
+A fork takes milliseconds, a new interpreter seconds. The forked process leads a process group, which is killed with it.
 """
 
 import os
@@ -32,7 +31,7 @@ def documented() -> frozenset[int]:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: its exit code, or minus the signal that killed it."""
+    """The end of a command: its exit code (minus the number of the signal that killed it), and its output."""
 
     code: int
     out: str

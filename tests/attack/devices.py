@@ -1,6 +1,6 @@
 """Send the same bytes to the Python device and to the C firmware, most of the time armed.
 
-Both say the same, byte for byte, and none gives a current that it must not give.
+Both must send the same bytes, and neither may produce a current that its state or its limits forbid.
 """
 
 import ctypes

@@ -1,7 +1,7 @@
 """Run commands where the machine lacks something they expect: rights, descriptors, disk, home, output or time.
 
-Each case is one command as a program of its own in one environment. It succeeds, or it ends with an exit code that is
-documented and a sentence; what it recorded until then is not damaged.
+Each case is one command in its own process in one environment. It must succeed, or end with a documented exit code and
+a message; recordings that it wrote before must be undamaged.
 """
 
 import os

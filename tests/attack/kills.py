@@ -1,8 +1,8 @@
 """Kill commands with SIGKILL at any moment: they must recover or restart, and end as they would have without the kill.
 
-A command in virtual time runs in a fork, under a seed, and is killed after a time that is drawn up to a little more
-than it takes. What it does at that time depends on the machine too: a case may have to be repeated. Sessions are killed
-again and again on their way (`tests.system.test_session`).
+A command in virtual time runs in a fork with a seed, and is killed at a random time up to slightly more than its
+duration. Its progress by then also depends on the machine, so a case may have to be repeated. Sessions are killed
+several times until they end (`tests.system.test_session`).
 """
 
 import json

@@ -142,7 +142,7 @@ class EndlessError(Exception):
 
 @dataclass
 class Script:
-    """Which values a `Liar` falsifies: its STATEs from one sample on, or one field of some replies."""
+    """The values that a `Liar` falsifies: its STATEs from one sample on, or one field of some replies."""
 
     after: int  # STATEs of the session, before it begins
     lie: Lie | None = None

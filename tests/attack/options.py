@@ -1,6 +1,6 @@
 """Pass any value to any option of any command: documented exit code, no traceback, no file left elsewhere.
 
-The commands are click's own list. Values are garbage, empty, huge, negative, no numbers, wrong files, directories.
+The commands come from click. Values are garbage, empty, huge, negative, not numbers, wrong files, or directories.
 """
 
 import random

@@ -2,7 +2,7 @@
 
     python -m tests.attack.worker AREA SEED DIRECTORY
 
-A crash, a hang or a leak costs this process and names its case; what it started dies with it.
+A crash, a hang or a leak ends only this process and identifies its case; child processes die with it.
 """
 
 import importlib

@@ -1,16 +1,15 @@
 """Measure how much a console delays a real-time loop, and how long STOP takes through it.
 
     python -m tests.benchmarks.console                       10 pairs of hits each: a device at 10 kHz, a host at 4
-    python -m tests.benchmarks.console --minutes 30          as many pairs as half an hour has room for
+    python -m tests.benchmarks.console --minutes 30          as many pairs as half an hour permits
 
-Each pair is one hit with a console that four pages look through, one of which reads nothing, and one hit without, in
-turn; every second pair the other way round, so that a machine that becomes busier counts for neither. Printed: rows
-that the console did not see, rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the
-median difference of the pairs with its interval (pairs drawn anew, 95 %), how much a hit differs from the next one
-without any console, and how many pairs would show a tenth of the value without one. An interval with zero in it
-shows no cost, and excludes none below its upper end. Then STOP, fifty times: from the page's word to the loop's stop
-word, through a console that shows a loop at 10 kHz. The last line is JSON. No browser is among the pages: what a page
-in one costs and takes, `console_page.py` measures.
+Each pair is one hit with a console and four pages, one of which reads nothing, and one hit without; every second pair
+runs in reverse order, so that a changing load of the machine has no effect. Printed are rows that the console missed,
+rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the median difference of the
+pairs with its 95 % bootstrap interval, the usual difference between consecutive hits without a console, and the number
+of pairs that would detect a tenth of the value without a console. An interval that contains zero shows no cost, but
+excludes none below its upper end. Then STOP is measured fifty times, from the page's message to the loop's stop word,
+with a loop at 10 kHz. The last line is JSON. The pages are not browsers: `console_page.py` measures one.
 """
 
 import argparse

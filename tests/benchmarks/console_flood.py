@@ -2,10 +2,10 @@
 
     python -m tests.benchmarks.console_flood [--seconds 5] [--rate 3000]
 
-Three processes: the console, a page that sends STOP twenty times a second, and a program that opens connections at the
-given rate, each with one of the loads below. Each load ends by itself, and is also given only as long as the time says.
-The last line is JSON: connections a second that were tried and that the server took, and the times from STOP to its
-reply (ms). On a busy computer run it by `chrt -f 5`, and compare with the load "nothing".
+There are three processes: the console, a page that sends STOP twenty times a second, and a program that opens
+connections at the given rate, each with one of the loads below, for the given time. The last line is JSON: connections
+per second that were tried and that the server accepted, and the times from STOP to its reply (ms). On a busy computer
+run it by `chrt -f 5`, and compare with the load "nothing".
 """
 
 import argparse

@@ -3,15 +3,14 @@
     python -m tests.benchmarks.console_memory                        ten hours at 1 kHz in twelve minutes
     python -m tests.benchmarks.console_memory --hours 2 --minutes 2
 
-A loop that is turned by hand leaves all rows of that time, in runs of 100 s, and a simulated hand its motions. Server
-and page take them in as in real time, only faster: the server looks at the loop 240 times a second, the browser draws
-as often as it can; how many frames the machine had time for is printed. Between two looks the views are visited:
-a recording and a map that have just come are opened (the oldest ones go, so that lists stay as long), the devices are
-looked at, and now and then a hit is run and judged. Eight times a minute the page collects its garbage, and memory is
-read: resident pages of the server with its errands, the page's heap with its arrays, and its nodes. Each is printed by
-time, and by how much it grows in ten hours, once the first eighth has passed: a slope that no single value moves (Theil
-and Sen), with its interval at 95 %. The last line is JSON; the exit code is 0 when the upper end of none is beyond
-`MOST`.
+A simulated loop writes all rows of that time, in runs of 100 s, and a simulated hand its motions. Server and page read
+them as in real time, but faster: the server polls the loop 240 times a second, and the browser draws as often as it
+can; the number of drawn frames is printed. Meanwhile the views are visited: new recordings and maps are opened (the
+oldest are deleted, so that lists keep their length), devices are listed, and sometimes a hit is run and judged. Eight
+times a minute the page collects its garbage, and memory is measured: resident memory of the server and its errands,
+heap of the page with its arrays, and nodes of the page. Each is printed over time, and as growth in ten hours after the
+first eighth, a robust slope (Theil and Sen) with its 95 % interval. The last line is JSON; the exit code is 0 when no
+upper end of an interval exceeds `MOST`.
 """
 
 import argparse

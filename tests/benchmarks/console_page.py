@@ -3,13 +3,12 @@
     python -m tests.benchmarks.console_page                    half a minute at 20 kHz, 40 stops
     python -m tests.benchmarks.console_page --seconds 120
 
-A loop that is turned by hand leaves 20,000 rows a second in real time; the page draws the default scope of two seconds.
-The age of a row is taken when the page has drawn the frame that it came in: a frame's newest row is the youngest, its
-oldest one waited for the server's next look; both and eight between them count, in ms (the browser's clock says no
-less). What the compositor and a screen take after that is in none of it. STOP is Escape: from the time stamp that the
-browser gives the key to the stop word as another process sees it. The last line is JSON; the exit code is 0 when the
-median and the 99th percentile of the ages and the median of STOP are within `MARKS`, which are for a machine that does
-nothing else.
+A simulated loop writes 20,000 rows a second in real time; the page draws the default scope of two seconds. The age of
+a row is measured when the page has drawn the frame that contains it, for the newest row, the oldest row and eight
+between them (ms, the resolution of the browser's clock). The delay of the compositor and the screen is not included.
+STOP is the Escape key: its delay is from the browser's time stamp of the key to the stop word in another process. The
+last line is JSON; the exit code is 0 when median and 99th percentile of the ages and the median of STOP are within
+`MARKS`, which are for an otherwise idle machine.
 """
 
 import argparse

@@ -1,15 +1,15 @@
 """Run a whole session in real time with a script that presses the keys, and count its invalid trials.
 
     python -m tests.benchmarks.keyboard_session                          template first-steps, 20 trials
-    python -m tests.benchmarks.keyboard_session --scheme uniform:500     on a machine that does not keep 1 kHz
-    python -m tests.benchmarks.keyboard_session --reaction 0.8           of a person in no hurry
+    python -m tests.benchmarks.keyboard_session --scheme uniform:500     on a machine that cannot run at 1 kHz
+    python -m tests.benchmarks.keyboard_session --reaction 0.8           a person with a slow reaction
     python -m tests.benchmarks.keyboard_session --template compare-estimators --trials 40
 
 The script is operator and participant of ``rig session run --hand keyboard`` in a pseudo-terminal. It reads the lines:
-at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which takes the hand into
-the wall; it gives the program's own verdict, and continues after every other question. The last line is one JSON
-object; the exit code is 0 when at most one trial in twenty was invalid, which a quiet machine should reach. Machine and
-load stand beside the result: gaps and late ticks of a busy one are counted apart, and are no fault of the session's.
+at *ready?* it presses the go key, at *go* it waits for its reaction time and presses *end*, which moves the hand into
+the wall; it repeats the program's own verdict, and continues after every other question. The last line is one JSON
+object; the exit code is 0 when at most one trial in twenty was invalid, as on a quiet machine. Machine and load are
+printed with the result; gaps and late ticks of a busy machine are counted separately, not as errors of the session.
 """
 
 import argparse

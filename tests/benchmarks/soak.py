@@ -8,9 +8,9 @@
     python -m tests.benchmarks.soak --url serial:///dev/ttyACM0 --verified
 
 Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate, or,
-with ``--far-end near``, a function in the loop's own thread. With one, one long hit runs on that device,
-under its limits and with everything that `rig hit` has around it. The last line is one JSON object; the exit code is 0
-when the loop ran to the end and the recorder lost no row.
+with ``--far-end near``, a function in the loop's own thread. With a URL, one long hit runs on that device, with its
+limits and all parts of `rig hit`. The last line is one JSON object; the exit code is 0 when the loop ran to the end and
+the recorder lost no row.
 """
 
 import argparse

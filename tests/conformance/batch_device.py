@@ -1,7 +1,7 @@
 """A device that sends given counts as if its own law ran: BATCH frames, and a STATE now and then.
 
-It has a script instead of a plant and a list of currents instead of a law, so that a test knows what must arrive. What
-leaves it can be mangled frame by frame.
+It has a script instead of a plant and a list of currents instead of a law, so that a test can compute what must arrive.
+Its sent frames can be changed one by one.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,7 @@
 """A bridge in virtual time: a simulated drive behind a line with a transfer time, and a host at the other end.
 
-`Bridged` is a `rig.devices.device.Link`, so that a host of the tests and `FramedDevice` talk to it. What goes wrong is
-sent with the number of a line, to the drive or from it.
+`Bridged` is a `rig.devices.device.Link`, so that a host of the tests and `FramedDevice` can use it. A fault is given
+with the number of the line that it changes, to the drive or from it.
 """
 
 import heapq
@@ -111,7 +111,7 @@ class Moteus:
 
     name, texts = "moteus", TEXTS["moteus"]
     rest, on, expired = 0, 10, 11
-    within = 13  # as `on`, beside the drive's own wall
+    stay_within = 13  # the mode of the wall that the drive renders itself
 
     def __init__(self, model: RigModel, settings: Mapping[str, str], switches: Mapping[str, str]) -> None:
         self.drive = SimulatedMoteus(model, MoteusOptions(settings={**MOTEUS_SETUP, **settings}))
@@ -135,7 +135,7 @@ class Moteus:
     @property
     def torque(self) -> float:
         """The torque that the drive commands now (N·m at its output)."""
-        return self.register(0x03A) if self.mode in (self.on, self.within) else 0.0
+        return self.register(0x03A) if self.mode in (self.on, self.stay_within) else 0.0
 
     @property
     def measured(self) -> float:

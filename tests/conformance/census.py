@@ -1,7 +1,7 @@
 """The resources of a process before and after a test: threads, descriptors, children, memory, scheduling, signals.
 
-A run may use all of it, and must leave none of it changed. `Census.of_self` looks at this process; `marked` finds
-the processes that a command started, by a mark in their environment, also when their parent has died.
+A run may use all of them, but must leave them unchanged. `Census.of_self` reads those of this process; `marked` finds
+the processes that a command started by a mark in their environment, even after their parent has died.
 """
 
 from __future__ import annotations

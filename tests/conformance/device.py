@@ -1,7 +1,7 @@
 """The conformance suite of a device, tested over its link.
 
-`check_device` asks through a real link and knows the far end by its answers alone. The twin, its process, the
-firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
+`check_device` sends requests through a real link and uses only the device's replies. The simulated device, its process,
+the firmware and a real rig run it alike; a rig on a bench must be free to move by a few counts.
 """
 
 import itertools

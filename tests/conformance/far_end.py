@@ -1,10 +1,10 @@
 """A simulated device in its own process, with a line that fails on command and a witness file that outlives it.
 
-The witness is a small file that the device writes at every tick and everybody can read: what current flows, whether
-the device has latched a fault, what it lost. It says what the device did when no frame can tell any more.
+The device writes the witness, a small file that every process can read, at every tick: its current, its latched fault
+and its losses. So a test can check what the device did when no frame can report it.
 
-What runs on it does not depend on how busy this machine is: the device's time stands still while its process or its
-host gets no processor (`PatientClock`, `FaultyPort`), and the host waits longer for samples and answers
+The result does not depend on the load of this machine: the device's time stops while its process or its host gets no
+processor (`PatientClock`, `FaultyPort`), and the host has longer timeouts for samples and replies
 (`patient_host`).
 """
 

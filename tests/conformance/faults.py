@@ -1,8 +1,8 @@
 """The fault suite of a device: each fault once, for every kind of device that can have it.
 
-`check_faults` injects a fault into a device that gives effort and checks what must follow, within which bound: the
-effort is zero and stays zero, the fault is latched and reported, and the next session needs what it should need.
-Bounds are ticks of the device on the clock of its link; no wall clock is read.
+`check_faults` injects a fault into a device that gives effort and checks the reaction and its time limit: the effort
+becomes and stays zero, the fault is latched and reported, and the next session needs the specified steps.
+Limits are in ticks of the device on the clock of its link; no wall clock is read.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The fixed-point law in exact arithmetic, and golden vectors made by it: counts in, current quanta out.
+"""The fixed-point law in exact arithmetic, and golden vectors computed by it: counts in, current quanta out.
 
-Nothing here is shared with the compiled law but the integers that the host designed: sums are Python's integers,
-divisions are fractions, rounding is `math.floor`, so that no word length can hide a mistake. A firmware that gives the
-quanta of `golden_vectors` for several seeds renders the wall of this project, to the bit.
+It shares only the integers that the host designed with the compiled law: sums are Python's integers, divisions are
+fractions, rounding is `math.floor`, so that no word length can hide an error. A firmware that gives the quanta of
+`golden_vectors` for several seeds renders the wall of this project, to the bit.
 """
 
 import math

@@ -1,6 +1,6 @@
 """The imports and kernels of the process from which devices and hosts are forked.
 
-Each of them would load the same machine code again: a third of a second, where it then lives for a tenth.
+Otherwise each child would load the same machine code: a third of a second, for a life of a tenth.
 """
 
 import threading

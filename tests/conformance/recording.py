@@ -1,7 +1,7 @@
 """The conformance suite of recording formats, as a function of a writer and a reader.
 
 A new format begins by calling `check_recording_format` with a function that writes a recording somewhere and
-one that reads it back. What a format cannot do is listed in its `Limits`, not skipped.
+one that reads it back. Features that a format lacks are listed in its `Limits`, not skipped.
 """
 
 from collections.abc import Callable, Iterator

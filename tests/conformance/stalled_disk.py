@@ -1,8 +1,8 @@
 """A recorder between a loop that never waits and a disk that stalls: which rows arrive, which are counted as lost.
 
-The disk is a pipe whose reader, a process of its own, pauses on request, checks every block that it gets and keeps
-none; so ten minutes need no more room than ten seconds. The loop is a compiled producer on the grid of its rate, which
-drops rows into a full ring as the real one does. Meanwhile Python holds its lock for as long as the disk pauses.
+The disk is a pipe to a separate process, which pauses on request, checks every block and stores none, so that a long
+run needs no more space than a short one. The loop is a compiled producer at a fixed rate, which drops rows when the
+ring is full, as the real loop does. Meanwhile Python holds the GIL while the disk pauses.
 """
 
 import ctypes

@@ -1,7 +1,7 @@
 """Child processes of tests: none outlives its test, and none inherits ignored signals.
 
-A test leaves `started` in any case when it ends by itself or by its timeout. Where it is killed with its whole
-process, the kernel kills what hangs on a leash.
+A test leaves `started` in any case when it ends by itself or by its timeout. If the whole test process is killed, the
+kernel kills its children, which are started with `LEASH`.
 """
 
 import ctypes

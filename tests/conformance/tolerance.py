@@ -1,7 +1,7 @@
-"""What real-time tests tolerate on a busy machine; it is counted, and printed at the end of the run.
+"""Tolerated events of real-time tests on a busy machine; they are counted, and printed at the end of the run.
 
-A run that lost its link because the machine had no time for it is safe and recorded, but shows nothing else. The test
-reports that here instead of passing in silence, and the summary shows how much of a run was such.
+A run that lost its link because the machine was too busy is safe and recorded, but proves nothing else. The test
+records that here instead of passing silently, and the summary shows how often this happened.
 """
 
 from __future__ import annotations

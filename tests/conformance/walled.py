@@ -7,7 +7,7 @@ from typing import Any
 from firmware_protocol import messages as m
 from rig import config
 from rig.config import Experiment, controller, presets, rig_model
-from tests.conformance.bridged import Bridged
+from tests.conformance.bridged import Bridged, Moteus
 from tests.conformance.host import Host
 
 GAINS = {"servo.pid_position.kp": "60", "servo.pid_position.kd": "2"}  # N·m/turn, N·m·s/turn
@@ -96,6 +96,6 @@ def within(**changes: Any) -> Walled:
     """Return a session whose handle rests deep in the wall, in the trial."""
     run = Walled(walled(**{**DEEP, **changes}), inside=True)
     run.run(0.012)
-    assert run.world.mode == 13
+    assert run.world.mode == Moteus.stay_within
     assert abs(run.world.torque) > 0.05
     return run

@@ -1,6 +1,6 @@
 """The fault suite (`tests.conformance.faults`) on the Python device, the firmware, and the firmware with its own law.
 
-The law's device is at 20 kHz, in its trial, where the wall pushes back. tests/system/test_faults.py has the host's
+The device with the law runs at 20 kHz, in a trial inside the wall. tests/system/test_faults.py has the host's
 reactions.
 """
 

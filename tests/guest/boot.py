@@ -36,7 +36,7 @@ KERNEL_LINE = (
 
 @dataclass(frozen=True, slots=True)
 class GuestEnd:
-    """How a guest ended."""
+    """The end of a guest: its status, and how long it ran."""
 
     status: int | None  # of the script; None if the guest ended before it
     timed_out: bool  # killed by the watchdog

@@ -44,7 +44,7 @@ TOO_SLOW = (LinkLostError, DeviceFaultError, GuardError)  # errors of a run with
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a hit ended: its error or None, its recording, and how long it took (s)."""
+    """The end of a hit: its error or None, its recording, and its duration (s)."""
 
     error: RigError | None
     path: Path | None

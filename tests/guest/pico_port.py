@@ -1,4 +1,4 @@
-"""In the guest: the emulated board at the end of a virtio port, plugged into vhci_hcd."""
+"""The emulated board as a guest uses it: at the end of a virtio port, plugged into vhci_hcd."""
 
 import contextlib
 import json

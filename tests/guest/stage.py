@@ -1,7 +1,7 @@
 """``python -m tests.guest.stage [pytest arguments]`` boots a guest and runs the tests of this directory in it.
 
-Kernels (for the plainest CPU) and Python files are compiled here, since an emulated machine takes minutes; the files
-read meanwhile are put on a disk for the guest.
+Kernels (for the simplest CPU) and Python files are compiled here, because an emulated machine takes minutes; the files
+read meanwhile are copied to a disk for the guest.
 """
 
 import os

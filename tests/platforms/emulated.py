@@ -1,6 +1,6 @@
 """Emulate Windows or macOS on Linux, as far as possible, for our packages alone.
 
-They see `sys.platform` of that system, without the modules and names that it lacks (typeshed's conditions on
+The packages see `sys.platform` of that system, without the modules and names that it lacks (typeshed's conditions on
 `sys.platform`). This shows that they need nothing else; not that the rest behaves as on Linux.
 """
 

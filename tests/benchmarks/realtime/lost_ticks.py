@@ -1,10 +1,10 @@
 """Measure how many ticks a bridge loses, by rate: ``python -m tests.benchmarks.realtime.lost_ticks --seconds 10``.
 
-A drive that costs nothing sits behind a pseudo-terminal; a C program and the bridge ask it in turns, all scheduled as a
-board is, where that is allowed. A tick is lost when no reply came within its period (a reply that took three periods is
-three lost ticks), or when the asker slept through it. What the C program loses, the computer loses: the kernel hands a
-terminal's bytes over in an ordinary worker, which any other program delays. So the load stands beside the result, which
-is about an idle machine.
+A simulated drive of negligible cost is behind a pseudo-terminal; a C program and the bridge send it requests in turn,
+with a board's real-time scheduling where permitted. A tick is lost when no reply arrives within its period (a reply
+after three periods is three lost ticks), or when the sender woke up too late. Losses of the C program are due to the
+computer: the kernel passes a terminal's bytes by an ordinary worker thread, which any program can delay. Therefore the
+load is printed with the result, which is meant for an idle machine.
 """
 
 import argparse

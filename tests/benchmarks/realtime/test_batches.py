@@ -1,8 +1,8 @@
 """Measure how many ticks of a law on the device this computer can follow; 20 and 50 kHz must arrive without a gap.
 
-A process plays frames that were made before: as fast as they are taken over a socket pair, which shows what the loop
-can do, and on the device's grid over a pseudo-terminal, as a driver with a small buffer. Figures are printed; asserted
-is only what no load of the machine can change.
+A process sends prepared frames: over a socket pair as fast as they are read, which shows the limit of the loop, and
+over a pseudo-terminal at the device's rate, like a driver with a small buffer. Figures are printed; only what does not
+depend on the load is asserted.
 """
 
 import multiprocessing

@@ -1,8 +1,8 @@
 """Measure the delay that a bridge adds to a drive's round trip, and the periods that it misses.
 
-A drive that costs nothing sits behind a pseudo-terminal. A C program sends it the bridge's own bytes once a period, and
-the bridge does, in turns: the ratio of their medians is asserted. Lost replies and missed periods are printed only,
-since another program can take the processor at any time.
+A simulated drive of negligible cost is behind a pseudo-terminal. A C program and the bridge send it the same bytes once
+a period, in turn; the ratio of their medians is asserted. Lost replies and missed periods are only printed, because any
+other program can use the processor.
 """
 
 import os

@@ -1,9 +1,9 @@
 """Measure how a busy program disturbs the loop inside it: ticks run of ticks due, and rows that the recorder lost.
 
-In the same interpreter one thread computes and never lets the GIL go by itself, another makes and collects garbage; a
-process computes on each processor. The shipped loop runs against a far end that costs nothing, with the shipped
-recorder behind it; in turns with it, under the same load, a plain Python loop that only sleeps and counts, and
-cyclictest, whose missed turns no program on this machine could have avoided.
+In the same interpreter one thread computes and rarely releases the GIL, another creates and collects garbage; a process
+computes on each processor. The shipped loop runs with the shipped recorder against a far end of negligible cost; then,
+under the same load, a plain Python loop that only sleeps and counts, and cyclictest, whose missed turns no program on
+this machine could have avoided.
 """
 
 import contextlib

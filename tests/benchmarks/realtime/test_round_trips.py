@@ -1,16 +1,16 @@
 """Compare round trips per second of the loop, a C client and plain pyserial, on the same link to the same far end.
 
-The far end (`far_end.c`) checks each COMMAND and answers with a STATE at once. The shipped loop (`rig.loop`) does all
-that it does in a rig: stuffing, CRC, estimator, wall, guard, stamps and a row in the ring. The client (`client.c`)
-does the same by hand for one estimator and one law. Plain pyserial (plain sockets where it cannot go) writes one ready
-frame and reads as many bytes as a STATE has: it neither checks nor computes anything.
+The far end (`far_end.c`) checks each COMMAND and replies with a STATE at once. The shipped loop (`rig.loop`) does all
+work of a real run: stuffing, CRC, estimator, wall, guard, time stamps and a row in the ring. The client (`client.c`)
+does the same, written for one estimator and one law. Plain pyserial (sockets where it does not apply) writes one
+prepared frame and reads the bytes of a STATE without checks or computation.
 
-They take turns; the median of the ratios counts, and a link that misses the mark may try again, because a neighbour
-on the machine can spoil a second. With SCHED_FIFO at both ends where that is granted. On a loaded machine the bytes
-of a terminal are moved by a kernel thread of ordinary priority, for every reader: that ratio is shown only.
+They run in turn; the median of the ratios counts, and a link that misses the limit is measured again, because another
+program can spoil a second. SCHED_FIFO is used at both ends where permitted. On a loaded machine a kernel thread of
+ordinary priority transfers the bytes of a terminal for every reader: that ratio is only printed.
 
-Loop and client both wait with a bound of `SHORTEST_WAIT_NS` (a stop must be seen within a tick). On a virtual machine
-setting a timer so near costs several µs for each trip, which plain Python, with a second of patience, does not pay.
+Loop and client both wait at most `SHORTEST_WAIT_NS` (a stop must take effect within a tick). On a virtual machine
+such a short timer costs several µs per trip, which plain Python, with a timeout of a second, does not pay.
 """
 
 import contextlib

@@ -1,9 +1,8 @@
 """Compare the wake-up latency of the loop with cyclictest and with a plain Python loop.
 
-The shipped loop (`rig.loop`), paced by the host, runs with everything it does in a tick, against a far end that costs
-nothing. cyclictest runs at the same
-interval, priority and processor, with locked memory; the Python loop, which does nothing but write down the time,
-sleeps with `time.sleep`. They take turns; the medians of the rounds are shown, and the greatest latency of all.
+The shipped loop (`rig.loop`), paced by the host, does its complete tick against a far end of negligible cost.
+cyclictest runs at the same interval, priority and processor with locked memory; the Python loop only records the time
+and sleeps with `time.sleep`. They run in turn; the medians of the rounds and the largest latency are printed.
 """
 
 import statistics

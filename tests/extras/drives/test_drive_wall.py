@@ -26,7 +26,7 @@ from rig.experiments.trials.replay import replay
 from rig.extras.drives import own_wall
 from rig.extras.drives.faults import DriveFault
 from sim_backend.board.configuration import describe
-from tests.conformance.bridged import Bridged
+from tests.conformance.bridged import Bridged, Moteus
 from tests.conformance.host import Host
 from tests.conformance.tiers import first_by_default
 from tests.conformance.walled import DEEP, GAINS, Walled, walled, within
@@ -180,7 +180,9 @@ def test_a_host_that_falls_silent_sees_the_wall_fade() -> None:
     scales = []
     for _ in range(round(1e3 * (LIFETIME_S + RAMP_S + 0.008))):
         run.run(0.001, supervised=False)
-        scales.append(run.world.drive._words[_word("kp_scale")] if run.world.mode == 13 else 0.0)
+        scales.append(
+            run.world.drive._words[_word("kp_scale")] if run.world.mode == Moteus.stay_within else 0.0
+        )
     assert run.world.torque == 0.0
     assert run.world.bridge.fault == Fault.LINK_LOST
     assert scales == sorted(scales, reverse=True)
@@ -239,7 +241,7 @@ def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
         assert fault in {0, DriveFault.DRIVE_SILENT}
         if single:
             assert fault == 0  # a lost line is a missed tick
-            assert run.world.mode == 13
+            assert run.world.mode == Moteus.stay_within
         run.run(WATCHDOG_S + SLACK_S if fault else LIFETIME_S + RAMP_S + SLACK_S, supervised=False)
         assert run.world.torque == 0.0
 
@@ -369,7 +371,7 @@ def test_a_recording_has_the_effort_of_the_drive_and_what_it_was_set_to(tmp_path
 
     def noted(line: bytes, now: int) -> bytes:
         sent = hear(line, now)
-        if world.mode == 13:
+        if world.mode == Moteus.stay_within:
             rendered[world.bridge.facts.replies] = world.far.register(0x03A)
         return sent
 

@@ -277,7 +277,7 @@ def test_a_grid_gives_the_results_of_ladder_and_bisection() -> None:
         dampings=(0.0,),
         search=search,
         offsets=(0.1,),
-        status_of="true",
+        judged="true",
     )
     rows = [{"stiffness": k, "passes_any_true": k not in (2.0, 64.0)} for k in search.rungs]
     for row in rows:

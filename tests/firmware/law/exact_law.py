@@ -1,6 +1,6 @@
-"""The whole fixed-point law of a device (`law.h`) in exact arithmetic, for the integers of its parameters.
+"""The whole fixed-point law of a device (`law.h`) in exact arithmetic, with the integers of its parameters.
 
-Filter and wall are those of `tests.conformance.fixed_law`; homing, release and slew limit are here.
+Filter and wall are those of `tests.conformance.fixed_law`; homing, release and slew limit are defined here.
 """
 
 import math
