@@ -147,7 +147,7 @@ class Environment:
             require(word not in output, what, "prints", output[-1500:])
 
     def _check_recordings(self, here: Path) -> None:
-        """Require that every sealed recording is readable, whatever happened later."""
+        """Require that every sealed recording is readable."""
         from rig.recording.reader import open_recording  # noqa: PLC0415
 
         for path in here.rglob("*.parquet"):

@@ -45,7 +45,7 @@ LIFETIME, LONGEST = 5, 40  # of a command, and by how much a link holds it back 
 START = -0.015
 REST_S = 0.05  # lifetime and ramp, and some
 TICKS = 450  # about what a run takes
-ANSWERS_MOST = 20_000  # of one run: a host that asks for ever is a finding
+ANSWERS_MOST = 20_000  # in one run; a host that sends requests without end is a finding
 U16, U32, I16 = 0xFFFF, 0xFFFFFFFF, 0x7FFF
 
 Lie = Callable[[m.State, int, random.Random], m.State]  # STATE, number of lies so far, chance
@@ -116,7 +116,7 @@ CONTRADICTIONS: dict[str, Callable[[], Lie]] = {
 KNOWN = {"count: frozen": "a hand that holds still looks like that on two single-ended channels"}
 
 
-# Of a dictionary: a value that is read, and another device than it says.
+# Changes of a dictionary: false values, and another identity.
 IDENTITIES: tuple[dict[str, Any], ...] = (
     {"current_quantum_a": MODEL.amplifier.current_quantum_a * 10.0},
     {"current_quantum_a": 1e-300},
@@ -150,7 +150,7 @@ class Script:
     answer: type[Message] | None = None
     field: str = ""
     share: float = 1.0  # of the answers of this type
-    dictionary: dict[str, Any] | None = None  # what it says of itself, under a hash that is right
+    dictionary: dict[str, Any] | None = None  # its false entries, under a valid hash
     session: int = 0  # added to that of each frame
     sequence: int = 0
     late: tuple[FrameFault, ...] = ()  # what the link holds back

@@ -25,7 +25,7 @@ OF_ALL_LOOPS = {
     ("stop",),
     ("set",),
     ("serve", "lsl"),
-}  # they look for loops of this user: not without processes of our own
+}  # they find all loops of this user, so they need a process namespace
 BESIDE = {"home", "tmp", "model", "model.out", "model.err", "fonts", "here", "here.out", "here.err"}
 WORDS = (
     "", " ", "x", "-1", "0", "1", "-0.0", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "9" * 400,

@@ -81,7 +81,7 @@ def serve_console(line: Any, place: str, pid: int) -> None:
 
 @contextmanager
 def pages_beside(line: Any, found: dict[str, Any]) -> Iterator[None]:
-    """Run a console and its pages meanwhile; afterwards `found` contains what they received."""
+    """Run a console and its pages during the block; afterwards `found` contains what they received."""
     line.send("look")
     line.recv()
     yield

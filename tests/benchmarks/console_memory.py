@@ -46,7 +46,7 @@ from tests.conformance.tree import ROOT
 RATE_HZ = 1000
 RUN_S = 100.0
 TABLE = 100_000  # rows that come again and again
-FASTER = 4  # that the server looks at a loop, and reports its state
+FASTER = 4  # factor of the rate at which the server polls a loop and reports its state
 LOOK_S = 7.5
 KEPT = 20  # recordings and maps in their lists
 HIT_EACH = 8  # visits

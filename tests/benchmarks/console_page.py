@@ -30,7 +30,7 @@ from tests.benchmarks.console_memory import Day, open_console_page, served
 
 RATE_HZ = 20_000
 STOPS = 40
-SETTLE_S = 0.3  # a page says STOP on both of its sockets: the later one is no loop's that comes after
+SETTLE_S = 0.3  # a page sends STOP on both of its sockets; the second must not stop the next loop
 MARKS = {"row_to_pixel_ms": 50.0, "row_to_pixel_p99_ms": 120.0, "stop_ms": 20.0}
 LISTENS = """
 rigConsole.ages = [];

@@ -4,20 +4,20 @@
     python -m tests.benchmarks.currents --preset hapkit --noise 0.003
     python -m tests.benchmarks.currents --trials 2     # fewer of each case
 
-Each trial is a hit in virtual time over the byte link, with the device's own check and the loop's. Walls are taken from
-well below the preset's own up to far beyond what it holds: what oscillates, saturates or bounces must not alarm.
-A **false alarm** is a sound motor of which device or host say that its current is not the one that was set. The device
-may have another lag and another delay of the set-point in its description than the rig has. The delay is that of an
-amplifier profile, or 1 ms; the simulated rig has it in whole ticks, rounded up.
+Each trial is a hit in virtual time over the byte link, with the device's own check and the loop's. The stiffness of the
+walls ranges from far below the preset's to far above the stable limit: oscillation, saturation or bouncing must not
+cause an alarm. A **false alarm** is a report of a wrong current for a sound motor. The description of the device may
+have another lag and another delay of the set-point than the rig has. The delay is that of an amplifier profile, or
+1 ms; the simulated rig has it in whole ticks, rounded up.
 A motor that breaks, at a random tick of the trial proper, can be **seen** once the current differs by more than the
-rule's threshold for 20 ms, whatever windows of 10 ms are taken, without the largest difference of each (a spike?) and
-outside of what the rule's three lags leave. **Power** is the share of those that could be seen and ended the
-trial, and the slowest is how long that took. *Not seen* are the others: too little current flowed before the end.
-*Not observed* are sound trials in which no window had a current that a dead motor would have shown by.
+rule's threshold for 20 ms, in any windows of 10 ms, without the largest difference of each (a possible spike) and
+outside of the tolerance of the rule's three lags. **Power** is the share of the breaks that could be seen and ended the
+trial; the slowest is the longest such delay. *Not seen* are the others: too little current flowed before the end.
+*Not observed* are sound trials without a window whose current would have revealed a dead motor.
 
 The rule was written before the results: a line of a table may have no false alarm; and of the broken motors with a
-sensor whose noise is at most 1 % of the peak current, all but 1 % are found within 20 ms of their being seen, those of
-another scale where that is off by at least 20 %.
+sensor whose noise is at most 1 % of the peak current, all but 1 % are found within 20 ms after they can be seen, those
+with a wrong scale if it is off by at least 20 %.
 """
 
 import argparse

@@ -393,7 +393,7 @@ def hides(found: Group, pattern: Pattern) -> float:
 
 
 def table(found: Group) -> None:
-    """Print a row for each pattern: what it changes beyond the control, at each rate and over all cases."""
+    """Print a row for each pattern: its changes beyond the control's, at each rate and over all cases."""
     rates = sorted({case.rate for case, _ in found})
 
     def of(keep: Callable[[Case], bool]) -> Group:

@@ -30,7 +30,7 @@ from tests.conformance.tree import ROOT
 
 ALLOWED = 1 / 20
 INTO_THE_WALL = "\x1b[F"
-LOOK_S = 0.02  # between two looks at the lines
+LOOK_S = 0.02  # between two reads of the lines
 STUCK_S = 120.0  # without a new line
 RELEASED_S = 1.3  # more than that of `rig.session.terminal._held`
 KEYS = {"stable": "1", "limit cycle": "2", "unstable": "3"}

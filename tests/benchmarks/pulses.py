@@ -116,7 +116,7 @@ class TickByTick(FirmwareDevice):
 
 
 def faulty(experiment: Experiment, fault: Fault, at: float) -> FramedDevice:
-    """Return a device with an undescribed fault; it runs the law itself if the experiment says so."""
+    """Return a device with an undescribed fault; it runs the law itself if the experiment is configured so."""
     sound, script = config.rig_model(still(experiment)), None
     counts = "counts" in dict(fault.hardware)
     if experiment.controller.loop == "device":

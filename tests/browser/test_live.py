@@ -18,6 +18,7 @@ from rig.recording.reader import open_recording
 from tests.conformance.tolerance import reason_of, too_busy
 
 SCOPE = "rigConsole.scope"
+START = 0.35  # where the handle begins, as a share of the width
 MACHINE_S = 1.0  # for its processes to get their turn
 BUSY = [
     f"ended: {why}" for why in ("link silent", "device fault", "stopped")
@@ -59,10 +60,10 @@ def drag(page: Any, to: float = 0.6) -> None:
     wait_for_trial(page)
     box = page.locator("canvas.handle").bounding_box()
     height = box["y"] + box["height"] / 2
-    page.mouse.move(box["x"] + 0.35 * box["width"], height)
+    page.mouse.move(box["x"] + START * box["width"], height)
     page.mouse.down()
     for share in range(21):
-        page.mouse.move(box["x"] + (0.35 + (to - 0.35) * share / 20) * box["width"], height)
+        page.mouse.move(box["x"] + (START + (to - START) * share / 20) * box["width"], height)
         page.wait_for_timeout(20)
     there = page.locator("#state", has_text=re.compile("inside the wall|ended: "))
     there.wait_for()

@@ -43,7 +43,7 @@ def offers(page: Any, *names: str) -> bool:
 
 
 def press_the_wall(page: Any) -> None:
-    """Start a trial and press into the wall at the cue; return early if the page asks something else."""
+    """Start a trial and press into the wall at the cue; return early if the page shows another question."""
     before = question(page)
     page.wait_for_timeout(1e3 * RELEASED_S)  # the same key sooner would be one that is held
     page.keyboard.press("g")

@@ -103,7 +103,7 @@ def nothing_left() -> Iterator[None]:
     deadline = time.monotonic() + SETTLED_S
     while (changes := before.changes(Census.of_self())) and time.monotonic() < deadline:
         time.sleep(0.01)
-        gc.collect()  # a caller may still look at the error that ended a run, and at the frames behind it
+        gc.collect()  # a caller may still hold the error that ended a run, with its frames
     assert not changes, changes
 
 

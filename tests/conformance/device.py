@@ -29,10 +29,10 @@ def check_device(make_device_connection: MakeLink, *, starts_in_boot: bool = Tru
     Parameters
     ----------
     make_device_connection
-        Returns an open link; it is closed here.
+        Returns an open link; the suite closes it.
     starts_in_boot
-        Whether each link leads to a device that has just started. A process or a board that lives on between two
-        links says False, and what only a fresh device shows is not asked.
+        True if each link leads to a device that has just started. A process or a board that continues between two
+        links passes False, and checks that need a new device are omitted.
     """
     checks = [
         _identifies,
@@ -102,7 +102,7 @@ def _refuses_to_arm(host: Host) -> None:
     assert host.arm(session, crc ^ 1).status == Status.HASH_MISMATCH
     assert host.arm(session, crc).status == Status.OK
     assert host.disarm().status == Status.OK
-    successor = Host(host.link, first_nonce=1_000)  # another process, which does not know of the session
+    successor = Host(host.link, first_nonce=1_000)  # as from another process, without the session
     successor.identify()
     assert successor.arm(session, crc).status == Status.STALE_SESSION
     assert successor.connection.state is State.CONFIGURED
@@ -223,7 +223,7 @@ def _survives_noise(host: Host) -> None:
     noise = random.Random(1)
     for _ in range(20):
         host.link.write(noise.randbytes(200))
-    host.link.write(b"\0")  # ends whatever frame the noise began
+    host.link.write(b"\0")  # ends a frame that the noise may have begun
     host.identify()
     damaged = bytearray(host.sent)
     damaged[len(damaged) // 2] ^= 0x10

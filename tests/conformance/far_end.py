@@ -55,7 +55,7 @@ WAIT_S = 30.0  # for anything at all, on a loaded machine
 SLOWER = 100  # a host that died has lost its device after 2 s
 PATIENCE_S = 5.0  # without a sample, after which a device is lost to its host
 ANSWER_S = 0.1  # until a request is sent again
-LONGEST_STEP_NS = 2_500_000  # of device time between two looks at its clock: a tick of 500 Hz and a little
+LONGEST_STEP_NS = 2_500_000  # of device time between two readings: slightly more than a tick at 500 Hz
 OWED_NS = 8_000_000  # of device time in which a host sends something: less than any lifetime here
 FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
@@ -355,7 +355,7 @@ def _serve(model: RigModel, script: Script, witness_path: Path, rate: int, firmw
         else:
             device = WatchedDevice(model, witness, script, position_rate_maximum=4_000, **options)
             running = RealTime(device, FaultyPort(port, device, script, unplug, witness, clock), stop)
-        pipe.send(url)  # now that it is compiled: a host that knows the URL waits for no compiler
+        pipe.send(url)  # only after compiling, so that no host waits for the compiler
         running.run(None)
 
 

@@ -12,8 +12,8 @@ def ages(delays: NDArray[np.int64]) -> NDArray[np.int64]:
     Parameters
     ----------
     delays
-        Of each sample from the law's first on (ticks, 0 in time), or `LOST`. A line keeps the order: what comes behind
-        a late sample waits for it.
+        Of each sample from the law's first on (ticks, 0 in time), or `LOST`. A line keeps the order: a sample behind
+        a late one is at least as late.
     """
     ticks = np.arange(len(delays))
     arrivals = np.maximum.accumulate(np.where(delays == LOST, 0, ticks + delays))

@@ -29,11 +29,11 @@ def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: floa
     Parameters
     ----------
     make_link
-        Returns an open link to a device that answers IDENTIFY.
+        Returns an open link to a device that replies to IDENTIFY.
     make_silent_link
-        Returns an open link whose far end says nothing.
+        Returns an open link whose far end sends nothing.
     slack_s
-        How much later than its time-out a call may return: 0 in virtual time.
+        How much later than its timeout a call may return: 0 in virtual time.
     """
     for check in (
         _carries_a_conversation,

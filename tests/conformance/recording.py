@@ -22,10 +22,10 @@ AWKWARD = (0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, float("nan"), float
 
 @dataclass(frozen=True)
 class Limits:
-    """The features that a format lacks.
+    """The features that a format has or lacks.
 
-    `nan_bits`: keeps the payload of a NaN. `losses`: can say what its source had lost. `damage`: notices a
-    changed byte.
+    `nan_bits`: it keeps the payload of a NaN. `losses`: it can report losses of its source. `damage`: it detects
+    a changed byte.
     """
 
     nan_bits: bool = True
@@ -148,7 +148,7 @@ def check_losses_are_passed_on(write: Write, read: Read) -> None:
 def check_no_damage_is_silent(write: Write, read: Read) -> None:
     """A changed byte gives an error, a reported loss or no difference; never other content.
 
-    What does not matter is, for example, padding, or statistics that no reader of recordings looks at.
+    A byte without effect is, for example, padding, or statistics that no reader of recordings uses.
     """
     recording = Recording(example_header(), example_rows(40), {"reason": "finished"})
     path = write(recording)

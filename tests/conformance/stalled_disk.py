@@ -76,17 +76,17 @@ class DiskRun:
     dropped
         Rows that it counted as lost because the ring was full.
     arrived, missing, bad
-        Rows that the disk got, ticks that it did not get, blocks with anything wrong in them.
+        Rows that the disk received, ticks that it did not receive, invalid blocks.
     recorded
-        Rows that the recorder says to have written.
+        Rows that the recorder reports as written.
     error
         Errno of the recorder.
     fullest
-        Most rows that ever waited in the ring.
+        Largest number of rows that waited in the ring.
     worst_late_s
-        Latest wake-up of the producer behind its grid.
+        Largest delay of a wake-up of the producer.
     longest_hold_s
-        Longest time that Python's lock was held.
+        Longest time for which the GIL was held.
     grown_bytes
         Resident memory after the run less that before.
     """

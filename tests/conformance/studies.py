@@ -34,8 +34,8 @@ VERSIONS = {
 class Person:
     """A simulated person with known limits: K50 by condition and damping, and the automatic verdicts on these walls.
 
-    `drift` is added to K50 for each trial of the session. `invalid` is the share of hits that say nothing; `unsure`
-    that of trials after which they cannot say. `automatic` shifts the automatic verdict's limit against the person's.
+    `drift` is added to K50 for each trial of the session. `invalid` is the share of invalid hits; `unsure` that of
+    trials with the verdict "unsure". `automatic` shifts the automatic verdict's limit against the person's.
     """
 
     threshold: Callable[[str, float], float]

@@ -1,7 +1,7 @@
 """The host port built for a Cortex-M, with the functions of the shared library, so that tests can drive either.
 
-`CortexLibrary` offers what `sim_backend.board.firmware_library.load` gives; addresses of this computer stand for the
-one device that it has. Each `host_tick` leaves what it cost.
+`CortexLibrary` has the interface of `sim_backend.board.firmware_library.load`; addresses of this computer represent its
+only device. Each `host_tick` stores its cost.
 """
 
 import ctypes

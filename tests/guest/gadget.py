@@ -76,7 +76,7 @@ def acm_gadget(serial: str, name: str = "simulated rig") -> Iterator[AcmGadget]:
 
 
 class GadgetPort:
-    """The device's end of the gadget's line, as a `ends.real_time.DevicePort`; opened anew after an unplug."""
+    """The device's end of the gadget's line, as a `ends.real_time.DevicePort`; it is reopened after an unplug."""
 
     def __init__(self) -> None:
         self._descriptor = -1

@@ -21,7 +21,7 @@ from tests.guest.pico import PORT, emulated_pico
 
 HERE = Path(__file__).resolve().parents[2]
 MODULES = ("vhci_hcd", "dummy_hcd", "usb_f_acm", "cdc_acm", "virtio_console", "vcan", "can_raw")
-SKIPPED = 77  # the exit status that says "not run", as in automake
+SKIPPED = 77  # the exit status for "not run", as in automake
 PREPARE_TIMEOUT_S = 600.0
 ONE_CPU_FOR_ALL = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 PYTEST = ("-o", "addopts=", "--import-mode=importlib", "-p", "no:cacheprovider", "-p", "no:xdist")

@@ -32,7 +32,7 @@ from tests.guest.plugged import plugged, plugged_rig
 
 pytestmark = pytest.mark.skipif(not vhci.is_here(), reason="no vhci_hcd here: run .ci/guest")
 
-LONG_MS = 20_000
+LONG_S, LONG_MS = 20.0, 20_000
 READ = 4096
 STRIKE_AFTER_S = 0.3
 
@@ -81,7 +81,7 @@ def test_linux_enumerates_the_rig(opened: Any) -> None:
 def test_bytes_pass_both_ways_as_packets(opened: Any, bare: Any) -> None:
     sent = bytes(range(200))
     assert opened.write(ENDPOINT_OUT, sent, LONG_MS) == 200
-    bare.device.settimeout(20.0)
+    bare.device.settimeout(LONG_S)
     packets = [bare.device.recv(READ) for _ in range(4)]
     assert [len(packet) for packet in packets] == [64, 64, 64, 8]
     assert b"".join(packets) == sent
@@ -102,11 +102,11 @@ def link(bare: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
 
 def test_a_link_carries_bytes_and_waits_no_longer_than_it_says(link: Any, bare: Any) -> None:
     link.write(b"there")
-    bare.device.settimeout(20.0)
+    bare.device.settimeout(LONG_S)
     assert bare.device.recv(READ) == b"there"
     assert link.read(0.05) == b""
     bare.device.send(b"and back")
-    assert link.read(20.0) == b"and back"
+    assert link.read(LONG_S) == b"and back"
 
 
 # A fault in the instant in which libusb withdraws the transfer is reported as a timeout (the plain link's writes have
@@ -140,7 +140,7 @@ def test_fault_of_a_write_has_its_own_error(strike: Any, link: Any, bare: Any) -
 
 
 def read_for(link: Any) -> None:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + LONG_S
     while time.monotonic() < deadline:
         link.read(1.0)
 
@@ -163,7 +163,7 @@ def test_opening_anew_clears_a_halt(bare: Any) -> None:
     bare.bus.halt(ENDPOINT_IN)
     made = open_link(f"usb://{USB_VENDOR:04x}:{USB_PRODUCT:04x}/bare")
     bare.device.send(b"well again")
-    assert made.read(20.0) == b"well again"
+    assert made.read(LONG_S) == b"well again"
     made.close()
 
 
@@ -193,7 +193,7 @@ def test_a_pulled_plug_is_one_error_and_the_next_device_is_found(transfers: str)
     with plugged("pulled") as made:
         link = open_link(url)
         made.device.send(b"back")
-        assert link.read(20.0) == b"back"
+        assert link.read(LONG_S) == b"back"
         link.close()
 
 

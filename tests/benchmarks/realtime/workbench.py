@@ -85,7 +85,7 @@ def may_be_realtime() -> bool:
 
 @contextlib.contextmanager
 def inherited(priority: int, cpu: int | None = None) -> Iterator[None]:
-    """Give threads that are started meanwhile a SCHED_FIFO priority (0: none) and a processor (None: any)."""
+    """Give threads started in the block a SCHED_FIFO priority (0: none) and a processor (None: any)."""
     policy, parameter, affinity = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
     try:
         if cpu is not None:

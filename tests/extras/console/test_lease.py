@@ -34,7 +34,7 @@ def test_a_page_that_is_silent_loses_it_once() -> None:
     clock, lease = taken()
     gone, silent_s = None, 0.0
     while gone is None:
-        lease.beat("two")  # says nothing of the operator
+        lease.beat("two")  # has no effect on the operator
         clock.now += LOOK_S
         silent_s += LOOK_S
         assert lease.held().overdue == (silent_s > BEAT_S)

@@ -1,7 +1,7 @@
 """A session with a console, operated in a terminal, on a simulated rig, in real and in virtual time.
 
-A machine without time for a loop ends hits in real time early: the session asks then, and continues. Where every hit
-ends so, the test fails with this reason.
+On a busy machine hits in real time end early: the session then shows a question, and continues. If every hit ends so,
+the test fails with this reason.
 """
 
 import os
@@ -364,8 +364,8 @@ def leave(operator: Operator) -> None:
 def check_stopped(operator: Operator, trial: dict[str, Any]) -> str:
     """Require a complete, hashed recording with the stop as its reason and the counted losses; return the reason.
 
-    Its last row is that of the last sample; what the loop says afterwards, STOP, answers none. That no current flows
-    then is the device's to say (`PROGRAM`, `Operator.rested`). Returns why it ended.
+    Its last row is the last sample; the loop's STOP after it refers to no sample. The device itself reports that no
+    current flows then (`PROGRAM`, `Operator.rested`).
     """
     recording = open_recording(operator.directory / trial["recording"])
     assert recording.complete

@@ -34,21 +34,22 @@ WATCHDOG_S = 0.005  # five periods: the drive's own
 LIFETIME_S, RAMP_S = 0.020, 0.010  # of a command; in which the effort falls behind it
 SLACK_S = 0.003
 RUN_TICKS = 8
-both = pytest.mark.parametrize("kind", KINDS)
+TORQUE_PER_QUANTUM = 1e-3 * 0.1 / 2.0  # N·m at the drive: 1 mA, 0.1 N·m/A, geared 1:2
+each_drive = pytest.mark.parametrize("kind", KINDS)
 PERIOD_NS = 1_000_000
 
 
-@both
+@each_drive
 def test_a_bridge_is_a_device_like_any_other(kind: str) -> None:
     check_device(lambda: Bridged(kind=kind))
 
 
-@both
+@each_drive
 def test_a_command_turns_the_drive_as_the_rig_says(kind: str) -> None:
     world, host = armed(Bridged(kind=kind))
     push(host, 20)
     assert world.mode == world.far.on
-    assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)  # 0.1 N·m/A, geared 1:2
+    assert world.torque == pytest.approx(CURRENT * TORQUE_PER_QUANTUM, rel=1e-6)
     state = host.next_state()
     assert state.current_commanded == CURRENT
     assert state.current_measured == pytest.approx(CURRENT, abs=20)  # behind a lag of 1 ms
@@ -62,7 +63,7 @@ def test_a_command_turns_the_drive_as_the_rig_says(kind: str) -> None:
 def test_a_can_socket_in_place_of_an_adapter() -> None:
     world, host = armed(Bridged(socket=True))
     push(host, 20)
-    assert world.torque == pytest.approx(CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
+    assert world.torque == pytest.approx(CURRENT * TORQUE_PER_QUANTUM, rel=1e-6)
     assert world.bridge.facts.lost == 0
     bus_off = (0x20000000 | 0x40).to_bytes(4, "little") + bytes(12)  # CAN_ERR_FLAG, CAN_ERR_BUSOFF
     world._to_drive(world.bridge.receive_bus(bus_off, world._now))
@@ -71,15 +72,15 @@ def test_a_can_socket_in_place_of_an_adapter() -> None:
     assert world.torque == 0.0
 
 
-@both
+@each_drive
 def test_where_counts_fall_while_the_position_rises_the_drive_is_turned_the_other_way(kind: str) -> None:
     world, host = armed(Bridged(bridged_rig(sign=-1), kind=kind), encoder_sign=-1)
     push(host, 20)
-    assert world.torque == pytest.approx(-CURRENT * 1e-3 * 0.1 / 2.0, rel=1e-6)
+    assert world.torque == pytest.approx(-CURRENT * TORQUE_PER_QUANTUM, rel=1e-6)
     assert host.next_state().count < 0
 
 
-@both
+@each_drive
 def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it(kind: str) -> None:
     """One tick from a sample to its torque: host and bus use parts of the same period."""
     world, host = armed(Bridged(kind=kind))
@@ -91,7 +92,7 @@ def test_a_command_acts_at_the_next_tick_and_its_sample_comes_with_it(kind: str)
     assert world.clock.now_ns() - sent_ns <= PERIOD_NS
 
 
-@both
+@each_drive
 def test_a_sample_has_the_torque_that_its_current_gives(kind: str) -> None:
     """At 200 Hz each change has settled: a moteus is read in its frame, an ODrive sends half a message later."""
     slowly = {odrive.ENCODER_MS: "5", odrive.TORQUES_MS: "5", odrive.WATCHDOG_S: "0.025"}
@@ -103,7 +104,7 @@ def test_a_sample_has_the_torque_that_its_current_gives(kind: str) -> None:
         host.command(CURRENT * (number // 2 % 2))
 
 
-@both
+@each_drive
 def test_a_drive_at_rest_is_only_asked(kind: str) -> None:
     world = Bridged(kind=kind)
     world.run(0.05)
@@ -112,7 +113,7 @@ def test_a_drive_at_rest_is_only_asked(kind: str) -> None:
     assert world.bridge.facts.replies > 40
 
 
-@both
+@each_drive
 def test_arming_waits_until_the_drive_is_prepared_and_gives_no_torque_meanwhile(kind: str) -> None:
     world = Bridged(kind=kind)
     device = FramedDevice(world)
@@ -138,7 +139,7 @@ def test_arming_right_after_disarming_waits_until_the_drive_is_on_again() -> Non
     assert world.torque > 0.0
 
 
-@both
+@each_drive
 def test_a_drive_that_is_not_armed_is_switched_off_again(kind: str) -> None:
     world = Bridged(kind=kind)
     host = Host(world)
@@ -163,18 +164,18 @@ class Behind(FarEnd):
         super().__init__(self.world)
 
     def effort(self) -> float:
-        return self.world.torque / (1e-3 * 0.1 / 2.0)  # as `test_a_command_turns_the_drive_as_the_rig_says`
+        return self.world.torque / TORQUE_PER_QUANTUM
 
     def enabled(self) -> bool:
         return self.world.mode == self.world.far.on
 
 
-@both
+@each_drive
 def test_a_fault_of_the_host_is_zero_torque_in_time_latched_and_reported(kind: str) -> None:
     check_faults(lambda: Behind(kind))
 
 
-@both
+@each_drive
 def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive(kind: str) -> None:
     world, host = armed(Bridged(kind=kind))
     push(host, 10)
@@ -186,7 +187,7 @@ def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive(kind: st
     assert abs(world.far.measured) < 1e-3  # N·m; behind a lag of 1 ms
 
 
-@both
+@each_drive
 def test_a_bridge_that_ends_switches_the_drive_off(kind: str) -> None:
     world, host = armed(Bridged(kind=kind))
     push(host, 10)
@@ -196,7 +197,7 @@ def test_a_bridge_that_ends_switches_the_drive_off(kind: str) -> None:
     assert world.mode == world.far.rest
 
 
-@both
+@each_drive
 def test_an_adapter_that_is_pulled_out(kind: str) -> None:
     world, host = armed(Bridged(kind=kind))
     push(host, 10)
@@ -243,9 +244,9 @@ ENDINGS: dict[str, tuple[Way, Strike, int]] = {
     ),
 )  # a CAN controller passes on no garbled frame
 def test_a_fault_at_any_line_of_a_run(kind: str, ending: str) -> None:
-    """Torque is zero in time whatever is lost; losses are counted, and no old count is reported as new."""
+    """Every loss leads to zero torque in time; losses are counted, and no old count is reported as new."""
     way, strike, length = ENDINGS[ending]
-    of_the_run = RUN_TICKS * (1 if way == "to drive" else 2)  # the adapter says OK, too
+    of_the_run = RUN_TICKS * (1 if way == "to drive" else 2)  # the adapter sends OK, too
     for first in range(0, of_the_run, 1 if strike is drop and length == 1 else 5):
         world, host = armed(Bridged(kind=kind))
         begin = world.lines[way] + first
@@ -314,7 +315,7 @@ def test_the_silence_of_a_drive_is_known_as_want_of_time() -> None:
     assert DriveFault.DRIVE_SILENT.name in OUT_OF_TIME
 
 
-@both
+@each_drive
 def test_a_drive_that_fell_silent_is_homed_again(kind: str) -> None:
     """A drive without power loses its count of turns."""
     world = Bridged(kind=kind)
@@ -327,7 +328,7 @@ def test_a_drive_that_fell_silent_is_homed_again(kind: str) -> None:
         device.configure(RUN_PARAMETERS)
 
 
-@both
+@each_drive
 def test_a_drive_that_hiccups_before_it_is_armed_is_only_counted(kind: str) -> None:
     world = Bridged(kind=kind)
     device = FramedDevice(world)
@@ -340,7 +341,7 @@ def test_a_drive_that_hiccups_before_it_is_armed_is_only_counted(kind: str) -> N
     device.arm()
 
 
-@both
+@each_drive
 @pytest.mark.parametrize("turns", [-1, 1])
 def test_a_position_that_jumps_by_turns_is_no_motion(kind: str, turns: int) -> None:
     """A restarted drive measures its angle within a turn, but not which turn."""
@@ -357,7 +358,7 @@ def test_a_position_that_jumps_by_turns_is_no_motion(kind: str, turns: int) -> N
     assert (world.torque, world.mode) == (0.0, world.far.rest)
 
 
-@both
+@each_drive
 def test_a_fault_while_the_drive_is_prepared_has_the_text_of_the_drive(kind: str) -> None:
     world = Bridged(kind=kind)
     device = FramedDevice(world)
@@ -368,7 +369,7 @@ def test_a_fault_while_the_drive_is_prepared_has_the_text_of_the_drive(kind: str
     assert world.torque == 0.0
 
 
-@both
+@each_drive
 def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_one_comes(kind: str) -> None:
     world, host = armed(Bridged(kind=kind, travel_ns=400_000))
     push(host, 5)
@@ -380,7 +381,7 @@ def test_a_sample_that_was_lost_is_missing_in_the_index_however_soon_the_next_on
     assert (state.sample_index - before, state.missed_ticks) == (2, 1)
 
 
-@both
+@each_drive
 @pytest.mark.parametrize("awaits", first_by_default([False, True]))
 def test_a_computer_that_stands_still_loses_samples_and_has_no_old_ones(kind: str, awaits: bool) -> None:
     """Pauses shorter than a command's lifetime are counted, longer ones end the run; index and clock agree."""

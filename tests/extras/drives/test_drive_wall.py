@@ -161,7 +161,7 @@ def test_wall_and_push_together_end_at_the_limit_of_the_experiment() -> None:
     limit = run.world.drive._words[_word("max_torque")]
     assert limit == pytest.approx(0.1, abs=3e-5)  # register 0x025, a quantum
     assert abs(run.world.torque) == pytest.approx(0.1, abs=3e-5)
-    assert run.world.far.register(0x00F) == 102  # "maximum torque", says the drive
+    assert run.world.far.register(0x00F) == 102  # the drive reports "maximum torque"
     run.run(0.006)
     assert run.state.limits & LimitFlag.CURRENT
 
@@ -228,10 +228,10 @@ def test_a_bridge_that_is_killed_leaves_it_to_the_watchdog_of_the_drive() -> Non
 
 @pytest.mark.parametrize("ending", first_by_default(reversed(ENDINGS), 4))  # dead, both garbled, lost answers
 def test_a_fault_at_any_line_of_a_run(ending: str) -> None:
-    """Torque is zero in time whatever is lost: the wall ends with the session that rendered it."""
+    """Every loss leads to zero torque in time: the wall ends with the session that rendered it."""
     way, strike, length = ENDINGS[ending]
     single = length == 1 and strike.__name__ == "drop"
-    of_the_run = RUN_MS * (1 if way == "to drive" else 2)  # the adapter says OK, too
+    of_the_run = RUN_MS * (1 if way == "to drive" else 2)  # the adapter sends OK, too
     for first in range(0, of_the_run, 1 if single else 5):
         run = within()
         begin = run.world.lines[way] + first
@@ -331,7 +331,7 @@ def test_a_drive_that_would_render_another_wall_is_offered_none(setting: str, va
     dictionary = host.identify()
     reasons = " ".join(check.text for check in refused(device_checks(run, dictionary)))
     assert says in reasons
-    assert host.configure(**run.parameters).status == Status.OUT_OF_RANGE  # a host that does not look
+    assert host.configure(**run.parameters).status == Status.OUT_OF_RANGE  # a host without its own check
 
 
 @pytest.mark.parametrize(

@@ -133,7 +133,7 @@ def test_a_ruling_without_words_and_words_without_a_number_are_errors(templates:
 # --- what stands in templates ----------------------------------------------------------------------------------------
 
 ROOM = Path(reproduction.__file__).parent
-# Names of figures, rates and quantities, and what a paper itself says: no result is among them.
+# Names of figures, rates and quantities, and statements of a paper itself: no result is among them.
 CONSTANTS = (
     "Fig. 8a and 8b together", "Fig. 8a", "Fig. 8b", "Figs. 3 and 7", "Figs. 7 and 8", "Fig. 1", "Fig. 3", "Fig. 4",
     "Fig. 5", "Fig. 6", "Fig. 7", "Fig. 8", "equations (10) and (14)", "2013", "50 kHz", "20 kHz",
@@ -210,7 +210,7 @@ def test_lists_in_a_sentence_are_joined_and_equal_texts_gathered() -> None:
 def test_a_page_has_every_section_and_verdict_and_needs_nothing_from_elsewhere(templates: None) -> None:
     page = ParsedPage(render(made_up(), {"drawn": PNG}))
     assert {"claims", "figure-5", "provenance", "numbers"} <= set(page.ids)
-    assert "#figure-5" in page.sources  # the navigation knows it
+    assert "#figure-5" in page.sources  # the navigation contains it
     text = page.text
     for verdict in ("reproduced", "reproduced only with luck", "not reproduced"):
         assert verdict in text

@@ -127,7 +127,7 @@ def test_the_root_says_what_it_is(dataset: Any) -> None:
     assert described["DatasetType"] == "raw"
     assert re.fullmatch(r"1\.10\.\d+", described["BIDSVersion"])
     assert (described["Authors"], described["License"]) == (["A. Author"], "CC0")
-    assert len((dataset / "README.md").read_text()) > 150  # what the standard's validator wants
+    assert len((dataset / "README.md").read_text()) > 150  # required by the standard's validator
     people = table(dataset / "participants.tsv")
     assert [row["participant_id"] for row in people] == ["sub-P01", "sub-P02"]
     assert [row["code"] for row in people] == ["P01", "P-02"]

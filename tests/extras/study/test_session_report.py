@@ -408,7 +408,7 @@ def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
         low, high = axes.get_xlim()
         ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
         assert all(tick == round(tick) for tick in ticks), axes.get_xlabel()
-        assert ticks or axes.texts, axes.get_xlabel()  # a panel without ticks says why it is empty
+        assert ticks or axes.texts, axes.get_xlabel()  # a panel without ticks states why it is empty
 
 
 def test_a_panel_without_data_says_so(tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def request_of(world: World, data: bytes, ticks: bool) -> bytes:
 class Partner:
     """A process that replies to requests: the image in QEMU, or the same program built for this computer.
 
-    The emulator's virtual time stands still while a request is awaited, so every run is alike.
+    The emulator's virtual time stops while it waits for a request, so every run is alike.
     """
 
     def __init__(self, command: list[str], directory: Path) -> None:

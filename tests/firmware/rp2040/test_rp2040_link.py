@@ -14,7 +14,7 @@ BAUD = 3_000_000
 
 
 def test_the_line_runs_at_the_rate_that_was_asked_for(powered: Powered) -> None:
-    # A PL011 wants both ends within 2 %; a USB adapter hits its own rate.
+    # A PL011 requires both ends within 2 %; a USB adapter has an exact rate.
     assert powered().pico.look()["baud"] == pytest.approx(BAUD, rel=0.003)
 
 

@@ -46,7 +46,7 @@ def test_the_device_dates_its_samples_as_they_come(powered: Powered, rate: int) 
 
 
 # Share of the period that the worst tick may take: a little above what it took on 2026-11-29 (PICO.md). A delay of the
-# set-point is two more currents to follow, and a line to look through for the time from half of it to twice of it.
+# set-point adds two currents to compute, and a search of the delay line from half to twice the delay.
 @pytest.mark.parametrize(
     ("output", "position_rate", "velocity_rate", "share"),
     [

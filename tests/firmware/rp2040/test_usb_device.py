@@ -48,7 +48,7 @@ def pairs(data: bytes) -> Iterator[bytes]:
         data = data[data[0] :]
 
 
-# ---------------------------------------------------------------------- what the device says of itself
+# ---------------------------------------------------------------------- descriptors of the device
 
 
 def test_a_host_finds_what_rig_looks_for(host: Host) -> None:
