@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.browser.test_live import begun, check_stopped, state, until
+from tests.browser.test_live import check_stopped, state, until, wait_for_trial
 
 FINGER_PX = 24  # least height of a target (WCAG 2.2, 2.5.8)
 SIZES = [(1024, 768), (768, 1024)]
@@ -48,7 +48,7 @@ def tablet(request: pytest.FixtureRequest, console: Any, open_page: Any) -> Any:
 def test_a_finger_drags_the_handle_slides_the_wall_and_stops(tablet: Any, tmp_path: Path) -> None:
     page, finger = tablet, Finger(tablet)
     page.get_by_role("button", name="Drag the handle").tap()
-    begun(page)
+    wait_for_trial(page)
     handle = page.locator("canvas.handle")
     with finger.drags(handle, 0.35, 0.6):
         state(page, "inside the wall")

@@ -157,7 +157,7 @@ def loops_of_this_test() -> list[RunningLoop]:
 
 @asynccontextmanager
 async def served(place: Path, terminal: Terminal | None = None, **settings: Any) -> AsyncIterator[Served]:
-    """Serve a console until the block ends, with everything that it started; its STOP reaches only loops of this test."""
+    """Serve a console until the block ends, with all that it started; its STOP reaches only this test's loops."""
     ended, urls = asyncio.Event(), asyncio.Queue[str]()
     made = ConsoleSettings(output=place, announce=urls.put_nowait, **settings)
     task = asyncio.create_task(run(made, terminal or Terminal(), ended))

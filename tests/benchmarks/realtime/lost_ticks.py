@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.realtime.test_bridge import AS_A_BOARD, by_a_client, by_the_bridge, drive
+from tests.benchmarks.realtime.test_bridge import AS_A_BOARD, drive, run_bridge, run_client
 from tests.benchmarks.realtime.workbench import compile_c, may_be_realtime, print_table
 
 RATES = "500,1000,1500,2000,2500"
@@ -38,10 +38,10 @@ def measure(rates: list[int], seconds: float, *, as_a_board: bool) -> list[tuple
         end, client = (compile_c(Path(place), name) for name in ("drive_end", "drive_client"))
         with drive(end, before) as line:
             for rate in rates:
-                took, never = by_a_client(client, line, rate, seconds, before)
+                took, never = run_client(client, line, rate, seconds, before)
                 lost = never + int(np.sum(took * rate // 1_000_000))
                 rows.append(("C client", rate, lost, "", round(took.max()), cpu_pressure()))
-                facts = by_the_bridge(line, rate, seconds, as_a_board=as_a_board)
+                facts = run_bridge(line, rate, seconds, as_a_board=as_a_board)
                 rows.append(("bridge", rate, facts.lost, facts.skipped, facts.longest_us, cpu_pressure()))
     return rows
 
