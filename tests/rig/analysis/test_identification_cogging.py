@@ -1,4 +1,4 @@
-"""A map of cogging from slow sweeps: what is put into the data comes out within its interval, friction beside it."""
+"""Cogging maps from slow sweeps: harmonics in the data are found within their intervals, and friction beside them."""
 
 import math
 from typing import Any
@@ -19,7 +19,7 @@ INERTIA, DAMPING, UP, DOWN = 1.8e-3, 4e-3, 0.008, 0.006
 
 
 def swept(cogging: Cogging, wobble: float = 0.2, travel: float = TRAVEL, load: float = 0.0) -> Any:
-    """Time, effort, position and sweeps: a motion that is prescribed, and the effort that it takes by Newton's law."""
+    """Return time, effort, position and sweeps of a prescribed motion, with the effort by Newton's law."""
     sweeps, at, speeds, time_s = [], [], [], 0.0
     for speed in SPEEDS:
         for side in (1.0, -1.0):
@@ -59,7 +59,7 @@ def fitted(cogging: Cogging, most: int = 14, **options: Any) -> Any:
 )
 @settings(max_examples=2)
 def test_true_harmonics_and_no_others_come_out_within_the_interval(harmonics: Any) -> None:
-    """Three times the interval of three pairs bounds their scatter for certain; what was not seen is stated."""
+    """Three intervals bound the scatter of three pairs of coefficients; harmonics not found are reported."""
     true = Cogging(
         period=PERIOD,
         orders=tuple(harmonics),

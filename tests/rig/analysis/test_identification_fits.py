@@ -1,4 +1,4 @@
-"""Fits of an identification on data that scipy integrates, not the simulation, whose parameters they must find."""
+"""Fits of an identification recover the parameters of data integrated by scipy, independent of the simulation."""
 
 import math
 from itertools import accumulate
@@ -37,7 +37,7 @@ def friction(v: Any) -> Any:
 
 
 def linear(efforts: Any, derivative: Any, state: Any) -> Any:
-    """As `integrate`, of a linear derivative: the step is a matrix exponential, exactly."""
+    """Do what `integrate` does for a linear derivative, exactly, by a matrix exponential."""
     size = len(state)
     a = np.array([derivative(one, 0.0) for one in np.eye(size)]).T
     b = np.array(derivative(np.zeros(size), 1.0))
@@ -46,7 +46,7 @@ def linear(efforts: Any, derivative: Any, state: Any) -> Any:
 
 
 def integrate(efforts: Any, derivative: Any, state: Any) -> Any:
-    """States at the samples under efforts that are held between them."""
+    """Return the states at the samples, under efforts that are held between them."""
     states = [np.array(state)]
     for effort in efforts:
         end = solve_ivp(
@@ -102,7 +102,7 @@ def test_an_interval_is_written_with_the_digits_it_deserves(interval: Any, text:
 def pushed(
     sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool = False, damping: float = 0.0
 ) -> Any:
-    """Pushes up to 30 counts of a handle with friction, two each way; `gap`: after a reversal a tenth of the mass."""
+    """Return two pushes each way of a handle with friction, to 30 counts; `gap`: a tenth of the mass at a reversal."""
     time_s, effort, position = [], [], []
     t, x, v, before = 0.0, 0.0, 0.0, 1.0
     for direction in (1.0, 1.0, -1.0, -1.0, 1.0, 1.0):
@@ -139,7 +139,7 @@ def test_pushes_show_sign_breakaway_and_scale() -> None:
 
 
 def test_damping_that_is_described_is_no_inertia() -> None:
-    """A push of some 30 ms, against a time constant of 5 ms, as back-EMF gives."""
+    """A push lasts some 30 ms, the time constant of this damping 5 ms, as with back-EMF."""
     braked = pushed(damping=200.0 * MASS)
     assert "times the described inertia" in signs_of(braked).warnings[0]
     assert signs_of(braked, damping=200.0 * MASS).ok
@@ -184,7 +184,7 @@ def test_stiction_is_breakaway_well_above_sliding() -> None:
 
 @pytest.fixture(scope="module")
 def slid() -> Any:
-    """Strokes by a servo, integrated by scipy; effort and position as a rig would record them."""
+    """Return strokes by a servo, integrated by scipy, with effort and position as a rig records them."""
     strokes, time_s, setpoint = [], 0.0, []
     for length in (0.4, 0.8):
         for way in (0.02, -0.02):
@@ -220,7 +220,7 @@ def test_sliding_recovers_friction_each_way_and_damping(slid: Any) -> None:
 
 
 def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
-    """The command that it takes is more by b_e·v; the same effort flows."""
+    """The command is larger by b_e·v, while the same effort acts."""
     time_s, effort, position, strokes = slid
     command = effort + 20.0 * np.gradient(position, 1.0 / RATE)
     found = fit_sliding(time_s, command, position, strokes, resolution=QUANTUM, back_emf=20.0)
@@ -230,7 +230,7 @@ def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
 
 
 def test_only_samples_at_the_asked_speed_are_used() -> None:
-    """A soft one: while the speed rises its effort is friction and mass, which read as friction alone bend the line."""
+    """While a soft servo accelerates, its effort contains inertia, which would bias the friction line."""
     position, effort, strokes, time_s, at, speed = [], [], [], 0.0, 0.0, 0.0
     for length in (0.4, 0.8, 1.6):
         for asked in (0.04 / length, -0.04 / length):
@@ -277,7 +277,7 @@ def record(
     periods: int = 1,
     settle: int = 2,
 ) -> Any:
-    """One realisation, `late` ticks after it was sent, the settling periods cut."""
+    """Return one realisation, delayed by `late` ticks, without its settling periods."""
     played = multisine(realisation)
     n = round(RATE * played.period_s)
     sent = np.tile(played.period(RATE), settle + periods)
@@ -291,7 +291,7 @@ def record(
 
 @pytest.fixture(scope="module")
 def rubbing() -> Any:
-    """A mass with friction that differs by direction, late by two ticks."""
+    """Return records of a mass whose friction depends on direction, delayed by two ticks."""
 
     centring = MASS * (2.0 * np.pi * 2.5) ** 2  # keeps it near the middle, and is an effort like any other
 
@@ -333,7 +333,7 @@ def random_rig(seed: int) -> dict[str, Any]:
 
 
 def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int = 20) -> list[list[Any]]:
-    """Records of rigs with Coulomb friction and effort in steps, integrated together in small steps."""
+    """Return records of rigs with Coulomb friction and stepwise effort, integrated together in small steps."""
     mass, damping, coulomb, lag = (
         np.array([[one[key]] for one in rigs]) for key in ("mass", "damping", "coulomb", "lag")
     )
@@ -397,7 +397,7 @@ def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(
     "tests/rig/experiments/test_identification_run.py::test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag"
 )
 def test_back_emf_brakes_through_the_lag_that_is_fitted() -> None:
-    """L/R·T′ = command − b_e·v − T, integrated."""
+    """The data integrate L/R·T′ = command − b_e·v − T."""
     back_emf, lag_s = 40.0, 2e-3
 
     def derivative(y: Any, u: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Ripple from sweeps without and with a load: it comes out within its interval, and cogging and friction do not."""
+"""Torque ripple from sweeps with and without a load is found within its interval, apart from cogging and friction."""
 
 import math
 from dataclasses import replace
@@ -31,7 +31,7 @@ def found(rig: Cogging, load: float = LOAD) -> Ripple:
 
 
 def test_amplitude_and_phase_of_each_harmonic_are_those_of_the_motor() -> None:
-    """Neither the size of the load nor cogging or friction is in them: the quanta of effort and position are."""
+    """Load, cogging and friction do not affect them; the error is by quanta of effort and position."""
     ripple = found(RIPPLES)
     assert ripple.orders == COGS.orders
     for i, (c, s) in enumerate(zip(RIPPLES.ripple_cosine, RIPPLES.ripple_sine, strict=True)):
@@ -51,7 +51,7 @@ def test_a_motor_that_only_cogs_has_no_ripple_worth_the_name() -> None:
 
 
 def test_interval_holds_the_truth_as_often_as_stated() -> None:
-    """Of 95 % intervals in white noise, within four standard deviations of their binomial count."""
+    """For 95 % intervals in white noise, within four standard deviations of the binomial count."""
     rng, runs = np.random.default_rng(3), [swept(RIPPLES, load=hung) for hung in (0.0, LOAD)]
     held, trials = 0, 0
     for _ in range(25):
@@ -66,7 +66,7 @@ def test_interval_holds_the_truth_as_often_as_stated() -> None:
 
 
 def test_without_a_load_ripple_looks_like_varying_friction() -> None:
-    """Half the sum is F/(1 + r), half the difference friction/(1 + r): r needs a load."""
+    """Half the sum is F/(1 + r), half the difference friction/(1 + r), so r can be found with a load only."""
     map_ = fitted(RIPPLES, most=MOST)
     seen = ~np.isnan(map_.effort)
     share = 1.0 + RIPPLES.share(map_.position[seen])

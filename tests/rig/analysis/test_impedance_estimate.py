@@ -1,4 +1,4 @@
-"""Estimates of impedance against rigs that are known: other integrators, other transforms, noise of known size."""
+"""Impedance estimates of known rigs, against other integrators, other transforms, and noise of known size."""
 
 import json
 from dataclasses import replace
@@ -45,7 +45,7 @@ def excited(
 
 
 def test_phase_of_a_mass_damper_from_an_independent_integrator() -> None:
-    """90° − atan(b/(m·ω)) within 0.1° (here: 0.001°) from 5 to 500 Hz, on data of scipy's DOP853."""
+    """90° − atan(b/(m·ω)) within 0.1° (0.001° here) from 5 to 500 Hz, on data from scipy's DOP853."""
     lines = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
     multisine = Multisine(0.2, lines, np.full(7, 2.0), np.linspace(0.0, 5.0, 7))
     t, (size, phase) = np.arange(800) / RATE, (multisine.amplitudes, multisine.phases)
@@ -81,7 +81,7 @@ def test_a_linear_rig_without_noise_is_found_exactly() -> None:
 
 
 def test_scipys_cross_spectra_agree_with_the_ratio_of_lines() -> None:
-    """One boxcar segment for each period is the same arithmetic, in other hands."""
+    """With one boxcar segment per period, scipy's code computes the same ratio."""
     run = excited(Multisine.schroeder((1.0, 300.0), rms=3.0), periods=5, effort=0.3, position=2e-6)
     settings = {"window": "boxcar", "nperseg": 4000, "noverlap": 0, "detrend": False, "fs": RATE}
     f, rf = csd(run.excitation, run.effort, **settings)
@@ -98,7 +98,7 @@ def test_scipys_cross_spectra_agree_with_the_ratio_of_lines() -> None:
 
 
 def test_the_stated_variance_is_the_scatter_of_repeated_measurements() -> None:
-    """Noise in both channels; the chi-square of 160 estimates of 20 lines has its expected mean."""
+    """With noise in both channels, the chi-square of 160 estimates of 20 lines has its expected mean."""
     excites = [Multisine.random((10.0, 200.0), seed=s, rms=3.0, spacing_lines=10) for s in range(4)]
     score, parts = [], []
     for trial in range(160):
@@ -157,7 +157,7 @@ def test_channels_are_aligned_by_the_delays_that_they_declare(late: float) -> No
 
 
 def test_an_effort_held_over_its_sample_is_taken_for_what_it_is() -> None:
-    """Held at 4 kHz and correlated with its own sample, effort leads by 4.5° at 100 Hz: the trap of REPRODUCTION."""
+    """An effort held at 4 kHz but treated as sampled leads by 4.5° at 100 Hz (see REPRODUCTION)."""
     multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
     acting = multisine.through(
         hold(multisine.lines_hz, 1 / RATE)
@@ -192,7 +192,7 @@ def test_residual_is_the_share_of_velocity_power_off_the_lines() -> None:
 
 @pytest.mark.exhaustive("::test_the_stated_variance_is_the_scatter_of_repeated_measurements")
 def test_the_instrument_is_not_biased_by_noise_of_the_motion_and_h1_is() -> None:
-    """H1 reads |H|·S_vv/(S_vv + S_nn); segments of whole periods, so that nothing else differs."""
+    """H1 estimates |H|·S_vv/(S_vv + S_nn); segments are whole periods, so leakage adds nothing."""
     settings = WelchSettings(window="boxcar", segment_s=1.0, overlap=0.0, transform_samples=1000)
     multisine = Multisine.random((10.0, 400.0), seed=3, rms=3.0)
     run = excited(multisine, rate=1000.0, periods=400, position=1.5e-6)
@@ -236,7 +236,7 @@ def test_welch_is_scipys_with_the_settings_of_tfestimate() -> None:
 
 @pytest.mark.exhaustive("::test_welch_is_scipys_with_the_settings_of_tfestimate")
 def test_welchs_variance_is_the_scatter_over_records_of_noise() -> None:
-    """White noise through a resistor with noise of its own: z = 2, n segments of known worth."""
+    """White noise through a resistor with its own noise: z = 2, n segments of known weight."""
     random = np.random.default_rng(4)
     lines = np.arange(10.0, 100.0)
     for estimator in ("h1", "instrument"):

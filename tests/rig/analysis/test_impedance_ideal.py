@@ -1,4 +1,4 @@
-"""Closed forms of rigs with sampled walls, against a loop that is stepped tick by tick and knows no transform."""
+"""Closed forms for rigs with sampled walls, against a time-domain loop that is stepped tick by tick."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ FINE = 16  # inner steps for each tick
 
 
 class Loop:
-    """The sampled loop in the time domain: exact exponentials between instants, the law in the words of the design."""
+    """The sampled loop in the time domain: exact exponentials between ticks, and the law as its design states it."""
 
     def __init__(self, loop: Any, stiffness: Any, damping: Any) -> None:
         model = loop.subject.model
@@ -33,7 +33,7 @@ class Loop:
         self.ticks = 0
 
     def step(self, matrix: Any, *more: Any) -> Any:
-        """Exponential of the plant with what drives it appended to its states."""
+        """Return the exponential of the plant, its inputs appended to its states."""
         n = self.plant.order
         whole = np.zeros((n + len(more), n + len(more)))
         whole[:n, :n] = self.plant.a
@@ -46,7 +46,7 @@ class Loop:
         return exact
 
     def law(self, position: Any, own: float = 0.0) -> Any:
-        """Effort commanded at this tick, and the one that is due."""
+        """Compute the effort commanded at this tick, and return the one that becomes active now."""
         e, n = self.loop.estimator, self.loop.divider
         part = self.ticks % n
         if part == 0:
@@ -68,7 +68,7 @@ def measured(
     channel: str = "external",
     settle: float = 0.4,
 ) -> Any:
-    """F/(jω·X) of one line in the steady state: a transform of 50 ms, after the transient has gone."""
+    """Return F/(jω·X) of one line in steady state, by a transform over 50 ms."""
     rig = Loop(loop, stiffness, damping)
     plant, n, w = rig.plant, rig.plant.order, 2.0 * np.pi * line
     external, command = plant.b[:, 1], plant.b[:, 0]
@@ -150,7 +150,7 @@ def test_two_masses_at_the_handle_and_at_the_encoder(seen: str) -> None:
 
 
 def test_the_usual_expression_is_within_the_promise_for_walls_that_can_be_stable() -> None:
-    """0.1° and 0.3 % up to 400 Hz at 1 kHz: m·s + b + ZOH·(K/s + B·H/s), images left out, written out by hand."""
+    """0.1° and 0.3 % up to 400 Hz at 1 kHz for m·s + b + ZOH·(K/s + B·H/s) without sampling images."""
     lines = np.arange(1.0, 401.0)
     s = 2j * np.pi * lines
     zoh = (1 - np.exp(-s * 1e-3)) / (s * 1e-3)
@@ -177,7 +177,7 @@ def test_without_a_wall_it_is_the_rig() -> None:
 
 
 def test_two_masses_resonate_where_their_masses_and_the_capstan_say() -> None:
-    """With hardly any damping: stiff where the motor swings alone against the capstan, soft where both do."""
+    """With little damping: stiff where only the motor swings against the capstan, soft where both masses do."""
     model = linear_loop("koul-compliant", "dual:20k/2k").subject.model
     quiet = {"transmission_damping_ratio": 1e-4, "motor_damping": 1e-5, "link_damping": 1e-5}
     loop = linear_loop(replace(model, mechanics=replace(model.mechanics, **quiet)), "dual:20k/2k")

@@ -1,4 +1,4 @@
-"""Passivity, residual, fidelity and fits: identities of the physics, and noise of known size."""
+"""Passivity, residual, fidelity and fits of an impedance: physical identities, and noise of known size."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,7 +23,7 @@ def rig_with_wall(stiffness: Any, damping: Any, lines: Any = LINES) -> Any:
 
 
 def noisy(exact: Impedance, deviation: Any, seed: int = 0) -> Impedance:
-    """The impedance with circular noise of this standard deviation in each of real and imaginary part."""
+    """Return the impedance with circular noise of this standard deviation in real and imaginary part."""
     random = np.random.default_rng(seed)
     n = len(exact.z)
     size = np.broadcast_to(deviation, n)
@@ -66,7 +66,7 @@ def test_worst_and_failed_lines_are_named() -> None:
 
 
 def test_the_tolerance_is_that_of_the_noise_and_declared() -> None:
-    """A line at Re Z = 0 is active by chance half the time; with two deviations of tolerance once in 44."""
+    """At Re Z = 0 noise makes half of the lines active; with a tolerance of two deviations one in 44."""
     at_limit = replace(rig_with_wall(0.0, -B, np.arange(1.0, 2001.0)))
     strict = passive(noisy(at_limit, 3.0), z_score=0.0)
     tolerant = passive(noisy(at_limit, 3.0), z_score=2.0)
@@ -77,7 +77,7 @@ def test_the_tolerance_is_that_of_the_noise_and_declared() -> None:
 
 
 def test_fidelity_of_no_wall_is_the_rigs_own_impedance() -> None:
-    """√mean(b² + (2πmf)²) over the lines, exactly."""
+    """It is exactly √mean(b² + (2πmf)²) over the lines."""
     for top in (50, 156, 400):
         lines = np.arange(1.0, top + 1.0)
         found = fidelity(rig_with_wall(0.0, 0.0, lines), 0.0, 0.0)
@@ -128,7 +128,7 @@ def test_an_inertia_left_in_makes_a_wall_seem_soft() -> None:
     high_hz=st.sampled_from([40.0, 400.0]),
 )
 def test_effective_numbers_are_those_of_the_low_band(delay_s: float, damping: float, high_hz: float) -> None:
-    """Behind a delay τ a wall shows B − K·τ where ω·τ is small: each to the next order of its closed form."""
+    """With a delay τ, a wall's damping is B − K·τ where ω·τ is small, to the next order of its closed form."""
     lines = np.arange(1.0, high_hz + 1.0)
     s, w = 2j * np.pi * lines, 2 * np.pi * lines[:20]
     delayed = DEVICE.impedance(lines) + (2e4 / s + damping) * np.exp(-s * delay_s)
@@ -147,7 +147,7 @@ def test_too_few_low_lines_state_nothing() -> None:
 
 
 def test_misfit_of_the_model_widens_the_interval() -> None:
-    """A wall that is half gone by 20 Hz: the lines are known to 0.1 N·s/m, its mean stiffness is not."""
+    """The wall's stiffness halves by 20 Hz: lines are known to 0.1 N·s/m, but its mean stiffness is not."""
     low = 2e4 / (2j * np.pi * LINES) / (1.0 + (LINES / 20.0) ** 2)
     measured = noisy(Impedance.exact(LINES, DEVICE.impedance(LINES) + low), 0.1)
     found = fidelity(measured, 2e4, 0.0, device=DEVICE)

@@ -55,7 +55,7 @@ BALANCED = 2.0 / math.pi * K * COUNT  # effort of a single edge's first harmonic
 
 
 def test_a_relay_round_a_motor_has_the_textbooks_cycle() -> None:
-    """K/(s·(J·s + b)·(τ·s + 1)) behind a relay: ω² = b/(J·τ), amplitude (4M/π)·K/b·τ₁τ/(τ₁ + τ), τ₁ = J/b, M = Δ/2."""
+    """K/(s·(J·s + b)·(τ·s + 1)) with a relay: ω² = b/(J·τ), amplitude (4M/π)·K/b·τ₁τ/(τ₁ + τ), τ₁ = J/b, M = Δ/2."""
     slow = J / DAMPER
     found = limit_cycle(rig(), FAST, K, 0.0)
     assert found.frequency_hz == pytest.approx(1.0 / (2.0 * math.pi * math.sqrt(slow * LAG)), rel=5e-3)
@@ -93,7 +93,7 @@ def test_a_mean_reading_near_a_whole_count_buzzes_less() -> None:
 
 
 def test_a_loop_in_numpy_alone_cycles_as_predicted() -> None:
-    """The same rig stepped by its matrix exponential, its count fed back: shares nothing with the product."""
+    """Steps the rig by its matrix exponential and feeds back its count; shares no code with the product."""
     step_s, seconds = 1e-5, 4.0
     a = np.array([[0.0, 1.0, 0.0], [0.0, -DAMPER / J, 1.0 / J], [0.0, 0.0, -1.0 / LAG]])
     b = np.array([[0.0, 0.0], [0.0, 1.0 / J], [1.0 / LAG, 0.0]])  # command, push

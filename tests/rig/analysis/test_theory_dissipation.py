@@ -1,4 +1,4 @@
-"""Passivity with lag and delay: against the work of motions in fine steps, and against other definitions."""
+"""Passivity with lag and delay, against the work of motions in fine steps, and against other definitions."""
 
 import math
 from collections.abc import Callable
@@ -48,10 +48,10 @@ def work_matrices(
     back_emf: float = 0.0,
     tick_s: float = 5e-5,
 ) -> Callable[[float], Any]:
-    """Mean effort in each fine step for a unit of velocity in each, where all repeats but for a phase θ each period.
+    """Return mean efforts in each fine step by unit velocities in each; all repeats but for a phase θ each period.
 
     One state [position; Butterworth (2) and the position before; velocity, slope, velocity before; lag, back-EMF
-    in it; commands on their way] stepped in time with the velocities as inputs; no harmonic, no closed form.
+    in it; commands in transit] is stepped in time with velocities as inputs: no harmonics, no closed form.
     """
     coefficients = butter(2, cutoff_hz, fs=1.0 / (n * tick_s), output="sos")[0]
     b0, b1, b2, _, a1, a2 = coefficients
@@ -94,7 +94,7 @@ def work_matrices(
 
 
 def worst_work(k: Any, b: Any, **case: Any) -> Any:
-    """Damping that a rig must have lest some motion gets work out of it: the largest eigenvalue over all phases."""
+    """Return the damping with which no motion can extract work: the largest eigenvalue over all phases."""
     work = work_matrices(k, b, **case)
 
     def needed(theta: Any) -> Any:
@@ -128,9 +128,9 @@ def worst_work(k: Any, b: Any, **case: Any) -> Any:
 def test_worst_motion_at_the_limit_gets_the_work_that_the_rig_dissipates(
     scheme: str, n: int, lag_s: float, ticks: int, cutoff_hz: float, share: float
 ) -> None:
-    """Brute force on the definition: every motion in steps of 1/16 tick, nothing known about where the worst one is.
+    """Brute force over the definition: every motion in steps of 1/16 tick, without knowledge of the worst one.
 
-    Necessary and sufficient: a little less damping, and that motion gets work out.
+    The limit is necessary and sufficient: with slightly less damping that motion extracts work.
     """
     model = late_rig(lag_s=lag_s, ticks=ticks)
     b = share * theory.passivity_bound(model, scheme).largest_damping
@@ -153,7 +153,7 @@ def test_worst_motion_at_the_limit_gets_the_work_that_the_rig_dissipates(
 def test_back_emf_dissipates_only_as_fast_as_its_current(
     scheme: str, n: int, lag_s: float, cutoff_hz: float, share: float
 ) -> None:
-    """The same brute force on a voltage-driven rig: viscous damping dissipates the rest."""
+    """The same brute force on a voltage-driven rig, in which viscous damping dissipates the rest."""
     model = voltage_driven(late_rig(lag_s=lag_s))
     b = share * theory.passivity_bound(model, scheme).largest_damping
     k = passive_k(model, scheme, b)
@@ -177,7 +177,7 @@ def test_back_emf_alone_makes_no_wall_passive_behind_a_lag() -> None:
 
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "dual:20k/2k,prediction=extrapolate"])
 def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(scheme: str) -> None:
-    """K·T1/2 asks the same of every motion of a period, so what K and B ask for adds: exact, with N > 1 too."""
+    """K·T1/2 is the same for every motion of a period, so the demands of K and B add exactly, also for N > 1."""
     loop = theory.linear_loop(late_rig(lag_s=0.0), scheme)
     for b in (0.0, 1e-3, 4e-3, 6e-3):
         closed = (3e-3 - theory.beta(loop) * b) / 0.25e-4
@@ -200,7 +200,7 @@ def test_without_lag_and_delay_it_is_the_closed_form_for_one_rate_and_for_many(s
 def test_passive_wall_is_stable_with_any_passive_hand_despite_lag(
     lag_s: float, ticks: int, scheme: str, drive: str
 ) -> None:
-    """And an active one is not with some: masses and springs from next to nothing to bolted down are tried."""
+    """An active wall is unstable with some hand: masses and springs from nearly nothing to rigid are tried."""
 
     def rig(**mechanics: Any) -> Any:
         model = late_rig(lag_s=lag_s, ticks=ticks, **mechanics)

@@ -1,4 +1,4 @@
-"""The lifted loop against simulations written out here, and against closed forms and characteristic polynomials."""
+"""The lifted loop against simulations written out here, closed forms, and characteristic polynomials."""
 
 import cmath
 import math
@@ -30,7 +30,7 @@ def without_lag(model: Any) -> Any:
 
 
 def plant(model: Any, hand: Any = None) -> Any:
-    """Continuous matrices for a command, written out anew; the first state is the sensed position."""
+    """Return continuous matrices for a command, derived again here; the first state is the sensed position."""
     m, lag = model.mechanics, model.amplifier.lag_s
     radius = m.handle_radius
     link = m.link_inertia + (m.end_mass if hand is None else hand.pads_mass) * radius**2
@@ -72,7 +72,7 @@ def envelopes(
     extrapolate: bool = False,
     observer: Any = None,
 ) -> Any:
-    """Weighted rms of position and effort in two windows at the end, for walls k, b, by stepping tick for tick."""
+    """Step walls k, b tick by tick; return weighted rms of position and effort in two windows at the end."""
     fast, slow = rates
     every = fast // slow
     a, into = plant(model, hand)
@@ -116,7 +116,7 @@ CHAIN = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
 
 
 def observer_of(rate: int, frequency_hz: float, inertia: float) -> Any:
-    """Gains of the disturbance observer by scipy's placement, and acceleration by a unit of effort (per period²)."""
+    """Return gains of the disturbance observer by scipy, and acceleration per unit of effort (per period²)."""
     poles = np.exp(2.0 * np.pi * frequency_hz / rate * np.roots([1.0, 2.0, 2.0, 1.0]))
     placed = place_poles(CHAIN.T, CHAIN[:1].T, poles)
     return placed.gain_matrix[0], 1.0 / (inertia * rate**2)
@@ -171,7 +171,7 @@ def test_a_simulation_finds_the_end_of_the_range_of_damping_and_the_island_beyon
 
 
 def characteristic_radius(model: Any, k: Any, b: Any, *, rate: Any, cutoff_hz: Any = None) -> Any:
-    """Uniform loop without lifting: largest root of den·q + num·p, for the law p/q on the held plant num/den."""
+    """Return the largest root of den·q + num·p for a uniform loop: law p/q, held plant num/den, no lifting."""
     a, into = plant(model)
     order = len(a)
     sensed = np.eye(order)[:1]
@@ -212,13 +212,13 @@ def test_dual_rate_with_one_rate_is_uniform() -> None:
     [("uniform:20k", 0.0), ("dual:20k/2k", 0.1), ("dual:20k/1k", 0.0), ("dual:20k/400,cutoff_hz=40", 0.0)],
 )
 def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme: str, damping: float) -> None:
-    """The capstan mode near 628 Hz is identified also where T2 aliases it to 372 Hz (1 kHz) or 172 Hz."""
+    """The capstan mode is near 628 Hz, also where T2 aliases it to 372 Hz (1 kHz) or 172 Hz."""
     limit = theory.k_max("koul-compliant", scheme, damping, operator="normal")
     assert limit.frequency_hz == pytest.approx(628.2, rel=1e-3)
 
 
 def test_the_frequency_is_that_of_a_simulation() -> None:
-    """Zero crossings of the wall that has just begun to grow."""
+    """The oracle counts zero crossings of a wall just above its limit."""
     limit = theory.k_max("koul-rigid", "dual:20k/2k", 0.3)
     a, into = plant(RIGID)
     phi, gamma = cont2discrete((a, into, np.eye(3), np.zeros((3, 1))), 5e-5)[:2]
@@ -287,7 +287,7 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     ("rig", "operator"), [("koul-compliant", "normal"), ("koul-rigid", "none"), ("cogged", "none")]
 )
 def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, scheme: str, operator: str) -> None:
-    """From a handle that is free (an eigenvalue of 1) to walls whose powers overflow, and densely near the limits."""
+    """From a free handle (an eigenvalue of 1) to walls whose powers overflow, and densely near the limits."""
     cogged = config.override(CHAWDA, COGS)
     lifted = theory.Lifted.of(
         theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)
@@ -313,7 +313,7 @@ SLOPE = 0.5 * 2.0 * math.pi / 0.02  # N/m
 
 
 def test_cogging_is_a_spring_at_the_motor_where_it_is_stiffest_and_where_it_is_softest() -> None:
-    """Without a wall, m·s² + b·s + k = 0: the radius over a velocity period is e^(Re s·T2), in closed form."""
+    """Without a wall m·s² + b·s + k = 0 gives the radius over a velocity period, e^(Re s·T2), in closed form."""
     experiment = config.override(CHAWDA, COGS)
     mass, damping = 0.52, 13.2
     loop = theory.linear_loop(experiment, "uniform:1k")

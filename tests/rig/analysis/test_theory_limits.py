@@ -1,4 +1,4 @@
-"""K_max, B_max and islands: closed forms, the figures of earlier independent simulations, and what scans must say."""
+"""K_max, B_max and stability islands: closed forms, results of earlier independent simulations, and scan limits."""
 
 import math
 from dataclasses import replace
@@ -29,7 +29,7 @@ def with_delay(model: Any, ticks: Any) -> Any:
 @pytest.mark.parametrize("delay", [0, 1, 3])
 @pytest.mark.parametrize("scheme", ["uniform:20k", "dual:20k/2k", "uniform:5k", "dual:50k/2k"])
 def test_rigid_rig_has_b_over_half_a_tick_and_lag_and_delay(scheme: str, delay: int) -> None:
-    """K_max(B = 0) = b/(T1/2 + lag + delay)."""
+    """The closed form is K_max(B = 0) = b/(T1/2 + lag + delay)."""
     found = theory.k_max(with_delay(RIGID, delay), scheme, 0.0)
     tick_s = theory.linear_loop(RIGID, scheme).tick_s
     assert found.stiffness == pytest.approx(3e-3 / (tick_s / 2 + 1.09e-4 + delay * tick_s), rel=0.01)
@@ -43,15 +43,15 @@ def test_chawdas_k_width_at_no_damping_is_26_4_kn_per_m_for_every_estimator(esti
 
 
 def test_chawdas_rig_with_an_unfiltered_difference_has_the_exact_limits_on_record() -> None:
-    """64.2 and 188 kN/m at B = 20 and 100, by discrete eigenvalues computed independently."""
+    """Independent discrete eigenvalues gave 64.2 and 188 kN/m at B = 20 and 100."""
     found = theory.k_max_curve("chawda-linear", "uniform:1k,estimator=fdm", [20.0, 100.0])
     assert [limit.stiffness for limit in found] == pytest.approx([64.2e3, 188e3], rel=2e-3)
 
 
 def test_koul_by_hand_at_20_khz_without_damping() -> None:
-    """Earlier simulation: 515, and 330 with one tick of delay.
+    """An earlier simulation gave 515, and 330 with one tick of delay.
 
-    519 agrees to 1 %. Back-EMF raises it to 721; straight on the rotor, not behind the lag, it would be 755. One tick
+    519 agrees to 1 %. Back-EMF raises it to 721; directly on the rotor, not behind the lag, it would be 755. One tick
     of delay gives 359: the simulation of test_theory_lifted grows and decays on either side of it, so that 330 belongs
     to another plant than the preset with the normal grip.
     """
@@ -68,7 +68,7 @@ def test_koul_by_hand_at_20_khz_without_damping() -> None:
 @pytest.mark.parametrize("rig", first_by_default(["koul-rigid", "koul-compliant", "chawda-linear"]))
 @pytest.mark.parametrize("operator", ["none", "normal"])
 def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, operator: str) -> None:
-    """Koul's first claim: set by T2, the filter and inertia, not by T1."""
+    """Koul's first claim: T2, the filter and inertia determine the range, T1 does not."""
     slow = 200 if rig == "chawda-linear" else 2000
     settings = f"cutoff_hz={slow // 10}"
     uniform = theory.b_max(rig, f"uniform:{slow},{settings}", operator=operator)
@@ -79,7 +79,7 @@ def test_dual_rate_has_the_range_of_damping_of_its_velocity_rate(rig: str, opera
 
 @pytest.mark.parametrize("inertia", [3e-4, 1e-3, 3.4e-3])
 def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(inertia: float) -> None:
-    """T2 = 0.5 ms, 200 Hz, lag 0.109 ms. 962 exactly; the old figure lies within 1 %."""
+    """For T2 = 0.5 ms, 200 Hz and a lag of 0.109 ms the exact factor is 962; the older 970 is within 1 %."""
     mechanics = Mechanics(structure="rigid", motor_inertia=inertia, link_inertia=0.0, motor_damping=1e-6)
     model = replace(RIGID, mechanics=mechanics)
     for fast in (2_000, 20_000, 50_000):
@@ -91,7 +91,7 @@ def test_rigid_rigs_have_a_range_of_damping_of_about_970_times_their_inertia(ine
 
 
 def test_rigid_theory_says_that_uniform_20_khz_has_a_wider_range_than_dual_rate() -> None:
-    """7.6 times: the opposite of the paper, which needs the capstan mode or noise; neither is modelled here."""
+    """7.6 times, the opposite of the paper, which needs the capstan mode or noise; neither is modelled here."""
     wide = theory.b_max("koul-rigid", "uniform:20k,cutoff_hz=2000").damping
     narrow = theory.b_max("koul-rigid", "dual:20k/2k,cutoff_hz=200").damping
     assert wide / narrow == pytest.approx(7.6, rel=0.15)
@@ -140,7 +140,7 @@ def test_a_limit_lies_between_stable_and_unstable(damping: float, scheme: Any) -
 
 
 def test_a_cap_is_flagged_and_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ladder that ends must not read as saturation."""
+    """The end of the scanned stiffnesses must not look like a stability limit."""
     monkeypatch.setattr(limits, "stiffnesses", lambda lifted, damping: np.geomspace(1.0, 500.0, 100))
     below, beyond = theory.k_max_curve("koul-compliant", "dual:20k/2k", [2.0, 3.5])
     assert below.capped

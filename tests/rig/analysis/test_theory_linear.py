@@ -1,4 +1,4 @@
-"""Estimators as state spaces: the realisation against scipy's filters and closed forms, and who is refused."""
+"""Estimators as state spaces, against scipy's filters and closed forms, and which estimators are rejected."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ def sos_response(order: Any, cutoff_hz: Any, rate: Any, frequency_hz: Any) -> An
 
 
 def test_a_finite_difference_is_one_delay() -> None:
-    """v = (p − p₋)/T: one state, a pole at zero."""
+    """v = (p − p₋)/T has one state and a pole at zero."""
     found = linear.realise("fdm", {}, 5e-4, RESOLUTION)
     assert found.order == 1
     assert found.d == pytest.approx(2000.0, rel=1e-12)
@@ -42,7 +42,7 @@ def test_a_finite_difference_is_one_delay() -> None:
 
 @pytest.mark.parametrize(("rate", "cutoff_hz", "order"), BUTTERWORTH)
 def test_difference_and_butterworth_are_scipys_to_nine_digits(rate: Any, cutoff_hz: Any, order: Any) -> None:
-    """Impulse and frequency response against scipy's own sections; the order is that of filter and difference."""
+    """Impulse and frequency response equal those of scipy's sections; the order is filter plus difference."""
     found = linear.realise(
         "fdm-butterworth", {"cutoff_hz": cutoff_hz, "order": order}, 1.0 / rate, RESOLUTION
     )
@@ -64,7 +64,7 @@ def test_difference_and_butterworth_are_scipys_to_nine_digits(rate: Any, cutoff_
 
 @pytest.mark.parametrize(("rate", "bandwidth_hz"), [(2_000, 200.0), (20_000, 200.0)])
 def test_kalman_filter_is_realised_in_its_steady_state(rate: int, bandwidth_hz: float) -> None:
-    """Against the predictor–corrector with the gain of the Riccati equation, written out."""
+    """The oracle is a predictor–corrector with the gain of the Riccati equation."""
     turn = 2 * np.pi * bandwidth_hz / rate
     noise = linear_noise(3) * turn**6 / 12.0
     gain = steady_gain(noise, 1.0 / 12.0)
@@ -82,7 +82,7 @@ def test_kalman_filter_is_realised_in_its_steady_state(rate: int, bandwidth_hz: 
 
 
 def linear_noise(order: Any) -> Any:
-    """∫₀¹ e^{As}GGᵀe^{Aᵀs}ds by quadrature."""
+    """Return ∫₀¹ e^{As}GGᵀe^{Aᵀs}ds by quadrature."""
     s, weights = np.polynomial.legendre.leggauss(8)
     s, weights = 0.5 * (s + 1.0), 0.5 * weights
     column = np.stack([s**2 / 2, s, np.ones_like(s)][-order:])
@@ -113,20 +113,20 @@ def test_nonlinear_estimator_is_refused_by_name(name: str, settings: Any) -> Non
 
 
 def test_an_adaptive_window_that_may_not_adapt_is_a_difference() -> None:
-    """The behaviour of an estimator decides, not its name."""
+    """An estimator's behaviour decides if it is linear, not its name."""
     one = linear.realise("foaw-end", {"window_limit": 1}, 5e-4, RESOLUTION)
     assert one.impulse(9) == pytest.approx(linear.realise("fdm", {}, 5e-4, RESOLUTION).impulse(9), abs=1e-9)
 
 
 def third_party(name: Any, update: Any) -> Any:
-    """A linear or other estimator of a third party: plain Python, called as the family is."""
+    """Return a third-party estimator in plain Python, called like the built-in ones."""
 
     return Estimator(name=name, summary="", source="", update=update, floats=64, ints=3)
 
 
 @pytest.fixture
 def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Let `estimators.get` know an estimator whose update is plain Python, and run it without the compiled loop."""
+    """Register an estimator whose update is plain Python, and run it without the compiled loop."""
 
     def add(estimator: Any) -> None:
         known = estimators.get
@@ -147,7 +147,7 @@ def foreign(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @rig.estimator(memory=("velocity",))
 def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> float:
-    """A user's estimator of counts and effort, with a low pass for each."""
+    """A user's estimator of counts and effort, with a low-pass filter for each."""
     memory.velocity = 0.9 * (memory.velocity + 50.0 * effort * elapsed_s) + 0.1 * travel / elapsed_s
     return memory.velocity
 
@@ -159,7 +159,7 @@ def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> f
 def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
     estimator: Estimator, settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A user's one was probed without effort: theory judged a wall with another estimator."""
+    """A bug probed a user's estimator without effort, so theory judged the wall with another estimator."""
     monkeypatch.setattr(estimators, "get", lambda name: estimator)
     found = linear.realise(estimator.name, settings, 5e-4, RESOLUTION)
     assert found.of_effort is not None
@@ -179,7 +179,7 @@ def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
 def moving_chord(
     count: Any, edge_age_s: Any, elapsed_ticks: Any, state_f: Any, state_i: Any, parameters: Any
 ) -> Any:
-    """Slope over the last twelve samples: a finite impulse response of order 12."""
+    """Return the slope over the last twelve samples, a finite impulse response of order 12."""
     if state_i[1] == 0:
         state_i[1], state_i[2] = 1, count
     state_f[1:13] = state_f[0:12]

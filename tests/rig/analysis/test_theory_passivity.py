@@ -1,4 +1,4 @@
-"""Conditions for passivity: the tables on record, brute force where there is no closed form, and where they fail."""
+"""Conditions for passivity: published tables, brute force where no closed form exists, and where conditions fail."""
 
 import math
 from dataclasses import replace
@@ -45,7 +45,7 @@ def test_beta_of_a_bare_difference_is_one(rates: str) -> None:
 def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate: int, cutoff_hz: float) -> None:
     """Brown's formula, for his filter: the bilinear pole of order 1 has T + 2τ = T/tan(π f_c T)·(…) in its place.
 
-    H = B (z − 1)/T · g (z + 1)/(z (z − p)): the maximum is found here by a dense search on the formula itself.
+    H = B (z − 1)/T · g (z + 1)/(z (z − p)): the test finds the maximum by a dense search over the formula.
     """
     omega = np.linspace(1e-4, math.pi, 200_001)
     z, warped = np.exp(1j * omega), math.tan(math.pi * cutoff_hz / rate)
@@ -56,7 +56,7 @@ def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate: int
 
 
 def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifted_wall() -> None:
-    """Brute force: the map from increments of position in one period to efforts, at each frequency, by eigvalsh."""
+    """Brute force: eigenvalues at each frequency of the map from position increments in a period to efforts."""
     scheme, n = "dual:10k/2k,cutoff_hz=400,prediction=extrapolate", 5
     loop = theory.linear_loop(IDEAL, scheme)
     worst = -math.inf
@@ -89,7 +89,7 @@ def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing(
 def test_passive_wall_is_stable_with_any_passive_hand(
     damping: float, share: float, scheme: Any, spring: float, damper: float
 ) -> None:
-    """Sufficiency of the multi-rate bound, without lag and delay: hands from nothing to a stiff spring to ground."""
+    """The multi-rate bound without lag and delay is sufficient: hands from nothing to a stiff spring to ground."""
     model = replace(IDEAL, mechanics=replace(IDEAL.mechanics, motor_damping=0.02, end_mass=0.0))
     stiffness = share * theory.passivity_bound(model, scheme, damping).stiffness
     if stiffness < 1e-2:
@@ -100,7 +100,7 @@ def test_passive_wall_is_stable_with_any_passive_hand(
 
 
 def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series() -> None:
-    """The least of Re Z at the motor over all frequencies and passive hands, searched; the sum would be too much."""
+    """Search the least Re Z at the motor over all frequencies and passive hands; a sum would be too large."""
     mechanics = replace(KOUL.mechanics, link_damping=0.03, end_mass=0.0)
     subject = theory.resolve(replace(KOUL, mechanics=mechanics))
     k, c, link = mechanics.transmission_stiffness, mechanics.transmission_damping, 0.03
@@ -133,7 +133,7 @@ def test_lag_and_delay_tighten_the_bound() -> None:
 
 
 def test_a_slow_pulse_width_costs_most_of_the_stiffness() -> None:
-    """b over half a tick, lag and delay: 3 mN·m·s/rad, 25 µs, 109 µs and the period of 250 µs at 4 kHz."""
+    """b = 3 mN·m·s/rad over half a tick (25 µs), lag (109 µs) and delay (250 µs, the period at 4 kHz)."""
     slow = replace(RIGID, amplifier=replace(RIGID.amplifier, set_point_delay_s=2.5e-4))
     at_once, late = (theory.passivity_bound(rig, "dual:20k/2k", 0.0).stiffness for rig in (RIGID, slow))
     assert at_once == pytest.approx(3e-3 / 134e-6, rel=0.02)
@@ -141,7 +141,7 @@ def test_a_slow_pulse_width_costs_most_of_the_stiffness() -> None:
 
 
 def test_one_damping_of_the_rig_stands_in_all_of_a_bound() -> None:
-    """On two masses what the motor side meets; only slow motion, at B = 0, meets all of it."""
+    """On two masses it is the damping at the motor; only slow motion, at B = 0, meets all damping."""
     heavy = replace(KOUL, mechanics=replace(KOUL.mechanics, link_damping=0.5))
     subject = theory.resolve(heavy)
     assert subject.port_damping < 0.9 * subject.damping
@@ -161,7 +161,7 @@ def test_one_damping_of_the_rig_stands_in_all_of_a_bound() -> None:
 
 
 def test_gils_rule_is_given_where_it_means_something() -> None:
-    """Without damping of the wall. At B·τ/J of a tenth, τ the delay of the estimator, it is already twice too high."""
+    """It needs B = 0: at B·τ/J = 0.1, τ the estimator's delay, it is already twice too high."""
     rule = {b.name: b.stiffness for b in theory.passivity_bound(RIGID, "dual:20k/2k").bounds}["Gil"]
     assert theory.k_max(RIGID, "dual:20k/2k").stiffness == pytest.approx(rule, rel=0.01)
     loop = theory.linear_loop(RIGID, "dual:20k/2k")
@@ -177,7 +177,7 @@ def test_back_emf_is_damping_under_voltage_drive_only() -> None:
 
 
 def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only() -> None:
-    """At B = 0 that is what is asked for, and Gil's rule is K_max; without a lag back-EMF is damping of any motion."""
+    """At B = 0 slow motion decides, and Gil's rule is K_max; without lag, back-EMF damps any motion."""
     damped = theory.passivity_bound(VOLTAGE, "uniform:20k", 0.02)
     (exact,) = damped.bounds
     assert exact.meaning == "exact"
@@ -241,7 +241,7 @@ def test_each_bound_says_formula_source_and_meaning() -> None:
 
 
 def test_friction_binds_where_the_quantum_is_coarse() -> None:
-    """Koul at ×1: 2 f_c/Δ falls below 2b/T."""
+    """With Koul's encoder at ×1 decoding, 2 f_c/Δ falls below 2b/T."""
     coarse = replace(KOUL, encoder=replace(KOUL.encoder, decoding=1))
     found = {b.name: b.stiffness for b in theory.passivity_bound(coarse, "uniform:20k").bounds}
     assert found["Abbott and Okamura"] == pytest.approx(2 * 0.0067 / (2 * math.pi / 10_000), rel=1e-9)

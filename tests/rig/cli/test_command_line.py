@@ -1,4 +1,4 @@
-"""The command line as a whole: impossible words, messages and exit codes."""
+"""The command line as a whole: invalid words, messages and exit codes."""
 
 import ast
 import builtins
@@ -50,7 +50,7 @@ main()
 def test_a_stop_names_its_signal_and_a_broken_pipe_is_an_internal_error(
     raised: BaseException, code: int, words: str, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    """Click turns all three into the same exception."""
+    """Click turns all three cases into the same exception."""
 
     def end() -> None:
         raise raised
@@ -152,7 +152,7 @@ def test_a_change_for_a_run_that_ends_before_it_is_active_has_its_own_exit_code(
 
 
 def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of() -> None:
-    """`rig.cli.set` is ``set`` inside of ``rig.cli`` as soon as it is imported."""
+    """Once `rig.cli.set` is imported, ``set`` inside ``rig.cli`` is that module."""
     taken = {module.rpartition(".")[2] for module in source_files(["rig"]) if module.startswith("rig.cli.")}
     tree = ast.parse(inspect.getsource(rig.cli))
     used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
@@ -162,7 +162,7 @@ def test_the_package_uses_no_builtin_that_one_of_its_modules_takes_the_name_of()
 
 @cache
 def texts() -> list[tuple[str, str]]:
-    """File and text of every string outside the commands that is no docstring."""
+    """Return module and text of every string outside the commands, except docstrings."""
     found = []
     for module, path in source_files(["rig"]).items():
         if module.startswith("rig.cli") or re.fullmatch(r"rig\.extras\.\w+\.cli(_\w+)?", module):
@@ -183,7 +183,7 @@ def texts() -> list[tuple[str, str]]:
 
 @pytest.mark.exhaustive("::test_an_argument_that_a_message_names_is_an_option_of_a_command")
 def test_a_message_of_a_function_names_arguments_and_no_options() -> None:
-    """Whole commands, as one would type them, are a remedy for everybody."""
+    """A whole command, as typed in a shell, is allowed as a remedy."""
     word = re.compile(r"(?<![\w-])--[a-z]")
     command = re.compile(r"\b(?:rig|pytest) [a-z-]+|sudo|docker|apt|systemctl|cap-add|-Wl|moteus_tool")
     named = [(module, text) for module, text in texts() if word.search(text) and not command.search(text)]
@@ -203,7 +203,7 @@ def test_an_argument_that_a_message_names_is_an_option_of_a_command() -> None:
 
 
 def test_a_message_never_means_the_program_where_a_command_shows_an_option() -> None:
-    """`rig` in a message is the argument of a function; the program is haptic-rig, or a whole command."""
+    """`rig` in a message is a function's argument; the program is haptic-rig, or part of a whole command."""
     assert {module for module, text in texts() if "`rig`" in text} == {
         "rig.core.same_rig",
         "rig.firmware._selftest",

@@ -1,4 +1,4 @@
-"""The notice of a command that compiles."""
+"""The notice that a command prints while it compiles."""
 
 import sys
 import time
@@ -10,7 +10,7 @@ from rig.realtime import compiling
 
 
 def shown(expected: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Lines of a log in which twenty kernels are compiled, until the notice has printed three lines."""
+    """Announce twenty kernels and return what the notice prints, after at least three lines."""
     notice = CompilingNotice(expected)
     notice(True)
     lines: list[str] = []

@@ -1,4 +1,4 @@
-"""Completions of a shell, without heavy imports, and their table, which is that of the commands."""
+"""Shell completions: without heavy imports, and from a table that matches the commands."""
 
 import os
 import shlex
@@ -24,7 +24,7 @@ TOO_HEAVY = ("numpy", "numba", "scipy", "pydantic", "matplotlib", "pyarrow", "ri
 
 
 def asked(words: list[str], shell: str = "fish", **more: Any) -> subprocess.CompletedProcess[str]:
-    """Return the answer to the script of a shell for a line whose last word is begun."""
+    """Return the completions for a line whose last word is incomplete, as a shell's script requests them."""
     line = {"COMP_WORDS": " ".join(["rig", *words]), "COMP_CWORD": words[-1]}
     return subprocess.run(
         [sys.executable, *more.pop("options", []), "-m", "rig"],
@@ -82,7 +82,7 @@ def test_values_are_completed_by_what_they_are(tmp_path: Path, monkeypatch: pyte
 def test_bash_receives_the_part_of_a_word_that_it_adds(
     line: str, expected: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Behind the last : or =, at which bash ends a word."""
+    """bash ends a word at : or =, so only the part after the last one is sent."""
     if shutil.which("bash") is None:
         pytest.skip("bash is not installed (package bash)")
     (tmp_path / "here").mkdir()

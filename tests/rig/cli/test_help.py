@@ -1,4 +1,4 @@
-"""The same option is the same everywhere; help is in groups; -q leaves the exit code."""
+"""Help: an option means the same in every command, help is grouped, and -q keeps the exit code."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""A value that people give by name is described once: commands, Python and experiment files say the same of it."""
+"""A named value is described once: commands, Python and experiment files print the same description."""
 
 import inspect
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text
 
 @dataclass(frozen=True)
 class Asked:
-    """A request of every kind of value."""
+    """A request with a value of every kind."""
 
     count: Annotated[int, Ge(1), Le(9), Keyword("How many.")] = 3
     share: Annotated[float | None, Gt(0), Le(1), Keyword("Of all.")] = None
@@ -40,7 +40,7 @@ class Asked:
 
 
 def answered(*words: str) -> Any:
-    """Return the value that a command receives whose only argument is such a request."""
+    """Return the request that a command builds from these words."""
 
     @click.command(cls=GroupedCommand)
     @gathered_options(Asked, "request")

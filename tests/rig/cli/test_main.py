@@ -1,4 +1,4 @@
-"""A Ctrl-C before the commands are loaded ends as one of a command that runs."""
+"""Ctrl-C before the commands are loaded ends the program as Ctrl-C in a running command does."""
 
 import subprocess
 import sys

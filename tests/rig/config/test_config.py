@@ -1,4 +1,4 @@
-"""An experiment file is either an experiment, or one error that lists everything that is wrong with it."""
+"""An experiment file is either a valid experiment, or one error that lists everything wrong with it."""
 
 import itertools
 import json
@@ -40,7 +40,7 @@ CHAWDA = presets.load("chawda-linear")
 
 
 def refusal(changes: dict[str, Any], base: Experiment = KOUL) -> str:
-    """Return the text of the error that these changes give."""
+    """Return the text of the error that these changes cause."""
     with pytest.raises(ConfigError) as caught:
         override(base, changes, "hit.toml")
     return str(caught.value)
@@ -80,7 +80,7 @@ VALUES = (None, -1, 2.0, math.nan, True, "x", "firm", [1.0, 2], {"a": 1})
 
 @pytest.mark.parametrize("name", first_by_default(["koul-compliant", "chawda-linear"]))
 def test_a_change_is_equal_to_a_file_on_that_preset_or_refused_alike(name: str) -> None:
-    """One sets fields of a checked experiment, the other is checked as a whole."""
+    """A change sets fields of a checked experiment, whereas a file is checked as a whole."""
     base, source = presets.load(name), f"hit.toml (on preset {name})"
     names = parameters().keys() - {"rig.name"}  # a file with a name of its own has a homing servo of its own
     keys = [*sorted(names), "realtime.wall.stiffness", "realtime.nonsense", "rig.limits", "wall.nonsense", ""]
@@ -92,7 +92,7 @@ def test_a_change_is_equal_to_a_file_on_that_preset_or_refused_alike(name: str) 
 
 
 def test_rules_are_checked_also_where_nothing_changes() -> None:
-    """An experiment may be built by hand; nothing is armed without the rules."""
+    """An experiment may be built in Python, and must not be armed without the rules."""
     limits = replace(KOUL.rig.limits, effort=100.0)
     with pytest.raises(ConfigError, match=r"rig\.limits\.effort = 100\.0 N·m: must be at most"):
         override(replace(KOUL, rig=replace(KOUL.rig, limits=limits)), {})
@@ -147,7 +147,7 @@ def test_a_path_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
 
 
 def test_a_file_lists_every_section_that_is_missing_and_an_empty_one_is_called_that(tmp_path: Path) -> None:
-    """A failed command behind ``>`` leaves an empty file."""
+    """A failed command before ``>`` leaves an empty file."""
     with pytest.raises(ConfigError, match=r"hit\.toml: is empty"):
         load_experiment(written(tmp_path, "# nothing\n"))
     with pytest.raises(ConfigError) as caught:
@@ -528,7 +528,7 @@ def test_realtime_changes_are_stored_and_checked_when_applied() -> None:
 
 
 def _numbers_of(experiment: Experiment) -> st.SearchStrategy[dict[str, Any]]:
-    """Valid changes of a few keys, none of which another key restricts."""
+    """Generate valid changes of a few keys that do not restrict each other."""
     positive = st.floats(1e-3, 1e3)
     return st.fixed_dictionaries(
         {},
@@ -650,7 +650,7 @@ def test_the_schema_for_editors_knows_presets_ranges_units_and_meanings() -> Non
 
 
 def test_thresholds_at_the_handle_become_thresholds_at_the_link() -> None:
-    """5 mm/s, 1 N and 0.125 mm at a handle 0.1 m out are 0.05 rad/s, 0.10 N·m and 1.25 mrad."""
+    """5 mm/s, 1 N and 0.125 mm at a handle radius of 0.1 m are 0.05 rad/s, 0.10 N·m and 1.25 mrad."""
     limits = verdict_thresholds(KOUL)
     assert (limits.felt_velocity, limits.heard_effort, limits.moved) == pytest.approx((0.05, 0.10, 1.25e-3))
     linear = verdict_thresholds(CHAWDA)

@@ -1,4 +1,4 @@
-"""From quantities to ticks, counts and quanta: the law and the device have the same limits."""
+"""Conversion of quantities to ticks, counts and quanta: the law and the device have the same limits."""
 
 import math
 from dataclasses import replace
@@ -73,7 +73,7 @@ def test_every_preset_is_taken_by_its_simulated_device_as_it_is(name: Any) -> No
 def test_an_effort_limit_of_a_whole_number_of_quanta_is_that_number(
     quanta: int, per_ampere: float, quantum_a: Any
 ) -> None:
-    """Rounding must not lose a quantum on either side: 3 N·m at 1 mN·m a quantum are 3000 quanta, not 2999."""
+    """Rounding must not lose a quantum: 3 N·m at 1 mN·m a quantum are 3000 quanta, not 2999."""
     effort = quanta * per_ampere * quantum_a
     limits = {
         "rig.limits.effort": effort,
@@ -145,7 +145,7 @@ def test_units_become_ticks_counts_and_quanta() -> None:
 
 
 def test_the_device_never_limits_what_the_guard_lets_through() -> None:
-    """Its limits of slew, speed and window are no narrower than the host's: rounding goes out, or to the nearest."""
+    """Rounding outwards or to nearest keeps the device's limits of slew, speed and window at least the host's."""
     for name in ALL:
         experiment = presets.load(name)
         c, p = built(experiment).control[0], device_parameters(experiment)
@@ -155,7 +155,7 @@ def test_the_device_never_limits_what_the_guard_lets_through() -> None:
 
 
 def test_an_encoder_that_counts_down_swaps_the_edges_of_the_window() -> None:
-    """Position −0.05 … 0.04 with falling counts is count −0.04/δ … 0.05/δ, from the reference."""
+    """With falling counts, positions −0.05 … 0.04 are counts −0.04/δ … 0.05/δ from the reference."""
     window = {"rig.limits.position_minimum": -0.05, "rig.limits.position_maximum": 0.04}
     experiment = config.override(COMPLIANT, {**window, "rig.encoder.sign": -1})
     delta = experiment.rig.encoder.resolution
@@ -235,7 +235,7 @@ def test_a_value_out_of_range_of_the_wire_is_refused_with_name_and_range(
 
 
 def test_a_quantum_too_fine_for_the_limit_is_refused() -> None:
-    """The device declares its quantum, not the file."""
+    """The quantum comes from the device, not from the file."""
     with pytest.raises(PlanError, match=r"current_limit = .* quantum .* 0 to 32767"):
         device_parameters(COMPLIANT, quantum=1e-6)
 

@@ -1,4 +1,4 @@
-"""The homing servo: it arrives where friction lets it, and that of a rig with its own name suits that rig."""
+"""The homing servo: it arrives within the limits of friction, and its default settings suit any rig."""
 
 from typing import Any
 
@@ -82,7 +82,7 @@ def test_a_designed_servo_is_stable_by_linear_theory(name: str, ticks: int) -> N
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 2.0, 5.0, 20.0])
 def test_the_margin_says_of_a_rigid_rig_what_the_spectral_radius_says(share: float) -> None:
-    """Stiffness and damping of koul-rigid's servo, times a share; a share near the limit is left out."""
+    """Scale stiffness and damping of koul-rigid's servo by a share; shares near the limit are left out."""
     stiffness, damping = 20.0 * share**2, 0.2 * share
     radius = LateLoops.of(KOUL, 1).radius(stiffness, damping)[NO_OPERATOR]
     assert (homing.phase_margin(KOUL, stiffness, damping, 1) > 0.0) == (radius < 1.0)

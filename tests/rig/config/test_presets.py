@@ -1,4 +1,4 @@
-"""The presets, rigs of the two papers and rigs that people own: their numbers and their default walls."""
+"""Presets, rigs of two papers and commercial ones: their numbers and their default walls."""
 
 import re
 import tomllib
@@ -134,7 +134,7 @@ def test_a_preset_ships_as_a_readable_file_that_is_its_text(name: str) -> None:
 
 @pytest.mark.parametrize("name", OF_PAPERS)
 def test_every_number_of_a_papers_rig_has_its_source(name: str) -> None:
-    """Lines of [rig.*] with a value that is not zero carry a comment; the tags used are explained at the top."""
+    """Each non-zero value in [rig.*] has a comment; the file's head explains the tags in it."""
     text = presets.text(name)
     head, rest = text.split("[rig]", 1)
     physics = rest[rest.index("[rig.mechanics]") : rest.index("[controller]")]
@@ -147,7 +147,7 @@ def test_every_number_of_a_papers_rig_has_its_source(name: str) -> None:
 
 @pytest.mark.parametrize("name", OWNED)
 def test_every_number_of_an_owned_rig_has_a_source_or_is_assumed(name: str) -> None:
-    """Each comment of [rig.*] begins with a tag that the head of the file explains."""
+    """Each comment in [rig.*] begins with a tag that the file's head explains."""
     head, rest = presets.text(name).split("[rig]", 1)
     for line in rest[rest.index("[rig.mechanics]") : rest.index("[wall]")].splitlines():
         if re.search(r"= -?[\d.]*[1-9]", line) and not re.match(r"(velocity_rate|side)", line):
@@ -161,7 +161,7 @@ def test_every_number_of_an_owned_rig_has_a_source_or_is_assumed(name: str) -> N
 @pytest.mark.parametrize("late", [0, 1])
 @pytest.mark.parametrize("name", NAMES)
 def test_the_default_wall_of_a_preset_is_stable_and_feels_hard(name: str, late: int) -> None:
-    """A wall that pushes back within millimetres, in counts that one can count, with effort to spare, then at rest."""
+    """It stops the handle within millimetres but many counts, with effort to spare, and then rests."""
     x = config.override(presets.load(name), {"rig.simulation.computation_delay_ticks": late})
     x = with_realtime(x) if late else x
     found = HitSimulator(x).hit(x.wall.stiffness, x.wall.damping)

@@ -1,4 +1,4 @@
-"""Schemes: a text form that survives the round trip, and what they make of an experiment."""
+"""Control schemes: their text form survives a round trip, and what they change in an experiment."""
 
 from typing import Any
 

@@ -237,8 +237,7 @@ def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> 
 def moving(rate: int, lag_s: float, back_emf: float, most: float, seed: int) -> tuple[Any, Any, Any]:
     """Return counts, active and flowing current of a driven motor that is moved at up to 60 Hz.
 
-    `most` is the largest back-EMF (quanta). In steady state a speed v·cos ωt reduces the current by
-    v·Re(e^{jωt}/(1 + jωτ)).
+    `most` is the largest back-EMF (quanta). At a speed v·cos ωt it reduces the current by v·Re(e^{jωt}/(1 + jωτ)).
     """
     random = np.random.default_rng(seed)
     ticks = max(400, rate // 5)

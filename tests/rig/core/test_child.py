@@ -1,4 +1,4 @@
-"""Programs come from where they are installed, not from the working directory."""
+"""Child processes start programs from where they are installed, never from the working directory."""
 
 import os
 import shutil

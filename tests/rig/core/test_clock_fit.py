@@ -1,4 +1,4 @@
-"""The line between two clocks, against a simulated truth: drift, jitter, bursts, asymmetry, stamps that lie."""
+"""The fitted line between two clocks against simulated truth: drift, jitter, bursts, asymmetry, false stamps."""
 
 import json
 from fractions import Fraction
@@ -19,7 +19,7 @@ SECOND = 10**9
 
 
 class World:
-    """Two clocks and a link: device = (host − start)·(1 + ppm) + up, exactly, in whole numbers."""
+    """Two clocks and a link: device = (host − start)·(1 + ppm) + up, exact in whole numbers."""
 
     def __init__(
         self, ppm: float = 0.0, *, start_ns: Any = 77 * 10**12, up_ns: Any = UP_NS, seed: int = 0
@@ -31,20 +31,20 @@ class World:
 
     @property
     def drift_ppm(self) -> Any:
-        """Of host − device over device time."""
+        """Return the drift of host − device over device time."""
         return (self.under - self.over) * 10**6 / self.over
 
     def device(self, host_ns: Any) -> Any:
-        """Stamp of the device: units of 62.5 ns, cut off."""
+        """Return the device's stamp: ns in units of 62.5, truncated."""
         exact = (host_ns - self.start_ns) * self.over + self.up_ns * self.under
         return exact * 2 // (self.under * 125) * 125 // 2
 
     def host(self, device_ns: Any) -> Any:
-        """True host time of device times (ns), from the origin of the session."""
+        """Return the true host times of device times (ns), from the origin of the session."""
         return [(int(d) - self.up_ns) * self.under / self.over for d in device_ns]
 
     def error_ns(self, fit: Any, device_ns: Any) -> Any:
-        """Return the result of the fit minus the truth."""
+        """Return the fitted minus the true host time."""
         return (fit.host_of(device_ns) - self.start_ns) - np.array(self.host(device_ns))
 
     def exchanges(
@@ -56,7 +56,7 @@ class World:
         jitter_ns: tuple[float, ...] = (20_000.0, 20_000.0),
         burst: float = 0.0,
     ) -> Any:
-        """Exchanges at random times; of a `burst` share, in a row, one way waits 2 ms more on average."""
+        """Return exchanges at random times; in a row of share `burst`, one way waits 2 ms more on average."""
         rng = self.rng
         sent = self.start_ns + np.sort(rng.integers(0, round(span_s * SECOND) + 1, count))
         ways = [
@@ -124,7 +124,7 @@ def test_the_truth_lies_within_three_sigma_and_the_bound(
 )
 @pytest.mark.parametrize(("count", "span_s"), [(10, 1.0), (150, 15.0)])
 def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> None:
-    """Counted over seeds: offset at start, middle and end, and the drift, at least 97 times in a hundred each."""
+    """Over 100 seeds, offsets at start, middle and end, and the drift, are covered at least 97 times each."""
     seeds = 100
     covered = drifts = used = 0
     for seed in range(seeds):
@@ -141,7 +141,7 @@ def test_three_sigma_cover_the_truth(link: Any, count: int, span_s: float) -> No
 
 
 def test_uncertainties_are_of_use() -> None:
-    """Not only true but small: 150 exchanges in 15 s through 20 µs of jitter give a microsecond and 0.5 ppm."""
+    """They must be small too: 150 exchanges in 15 s with 20 µs of jitter give a microsecond and 0.5 ppm."""
     world = World(-87.5)
     fit = fit_clock(world.exchanges(150, 15.0))
     assert fit.offset_sd_ns < 3_000
@@ -162,7 +162,7 @@ def test_ways_that_differ_shift_the_offset_by_half_the_difference_and_the_bound_
 
 @pytest.mark.parametrize(("jitter", "share"), [((0.0, 5e4), 0.5), ((5e4, 0.0), -0.5), ((5e4, 5e4), 0.0)])
 def test_waiting_on_one_way_alone_is_seen_and_taken_out(jitter: tuple[float, ...], share: float) -> None:
-    """The excess of a round trip shows the error; without it the offset would be wrong by half the mean wait."""
+    """The excess of a round trip shows the error; uncorrected, the offset would err by half the mean wait."""
     world = World(0.0)
     exchanges = world.exchanges(300, 10.0, ways_ns=(1_000, 1_000), jitter_ns=jitter)
     fit = fit_clock(exchanges)
@@ -217,7 +217,7 @@ def test_exchanges_without_a_usable_one_are_an_error() -> None:
 
 
 def test_impossible_exchanges_are_rejected() -> None:
-    """A clock that ran backwards, or an answer quicker than nothing; cut stamps may be two units short."""
+    """Examples: a clock that runs backwards, a negative reply time; truncated stamps may be two units short."""
     world = World(0.0)
     good = world.exchanges(20, 2.0, ways_ns=(1_000, 1_000), jitter_ns=(0.0, 0.0))
     bad = good[:3].copy()
@@ -254,7 +254,7 @@ def test_slow_exchanges_are_rejected_from_ten_times_the_median_excess_on() -> No
     seed=st.integers(0, 2**32),
 )
 def test_stamps_that_do_not_belong_together_are_rejected(bad: int, shift: Any, seed: int) -> None:
-    """Fast round trips that lie, up to one in five: off by a millisecond or by a wrap of the device's clock."""
+    """Up to a fifth of fast round trips have stamps off by a millisecond or by a wrap of the device's clock."""
     world = World(35.0, seed=seed)
     exchanges = world.exchanges(60, 6.0)
     lies = world.rng.choice(60, bad, replace=False)
@@ -282,7 +282,7 @@ ANY = st.integers(-(2**63), 2**63 - 1)
     )
 )
 def test_any_stamps_give_a_fit_of_finite_numbers_or_an_error(stamps: Any) -> None:
-    """Whatever a device says: no other exception, no warning, and `fit_if_possible` gives None instead."""
+    """Whatever a device sends: no other exception, no warning, and `fit_if_possible` returns None instead."""
     exchanges = as_exchanges(stamps)
     try:
         fit = fit_clock(exchanges)
@@ -333,7 +333,7 @@ FITS = st.builds(
 
 @given(fit=FITS, since=st.lists(st.integers(-(10**15), 10**15), min_size=1, max_size=20))
 def test_no_nanosecond_is_lost_in_eleven_days(fit: Any, since: list[int]) -> None:
-    """Against exact fractions; and there and back is the same to a nanosecond."""
+    """Compare with exact fractions; converting there and back is exact to a nanosecond."""
     device = np.array([fit.reference_ns + s for s in since], np.int64)
     host = fit.host_of(device)
     for d, h in zip(device.tolist(), host.tolist(), strict=True):

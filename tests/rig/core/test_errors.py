@@ -1,4 +1,4 @@
-"""Errors that a script can tell apart."""
+"""Error types and exit codes by which a script distinguishes errors."""
 
 import importlib
 import pkgutil

@@ -1,4 +1,4 @@
-"""The exponential of a matrix: scipy's, and closer where the rows have units of their own."""
+"""The matrix exponential equals scipy's, and is more exact if rows have different units."""
 
 import math
 

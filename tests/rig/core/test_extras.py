@@ -1,4 +1,4 @@
-"""Extras are found by listing; a missing or broken one is refused by name, and nothing replaces it."""
+"""Optional extras are found by listing; a missing or broken one is rejected by name, and nothing replaces it."""
 
 import json
 import os
@@ -25,7 +25,7 @@ Install = Callable[..., Path]
 
 @pytest.fixture
 def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """A tree without extras; installs one by its table, as text or as data for JSON."""
+    """Yield a function that adds an extra to an empty tree, given its table as text or as JSON data."""
 
     def folder(name: str, table: Any = None) -> Path:
         place = tmp_path / "extras" / name
@@ -144,7 +144,7 @@ def test_a_target_that_does_not_load_is_refused_with_its_extra(install: Install,
 
 
 def run(rooms: Path, *words: str, before: str = "") -> subprocess.CompletedProcess[str]:
-    """``rig`` with the extras of another tree."""
+    """Run ``rig`` with the extras of another tree."""
     other = f"from rig.core import extras; extras.ROOMS = {str(rooms)!r}"
     code = f"{other}\n{before}\nfrom rig.__main__ import main; main()"
     return subprocess.run(

@@ -1,4 +1,4 @@
-"""The public names: stated once, in stubs, and loaded when they are used."""
+"""Public names: declared once, in stubs, and imported at first use."""
 
 import doctest
 import inspect
@@ -18,7 +18,7 @@ from tests.conformance.guides import ROOT
 
 @pytest.mark.parametrize("package", [rig, rig.testing])
 def test_stub_table_and_package_agree(package: ModuleType) -> None:
-    """Every line of the stub that is no text is a name; each is there, and `dir` and `from … import *` have it."""
+    """Each code line of the stub is one name, which exists and is in `dir` and `from … import *`."""
     assert package.__file__ is not None
     table = public_names(package.__file__)
     stub = Path(f"{package.__file__}i").read_text(encoding="utf-8").partition('"""\n\n')[2]
@@ -56,7 +56,7 @@ def test_the_example_of_a_docstring_says_what_comes(name: str) -> None:
 
 
 def test_every_public_function_documents_its_parameters_results_and_errors() -> None:
-    """But for decorators and those that take nothing; a result is a type that has a docstring itself."""
+    """Except decorators and functions without arguments; a result type documents itself."""
     found = {name: inspect.getdoc(value) or "" for name, value in vars(_loaded()).items()}
     assert [name for name, text in found.items() if not text] == []
     measures = ("impedance", "read_impedance", "impedance_map", "identify", "counts_case", "recording_case",

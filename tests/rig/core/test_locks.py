@@ -1,4 +1,4 @@
-"""Locks of files between openings and between processes."""
+"""File locks between openings and between processes."""
 
 import subprocess
 import sys

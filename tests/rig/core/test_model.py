@@ -1,4 +1,4 @@
-"""The typed physics: derived values and continuous matrices against independent formulas."""
+"""The typed model of a rig: derived values and continuous matrices against independent formulas."""
 
 import json
 import math
@@ -18,7 +18,7 @@ AMPLIFIER = Amplifier(effort_per_ampere=0.234, effort_limit=1.3, lag_s=1e-4)
 
 
 def impedance(mechanics: Mechanics, s: complex) -> np.ndarray:
-    """(effort on motor, effort on link) = Z (motor velocity, link velocity), from Newton's law."""
+    """Return Z of (effort on motor, effort on link) = Z (motor velocity, link velocity), by Newton's law."""
     capstan = mechanics.transmission_stiffness / s + mechanics.transmission_damping
     motor = mechanics.motor_inertia * s + mechanics.motor_damping + capstan
     link = mechanics.loaded_link_inertia * s + mechanics.link_damping + capstan
@@ -26,7 +26,7 @@ def impedance(mechanics: Mechanics, s: complex) -> np.ndarray:
 
 
 def transfer(mechanics: Mechanics, amplifier: Amplifier, *, state: int, source: int, omega: float) -> complex:
-    """Response of one state to one input, from the matrices: a row of (jω − A)⁻¹ B."""
+    """Return the response of one state to one input: an element of (jω − A)⁻¹ B."""
     model = state_space(mechanics, amplifier)
     response = np.linalg.solve(1j * omega * np.eye(model.order) - model.a, model.b[:, source])
     return complex(response[state])
@@ -89,7 +89,7 @@ def test_without_lag_the_command_drives_the_motor_and_the_effort_state_stands_al
 
 
 def test_a_voltage_driven_rig_is_the_dc_motor_of_its_data_sheet() -> None:
-    """R, L and k_e of Koul's motor in volts and amperes at the rotor, ratio 10: poles, speed and current of a volt."""
+    """R, L and k_e of Koul's motor at the rotor, ratio 10: compare poles, and speed and current per volt."""
     resistance, inductance, k, ratio = 2.18, 0.238e-3, 0.0234, 10.0
     rotor, viscous = 1.77e-3 / ratio**2, 3.7e-3 / ratio**2
     motor = np.array(

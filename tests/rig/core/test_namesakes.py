@@ -1,4 +1,4 @@
-"""Another package in the place of pyserial, pyusb or this one is named with the command that removes it."""
+"""Another package installed under the name of pyserial, pyusb or this one is reported with the command to remove it."""
 
 import json
 import os
@@ -20,7 +20,7 @@ NAMESAKES = {
 
 
 def install(place: Path, name: str, distribution: str, text: str = "") -> None:
-    """Put another package where Python finds it first, as pip installs it."""
+    """Install another package, as pip does, in a directory that Python searches first."""
     (place / name).mkdir(parents=True)
     (place / name / "__init__.py").write_text(text)
     facts = place / f"{distribution}-2.4.1.dist-info"

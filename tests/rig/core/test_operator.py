@@ -55,7 +55,7 @@ def test_grips_lie_within_what_the_literature_gives_for_hands(grip: str) -> None
 
 
 def impedance_at_handle(operator: Operator, s: complex) -> complex:
-    """Force for velocity (N·s/m) of pads on a hand on its intention, written down as a ladder."""
+    """Return force over velocity (N·s/m) of pads on a hand at its intended position, as a ladder network."""
     hand = operator.hand_mass * s + operator.hand_damping + operator.hand_stiffness / s
     pads = operator.pads_damping + operator.pads_stiffness / s
     return operator.pads_mass * s + 1.0 / (1.0 / pads + 1.0 / hand)
@@ -191,7 +191,7 @@ def test_rules_about_the_motors_push_do_not_bind_a_person() -> None:
 
 
 def test_the_push_at_rest_is_that_of_springs_in_series() -> None:
-    """Handle, pads and hand in balance, solved as three equations; without a wall nothing pushes back."""
+    """The balance of handle, pads and hand, solved as equations; without a wall the push is zero."""
     for base in (KOUL, CHAWDA):
         experiment = held(base)
         o, radius = experiment.operator, experiment.rig.mechanics.handle_radius
@@ -220,7 +220,7 @@ def test_the_plan_names_the_grip_and_checks_the_hand_behind_the_wall() -> None:
 
 
 def test_the_predicted_impact_of_a_hand_is_of_the_size_of_the_simulated_one() -> None:
-    """0.566 rad/s in simulation, for the normal grip."""
+    """The simulation gives 0.566 rad/s for the normal grip."""
     assert predict_impact(held()).velocity == pytest.approx(0.566, rel=0.2)
 
 

@@ -1,4 +1,4 @@
-"""Plug-ins of third parties: a broken one is named, listed with the reason, and breaks no other."""
+"""Third-party plug-ins: a broken one is listed with the reason, and does not break the others."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ SOURCES = {
 
 @pytest.fixture(params=SOURCES)
 def broken(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Name of a plug-in of every group that has no usable part."""
+    """Return the name of a plug-in, offered to every group, that has no usable part."""
     name = f"theirs_{request.param}"
     (tmp_path / f"{name}.py").write_text(SOURCES[request.param])
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -57,7 +57,7 @@ def test_the_lists_show_a_broken_plug_in_with_the_reason(
 
 
 def test_a_part_stays_registered_while_another_of_that_name_comes_and_goes() -> None:
-    """Two programs of one process may run their laws at the same time, and end in any order."""
+    """Two programs in one process may run their laws at the same time, and end in any order."""
     one, two = laws.get("bilateral"), laws.get("excited")
     first = plugins.register_temporarily("rig.laws", laws.BUILT_IN, "ours", one)
     second = plugins.register_temporarily("rig.laws", laws.BUILT_IN, "ours", two)

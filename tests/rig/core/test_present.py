@@ -1,4 +1,4 @@
-"""Results: their JSON, rows with units, and the terminal's view of a list of items."""
+"""Presentation of results: JSON, rows with units, and a list of items on the terminal."""
 
 import json
 import math
@@ -33,7 +33,7 @@ class Part:
 
     @reported
     def ok(self) -> bool:
-        """Return True if it settled."""
+        """Return True if the part settled."""
         return math.isfinite(self.settling_s)
 
 

@@ -1,4 +1,4 @@
-"""Processes that serve this one end when they are closed or their parent ends, and change nothing in it."""
+"""Helper processes end when they are closed or their parent ends, and do not change the parent."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ WAIT_S = 50.0
 
 
 def announce_and_wait(announce: Callable[[Any], None]) -> None:
-    """Serve nothing, for ever."""
+    """Announce the process, then wait for ever."""
     announce(os.getpid())
     threading.Event().wait()
 
@@ -87,7 +87,7 @@ def test_a_process_ends_with_a_killed_parent() -> None:
 
 
 def looks() -> tuple[Any, ...]:
-    """Return the state that a start must not change, even for a moment."""
+    """Return the state of this process that starting a child must not change, even for a moment."""
     main = sys.modules["__main__"]
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
     return main, dict(os.environ), os.getcwd(), sys.argv[:], sys.path[:], [*map(signal.getsignal, numbers)]

@@ -1,4 +1,4 @@
-"""A file that a user or a page names is read only if it is a regular file of a bounded size."""
+"""A file named by a user or a page is read only if it is a regular file of limited size."""
 
 import itertools
 import os
@@ -75,7 +75,7 @@ def test_a_file_that_changes_into_a_fifo_is_not_waited_for(
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_ctrl_c_at_any_line_is_ctrl_c(tmp_path: Path) -> None:
-    """An interrupt behind `os.fdopen` became "Bad file descriptor": the descriptor was closed twice."""
+    """An interrupt after `os.fdopen` once became "Bad file descriptor", because the descriptor was closed twice."""
     path = tmp_path / "file"
     path.write_bytes(b"text")
 

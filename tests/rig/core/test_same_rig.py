@@ -1,4 +1,4 @@
-"""A device belongs to the experiment's rig, or both values of each difference are named."""
+"""A device must match the experiment's rig; otherwise the error names both values of each difference."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""A temporary directory ends with its process, also with one that was killed: then the next start removes it."""
+"""A temporary directory is removed with its process; after a kill the next start removes it."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""The reference motions: derivatives that fit together, and edges where the encoder changes."""
+"""Reference motions: consistent derivatives, and encoder edges at the right times."""
 
 from typing import Any
 
@@ -72,7 +72,7 @@ def test_edges_are_where_a_finely_sampled_encoder_changes(name: Any, offset: flo
 
 
 def test_a_turn_between_two_samples_may_leave_an_edge_that_no_count_shows() -> None:
-    """Over a boundary and back within one period: the count is unchanged, the last edge is not."""
+    """The motion crosses a boundary to and fro within a period: the count is unchanged, the last edge is not."""
     signal = sine(amplitude=1e-3, frequency_hz=10.0)  # its peak, at 25 ms, is 1 mm
     times, resolution, offset = np.array([0.0, 0.023, 0.027]), 1e-3, 1e-4  # a boundary 0.1 µm below the peak
     assert quantise(signal(times).position, resolution, offset=offset).tolist() == [0, 0, 0]

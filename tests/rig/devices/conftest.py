@@ -1,4 +1,4 @@
-"""A pseudo-terminal in place of a serial line."""
+"""Pseudo-terminals that replace serial lines."""
 
 import os
 import pty
@@ -9,7 +9,7 @@ import pytest
 
 
 class Line:
-    """A pseudo-terminal: the device's end as a descriptor, the host's end by name."""
+    """A pseudo-terminal: the device's end is a descriptor, the host's end a path."""
 
     def __init__(self) -> None:
         self.device, slave = pty.openpty()

@@ -1,4 +1,4 @@
-"""The table of backends: what a URL names, what it cannot, third parties' schemes, and device processes."""
+"""The table of device backends: valid and invalid URLs, third-party schemes, and device processes."""
 
 import gc
 import operator
@@ -53,7 +53,7 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.fixture
 def third_party(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A module of a third party, with an opener that returns its arguments."""
+    """Register a third-party module whose opener returns its arguments."""
     module = ModuleType("third_party_rig")
     module.open_link = lambda url, model: (url, model)
     monkeypatch.setitem(sys.modules, "third_party_rig", module)
@@ -91,7 +91,7 @@ def test_a_url_keeps_any_path_of_linux(place: str, value: str) -> None:
 
 @given(text=st.text(st.characters(exclude_characters="%?"), max_size=40))
 def test_a_typed_place_is_unchanged_or_refused(text: str) -> None:
-    """Only % and ? have a meaning; invisible characters are refused."""
+    """Only % and ? have a special meaning; invisible characters are rejected."""
     try:
         assert DeviceUrl.parse(f"serial://{text}").place == text
     except ConfigError:
@@ -216,7 +216,7 @@ def test_a_device_is_built_before_its_scheduling(
 def test_a_device_process_imports_nothing_from_the_working_directory_and_ends_with_its_context(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C in a terminal reaches a whole process group: the device must not be in it, or it ends before the host."""
+    """Ctrl-C reaches a whole process group: inside it the device would end before its host."""
     monkeypatch.chdir(tmp_path)
     for name in ("json", "pickle", "socket", "signal"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
@@ -234,7 +234,7 @@ def test_a_device_process_imports_nothing_from_the_working_directory_and_ends_wi
 
 
 class AsLoaded:
-    """A value that is computed in the process that loads it."""
+    """A value that is computed in the process that unpickles it."""
 
     def __init__(self, ask: Callable[..., Any], *arguments: Any) -> None:
         self.asked = ask, arguments
@@ -256,7 +256,7 @@ def test_a_device_process_has_its_group_before_it_loads_its_arguments() -> None:
 
 @pytest.fixture
 def served(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Options of device processes, each of which is a simulation in this process."""
+    """Replace device processes by simulations in this process; return the options requested for each."""
     asked = []
 
     @contextmanager

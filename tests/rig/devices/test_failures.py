@@ -1,4 +1,4 @@
-"""Error numbers of links in words: one typed error each, with cause and remedy."""
+"""Error numbers of links: each becomes one typed error with cause and remedy."""
 
 import errno
 from typing import Any

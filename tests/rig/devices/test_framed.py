@@ -1,4 +1,4 @@
-"""Transactions of the host: retries, refusals, take-overs, and ends that never raise."""
+"""Transactions of the host: retries, rejected requests, sessions of other hosts, and closing without errors."""
 
 import re
 from pathlib import Path
@@ -32,7 +32,7 @@ from tests.conformance.tiers import first_by_default
 
 
 class Wire:
-    """A link that records the frames of both ends, those of the host with their times."""
+    """A link that records the frames of both ends, the host's with their times."""
 
     def __init__(self, link: Any) -> None:
         self.link = link
@@ -75,7 +75,7 @@ def make(*, faults: Any = None, **options: Any) -> Any:
 
 
 class Answering:
-    """A far end in virtual time whose replies are those of one function."""
+    """A far end in virtual time that replies by one function of the request."""
 
     def __init__(self, answer: Any) -> None:
         self._link = MemoryLink(SimulatedDevice(rotary_rig()))
@@ -133,7 +133,7 @@ def test_one_lost_frame_of_any_transaction_costs_a_repeat_and_nothing_else(direc
 
 
 def test_a_late_answer_to_an_earlier_step_is_not_taken_for_the_answer() -> None:
-    """The ACKs of BEGIN, CHUNKs and COMMIT carry one nonce: a doubled ACK of one must not answer the next."""
+    """The ACKs of BEGIN, CHUNKs and COMMIT share a nonce: a duplicated ACK must not answer the next request."""
     seen = []
 
     def answer(request: Any) -> Any:
@@ -368,7 +368,7 @@ def test_arming_is_refused_with_the_reason(missing: str, status: Any, word: str)
 
 
 def test_a_stale_session_is_answered_with_another_number() -> None:
-    """The device remembers the number of the last session, a host that was just started does not."""
+    """The device stores the number of the last session; a newly started host does not know it."""
     simulated, _, first = make()
     first.configure(RUN_PARAMETERS)
     used = first.arm()
@@ -384,7 +384,7 @@ def test_a_stale_session_is_answered_with_another_number() -> None:
 
 
 def test_a_device_that_is_not_ready_is_asked_again_until_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Such as one that computes its excitation; in the time of its link."""
+    """Such a device may still compute its excitation; the timeout counts in the link's time."""
     monkeypatch.setattr(framed, "READY_S", 3.0)
     simulated, wire, device = make()
     device.configure(RUN_PARAMETERS)
@@ -459,7 +459,7 @@ def test_a_refusal_names_the_state() -> None:
 
 
 def test_a_fault_in_the_middle_of_configuring_is_a_refusal() -> None:
-    """The BEGIN is lost; before it is sent again the device enters FAULT, where it refuses BEGIN."""
+    """The BEGIN is lost, and before its retry the device enters FAULT, in which it rejects BEGIN."""
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     begin = next(i for i, message in enumerate(wire.messages()) if isinstance(message, m.SetBegin))
@@ -515,7 +515,7 @@ def test_a_fault_whose_cause_is_still_there_is_not_cleared() -> None:
 
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated devices that claim to be real ones, whose zero a person sets once a session."""
+    """Make simulated devices claim to be real ones, whose zero a person sets once a session."""
     claim_to_be_real(monkeypatch)
 
 
@@ -529,7 +529,7 @@ def reset_and_met_by_another(simulated: Any, wire: Any) -> None:
 
 
 def reset_and_faulty(simulated: Any, wire: Any) -> None:
-    """A fault at the start hides BOOT; only the parameters differ then."""
+    """Reset the device with a fault that hides its BOOT state, so that only its parameters show the reset."""
     simulated.reset()
     simulated.inject_fault(Fault.ENCODER)
     wire.link.elapse(0.01)
@@ -581,7 +581,7 @@ def test_a_restart_between_reading_the_zero_and_configuring_is_noticed_too(real:
 
 
 def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> None:
-    """Trials, faults and refused parameters are no restart."""
+    """Trials, faults and rejected parameters do not count as restarts."""
     simulated, wire, device = make()
     for stiffness in (100.0, 200.0):
         device.configure({**RUN_PARAMETERS, "float_stiffness": stiffness})
@@ -598,7 +598,7 @@ def test_a_real_device_is_configured_again_as_often_as_one_likes(real: None) -> 
 
 
 def test_a_lost_answer_to_the_parameters_is_no_restart(real: None) -> None:
-    """They may be active or not: no restart can be concluded."""
+    """The parameters may be active or not, so their values do not prove a restart."""
     other = {**RUN_PARAMETERS, "float_stiffness": 333.0}
     _, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
@@ -634,7 +634,7 @@ def test_stop_sends_zero_several_times_and_needs_no_answer() -> None:
 
 
 class Broken:
-    """A far end whose simulation has a bug."""
+    """A far end whose simulation raises an error."""
 
     def receive(self, *_: Any, **__: Any) -> None:
         raise ZeroDivisionError("a bug")
@@ -675,7 +675,7 @@ def test_closing_disarms_and_leaves_zero() -> None:
 def test_closing_without_replies_sends_each_frame_and_does_not_wait(
     ways: tuple[Direction, ...], back: bool
 ) -> None:
-    """The effort is zero by then: a transaction is given up after more than the lifetime of a COMMAND."""
+    """A transaction times out after more than the lifetime of a COMMAND, so the effort is zero by then."""
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     device.arm()
@@ -731,7 +731,7 @@ def test_the_host_can_stop_a_device_in_an_unknown_state() -> None:
 
 
 def test_exchanges_lie_at_odd_distances() -> None:
-    """Even ones would beat with the ticks of the device."""
+    """Even distances would beat with the ticks of the device."""
     _, wire, device = make()
     stamps = device.exchange_clock(20, over_s=1.0)
     distances = np.diff(stamps["host_sent"])
@@ -776,7 +776,7 @@ def test_the_fault_report_pages_through_the_whole_ring_of_ticks() -> None:
 
 
 def test_reading_the_ticks_of_a_slow_device_is_bounded() -> None:
-    """The report has the pages that came in time, the oldest ticks first."""
+    """The report contains the pages that arrived in time, the oldest ticks first."""
     simulated, wire, device = make(faults=Faults())
     device.configure(RUN_PARAMETERS)
     wire.link.elapse(0.5)

@@ -97,7 +97,7 @@ def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another
     "tests/rig/devices/test_devices_table.py::test_a_device_process_is_the_firmware_when_the_url_says_so"
 )
 def test_a_plain_script_may_start_one(tmp_path: Path) -> None:
-    """Without `if __name__ == "__main__"`: the child does not run the script again."""
+    """The script has no `if __name__ == "__main__"`: the child must not run it again."""
     need_compiler()
     script = tmp_path / "mine.py"
     script.write_text(

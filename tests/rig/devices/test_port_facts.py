@@ -1,4 +1,4 @@
-"""Facts of serial ports, read from sysfs trees like those of real adapters."""
+"""Properties of serial ports, read from sysfs trees like those of real adapters."""
 
 import os
 import pty
@@ -14,7 +14,7 @@ from rig.devices.port_facts import PortFacts, port_facts
 
 
 class Tree:
-    """A directory with ``sys`` and ``dev``; ports are plugged in one by one."""
+    """A directory with ``sys`` and ``dev``, in which ports are added one by one."""
 
     def __init__(self, root: Any) -> None:
         self.root = root
@@ -32,7 +32,7 @@ class Tree:
         latency: Any = None,
         by_id: Any = None,
     ) -> Any:
-        """Make what the kernel makes for a port."""
+        """Make the files that the kernel makes for a port."""
         sysfs = self.root / "sys"
         if vendor is None:
             node = sysfs / "devices/platform" / name
@@ -191,7 +191,7 @@ def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
 
 
 def test_reading_the_facts_of_a_port_does_not_open_it(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Opening a port moves its modem lines, and may reset a board that is running."""
+    """Opening a port changes its modem lines, and may reset a running board."""
     port = tree.plug("ttyUSB0", driver="ftdi_sio", vendor="0403", latency=16)
     opened = []
     real = os.open

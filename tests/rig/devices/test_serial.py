@@ -1,4 +1,4 @@
-"""A serial port as a link, on pseudo-terminals: refusals, settings, a pulled plug, a full line."""
+"""A serial port as a link, on pseudo-terminals: open errors, line settings, unplugging, a full line."""
 
 import contextlib
 import errno
@@ -45,7 +45,7 @@ def link(line: Any) -> Iterator[Any]:
 
 @pytest.fixture(params=[open_link, threaded_serial.open_link], ids=["descriptor", "threads"])
 def either(line: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A link of Linux, or of the other systems."""
+    """Yield a serial link for Linux, or the one for other systems."""
     made = request.param(DeviceUrl.parse(f"serial://{line.path}"))
     yield made
     made.close()
@@ -150,7 +150,7 @@ def test_a_port_that_fails_while_opening_leaves_no_descriptor(
 
 
 def test_the_line_is_raw_blocks_for_a_byte_and_does_not_hang_up_when_closed(line: Any) -> None:
-    """VMIN 1: a read of zero bytes can only mean hang-up. Without HUPCL closing drops no DTR and resets no board."""
+    """With VMIN 1 an empty read means hang-up; without HUPCL closing keeps DTR, so no board is reset."""
     default = opened(line.path)
     assert termios.tcgetattr(default.port().handle)[4] == getattr(termios, f"B{DEFAULT_BAUD}")
     default.close()
@@ -271,7 +271,7 @@ def real_port(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 class ModemLine:
-    """ioctls of a line with DTR, RTS and a driver that may keep the low-latency flag."""
+    """The ioctls of a line with DTR, RTS and a driver that may keep the low-latency flag."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, keeps_flag: bool = True) -> None:
         self.lines = termios.TIOCM_DTR | termios.TIOCM_RTS
@@ -310,7 +310,7 @@ def test_dtr_is_asserted_and_never_moves_again(line: Any, real_port: Any) -> Non
 
 
 def test_dtr_off_takes_dtr_and_rts_back_in_one_step(line: Any, real_port: Any) -> None:
-    """A board whose reset hangs on the pair is held by either alone."""
+    """A board whose reset depends on both lines is held in reset if only one changes."""
     link = opened(line.path, dtr="off")
     assert link.facts.dtr is False
     assert link.messages == []

@@ -1,4 +1,4 @@
-"""The serial link of the other systems, on pseudo-terminals: the same contract, and a board that runs the law."""
+"""The serial link for systems other than Linux, on pseudo-terminals: the same contract, also with a law on a board."""
 
 import errno
 from collections.abc import Callable, Iterator
@@ -42,7 +42,7 @@ def opened(path: str, query: str = "") -> ThreadedSerialLink:
 
 @pytest.fixture
 def board() -> Iterator[Callable[..., str]]:
-    """Serves rigs, each behind a pseudo-terminal; gives its path."""
+    """Yield a function that serves a rig behind a pseudo-terminal and returns its path."""
     with ExitStack() as running:
         yield lambda model=None, **options: running.enter_context(served_rig(model, **options))
 
@@ -126,7 +126,7 @@ def on_the_board(lifetime_s: float) -> Experiment:
 def test_a_law_on_the_board_runs_through_it_and_a_stop_is_sent_not_awaited(
     board: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """With the longest lifetime, in which a board without commands would continue: STOP is sent at once, and again."""
+    """A board without commands continues for the longest lifetime, so STOP is sent at once, and again."""
     need_compiler()
     monkeypatch.setitem(devices.BUILT_IN, "serial", "rig.devices._threaded_serial:open_link")
     sent: list[bytes] = []

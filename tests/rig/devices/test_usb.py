@@ -1,4 +1,4 @@
-"""USB links: opening and refusals, on a bus of stand-ins. The transfers themselves: tests/system/usb."""
+"""USB links: opening and its errors, on a fake bus. tests/system/usb tests the transfers themselves."""
 
 import errno
 from pathlib import Path
@@ -22,7 +22,7 @@ def endpoint(address: int, kind: int = BULK, size: int = 64) -> SimpleNamespace:
 
 
 class Interface(list):
-    """One interface with its endpoints."""
+    """A fake interface with its endpoints."""
 
     def __init__(self, *ends: SimpleNamespace, kind: int = 0xFF, number: int = 0, alternate: int = 0) -> None:
         super().__init__(ends)
@@ -33,7 +33,7 @@ PIPES = Interface(endpoint(IN), endpoint(OUT))
 
 
 class Device:
-    """As much of `usb.core.Device` as opening asks for; `fails` maps a call to the error that it raises."""
+    """The part of `usb.core.Device` that opening uses; `fails` maps a call to the error that it raises."""
 
     backend = None
 
@@ -92,7 +92,7 @@ def hub() -> Device:
 
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
-    """A bus whose devices a test chooses; `closed` counts how often it was given back."""
+    """Return a fake bus whose devices a test sets; `closed` counts how often it was closed."""
 
     class Bus:
         devices: tuple[Device, ...] = ()
@@ -284,7 +284,7 @@ def test_libusbs_statuses_are_error_numbers(status: int, number: Any) -> None:
 
 
 def test_libusbs_codes_are_those_that_pyusb_knows() -> None:
-    """An independent table: pyusb's own."""
+    """pyusb has its own table, which is independent."""
     from usb.backend.libusb1 import _libusb_errno  # noqa: PLC0415
 
     from rig.devices._usb_transfers import errno_of_code  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""The bench check-list: every command in it exists, with every option that it uses."""
+"""The check-list for first power-on: every command in it exists, with every option that it uses."""
 
 import re
 import shlex
@@ -32,7 +32,7 @@ def test_a_command_of_the_list_exists_with_its_options(line: Any) -> None:
 def test_keys_of_the_list_are_keys_of_an_experiment(
     line: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Each command of the list can be planned for the file that it shows."""
+    """Each command of the list can be planned with the file shown there."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.toml").write_text(MINE)
     _, words = resolve(shlex.split(line)[1:])

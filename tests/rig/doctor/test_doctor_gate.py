@@ -1,4 +1,4 @@
-"""The arming gate and the table of walls, on links whose times are made up, against theory's own limits."""
+"""The check before arming and the table of walls, on links with given times, against theory's limits."""
 
 import json
 from dataclasses import replace
@@ -49,7 +49,7 @@ def test_delay_is_the_ticks_that_the_way_takes_and_one_at_least() -> None:
 
 
 def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() -> None:
-    """The limit of test_theory_limits, 359 N·m/rad in a normal hand: the gate stands on either side of it."""
+    """The limit of test_theory_limits, 359 N·m/rad in a normal hand, decides: test both sides of it."""
     with_limits = gate(BY_HAND, link(30e-6))
     assert with_limits.delay_ticks == 1
     limit = with_limits.k_max["normal"]
@@ -64,7 +64,7 @@ def test_koul_by_hand_at_20_khz_is_refused_from_359_on_with_one_tick_of_delay() 
 
 
 def test_the_file_of_the_first_power_on_is_armed_as_it_stands(tmp_path: Path) -> None:
-    """Its list forbids --arm-anyway, and none of its commands names another wall."""
+    """The check-list forbids --arm-anyway, and no command in it changes the wall."""
     page = ROOT / "firmware_protocol" / "firmware" / "BENCH.md"
     path = tmp_path / "mine.toml"
     path.write_text(next(block.text for block in blocks(page) if block.language == "toml"))
@@ -305,7 +305,7 @@ def test_an_impossible_scheme_has_the_reason() -> None:
 
 
 def test_the_way_to_a_drive_behind_a_bridge_is_delay_too() -> None:
-    """Its reply, the link and the law share a period: 0.4 ms there and 0.5 ms here leave one tick at 1 kHz."""
+    """Drive reply, link and law share a period: 0.4 ms plus 0.5 ms fit in one tick at 1 kHz."""
     replies = {"replies": 999.0, "lost": 1.0, "median_us": 300.0, "longest_us": 900.0, "temperature": 31.0}
     near = link(0.5e-3, drive={**replies, "p999_us": 400.0})
     far = link(0.5e-3, drive={**replies, "p999_us": 600.0})

@@ -1,4 +1,4 @@
-"""Checks of a machine, on trees of /proc, /sys, /dev and /etc made up for each case."""
+"""Checks of a machine, on trees of /proc, /sys, /dev and /etc made for each case."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ALLOWED = Rights(user="ada", groups=frozenset({"ada", "dialout"}), priority_limi
 
 
 class Tree:
-    """A made-up machine: files by path, and what its user may do."""
+    """A fake machine: its files by path, and the rights of its user."""
 
     def __init__(self, root: Path) -> None:
         self.root = root

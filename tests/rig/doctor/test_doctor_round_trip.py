@@ -1,4 +1,4 @@
-"""Round trips measured: on a link whose delays are known, in virtual time, on the simulated device, over a port."""
+"""Measured round trips: on a link with known delays, in virtual time, on the simulated device, over a port."""
 
 import ctypes
 import errno
@@ -33,10 +33,9 @@ UNIT_NS = 62.5
 
 
 class EchoLink:
-    """A far end of which everything is known: question n is answered `delays[n]` ns later.
+    """A far end with known delays: request n is answered after `delays[n]` ns, or never if that is None.
 
-    The device itself keeps it for `kept` ns of these. None is never answered. The first ones, which do not count, are
-    answered at once.
+    For `kept` ns of these the device holds the request. Requests before the first that counts are answered at once.
     """
 
     bytes_per_second = 1e6
@@ -126,7 +125,7 @@ def measured(link: Any, seconds: float = 1.0, rate: int = 1000, **more: Any) -> 
 
 
 def test_delays_come_back_as_they_are() -> None:
-    """990 of 200 µs, 9 of 500 µs and one of 3 ms: every quantile is known."""
+    """990 delays of 200 µs, 9 of 500 µs and one of 3 ms, so every quantile is known."""
     delays = np.full(1000, 200_000)
     delays[5:955:106] = 500_000
     delays[500] = 3_000_000
@@ -169,7 +168,7 @@ def test_time_in_the_device_is_not_travel() -> None:
 
 
 def test_impossible_stamps_are_not_trusted() -> None:
-    """The stamps of the device claim a longer time than the whole trip."""
+    """The device's stamps give a longer time than the whole round trip."""
     device = around(EchoLink([100_000] * 1000, kept=50_000))
     device.dictionary.time_unit_ns = -UNIT_NS  # its time runs backwards
     found = measure_link(device, 1.0, 1000)
@@ -252,7 +251,7 @@ def test_virtual_time_has_no_delay_and_the_device_is_as_before() -> None:
 
 @pytest.fixture
 def port() -> Iterator[Any]:
-    """A simulated rig behind a pseudo-terminal."""
+    """Serve a simulated rig behind a pseudo-terminal and yield its URL."""
     with served_rig(config.rig_model(presets.load("koul-compliant")), rate=1000) as path:
         yield f"serial://{path}"
 
@@ -272,7 +271,7 @@ def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(
 
 
 class Babbler(EchoLink):
-    """A far end that never pauses: whatever is read, more is there."""
+    """A far end that sends without pause: after each read more bytes are available."""
 
     def _wait(self, handle: Any, deadline: Any) -> Any:
         return 1

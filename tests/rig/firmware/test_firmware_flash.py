@@ -1,4 +1,4 @@
-"""Flashing by copying to the drive of a boot ROM; the drive is a directory here."""
+"""Flashing by copying to the drive of a boot ROM, which is a directory here."""
 
 import errno
 from contextlib import nullcontext

@@ -1,4 +1,4 @@
-"""An image identifies itself in any file format, and the package checks that it is compatible."""
+"""Firmware images identify themselves in any file format, and the package checks their compatibility."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The self test passes on a device that is sound, and finds each defect; nothing moves."""
+"""The self-test passes on a sound device and finds each defect; the motor never moves."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""UF2 by its specification: blocks are read back as written, and damage is found."""
+"""UF2 files by their specification: blocks are read back as written, and damage is found."""
 
 import struct
 from typing import Any
@@ -16,7 +16,7 @@ FLASH = 0x1000_0000
 
 @st.composite
 def apart(draw: Any) -> Any:
-    """Pieces that share no page of 256 bytes."""
+    """Generate pieces that share no page of 256 bytes."""
     at, pieces = FLASH, []
     for data in draw(st.lists(st.binary(min_size=1, max_size=700), min_size=1, max_size=4)):
         pieces.append(Piece(at + draw(st.integers(0, 255)), data))

@@ -1,4 +1,4 @@
-"""The reference rig's netlist: its pins are the board's, no 5 V reach them, and the drawing is that of the netlist."""
+"""The reference rig's netlist: its pins are the board's, none gets 5 V, and the drawing matches."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -41,7 +41,7 @@ def test_every_net_joins_something_and_every_pin_of_the_board_is_wired(output: s
 
 
 def test_the_line_that_switches_the_amplifier_off_holds_the_converter_in_reset_too() -> None:
-    """Behind monostable and dead-man contact, where the resistor to ground is: not at the board's own end."""
+    """The line is taken after monostable and dead-man contact, at the resistor to ground, not at the board."""
     nets = wiring(BOARD, CHOSEN["dac"]).nets()
     assert {"U5.RESET", "AMP.DigIN2 (enable)", "R1.2"} <= set(nets["ENABLE HELD"])
     assert set(nets["SET POINT"]) == {"U5.VOUT", "AMP.AnIN1+"}
@@ -68,7 +68,7 @@ def test_the_drawing_beside_the_netlist_is_fresh() -> None:
 
 
 def test_the_monitors_divider_gives_the_boards_zero() -> None:
-    """1.65 V at no current, 0.05 to 3.25 V for ±4 V of the amplifier, within a percent."""
+    """1.65 V at zero current, and 0.05 to 3.25 V for ±4 V of the amplifier, within a percent."""
     from_amplifier, to_supply, to_ground = 10e3, 8.06e3, 40.2e3
     sum_of = 1 / from_amplifier + 1 / to_supply + 1 / to_ground
     low, zero, high = ((v / from_amplifier + 3.3 / to_supply) / sum_of for v in (-4.0, 0.0, 4.0))

@@ -1,4 +1,4 @@
-"""A device whose messages contradict each other, with the law on the host and on the device: the run ends."""
+"""Contradictory messages of a device end the run, with the law on the host and on the device."""
 
 from typing import Any
 
@@ -120,7 +120,7 @@ def test_a_jump_back_of_the_clock_in_a_fault_is_no_wrap() -> None:
     st.floats(-0.009, 0.009, allow_subnormal=False),
 )
 def test_a_late_tick_and_an_inexact_timer_are_no_contradiction(steps: Any, drift: float) -> None:
-    """Each sample up to 0.9 of a period off its place, on a grid that is up to 0.9 % off."""
+    """Samples are up to 0.9 periods from their place, on a grid that is up to 0.9 % off."""
     values, index, before, error = settings().as_array(), 0, 0, 0
     for samples, off in steps:
         index += samples

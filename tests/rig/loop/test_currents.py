@@ -1,4 +1,4 @@
-"""The active current against the commanded ones, over every order in which commands reach a device."""
+"""Which commanded current is active, for every order in which commands reach a device."""
 
 from typing import Any
 

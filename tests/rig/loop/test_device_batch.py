@@ -1,4 +1,4 @@
-"""How the samples of a law on the device travel: layouts by speed and rate, frames in time, bytes as they are."""
+"""Batches of samples of a law on the device: layout by speed and rate, frames in time, and their bytes."""
 
 import struct
 from typing import Any
@@ -36,7 +36,7 @@ def frame_bytes(x: config.Experiment, samples: int) -> int:
     ("rate", "layout", "samples"), [(1_000, batch.WIDE, 5), (5_000, batch.FULL, 25), (20_000, batch.FULL, 45)]
 )
 def test_layout_and_samples_follow_rate_and_speed(rate: int, layout: Any, samples: int) -> None:
-    """At 10 rad/s and 1.57e-4 rad a count passes 63,662 counts a second."""
+    """At 10 rad/s and 1.57e-4 rad per count, 63,662 counts pass in a second."""
     assert batch.batch_layout(at(rate)) == layout
     assert batch.batch_samples(at(rate)) == samples
 

@@ -1,4 +1,4 @@
-"""The compiled loop against a far end of a few lines: its samples, its ends, and its last commands."""
+"""The compiled loop against a scripted far end: its samples, its ends, and its last commands."""
 
 import ctypes
 import errno
@@ -53,7 +53,7 @@ COMPLIANT = presets.load("koul-compliant")
 
 
 def state_frame(index: int, *, session: int = SESSION, sequence: int | None = None, **fields: int) -> bytes:
-    """A STATE: sample `index` of a device that ticks each millisecond and rests at count 0."""
+    """Return a STATE frame: sample `index` of a device that ticks each millisecond and rests at count 0."""
     time_units = index * 16_000
     values = {
         "command_sequence": 0,
@@ -82,13 +82,13 @@ def state_frame(index: int, *, session: int = SESSION, sequence: int | None = No
 
 
 class Receiver:
-    """`newest_state` with its memory, fed in pieces."""
+    """The compiled function `newest_state` with its buffers, fed in pieces."""
 
     def __init__(self) -> None:
         self.buffers, self.ring, self.settings = Buffers.allocate(), Ring.allocate(1), settings().as_array()
 
     def feed(self, data: bytes) -> int:
-        """Samples passed by these bytes."""
+        """Receive bytes and return the number of samples that they passed."""
         b, p = self.buffers, self.buffers.progress
         filled = int(p[0]["filled"])
         assert filled + len(data) <= RECEIVE_BYTES
@@ -156,7 +156,7 @@ def test_sample_index_and_device_time_continue_behind_32_bits() -> None:
 
 
 def test_the_devices_clock_wraps_within_a_run_of_five_minutes() -> None:
-    """32 bits of 1/16 µs are 268 s."""
+    """The clock has 32 bits of 1/16 µs, which are 268 s."""
     receiver = Receiver()
     for index in range(0, 600_000, 5_000):
         receiver.feed(state_frame(index))
@@ -249,7 +249,7 @@ def test_lateness_is_never_negative_nor_more_than_the_delay(delays: list[int]) -
 
 
 class Script:
-    """A far end that sends given bytes at given times, or breaks, and records the frames of the host.
+    """A far end that sends given bytes at given times, or fails, and records the frames of the host.
 
     `script` has pairs of a time (ns) and bytes to send, a negative errno, or a function to call.
     """
@@ -539,7 +539,7 @@ def test_skipped_samples_are_one_gap_of_the_law() -> None:
 
 
 def test_lost_samples_and_late_samples_are_counted_apart() -> None:
-    """The law gets 7: 3 and 5 were lost, 4 and 6 arrived together with 7."""
+    """The law receives sample 7: 3 and 5 were lost, 4 and 6 arrived together with 7."""
     late = b"".join(state_frame(k) for k in (4, 6, 7))
     link = Script(*ticks(1, 3), (7 * PERIOD_NS, late), *ticks(8, 10))
     thread, end = ran(link)
@@ -612,7 +612,7 @@ def test_in_virtual_time_a_recorder_that_failed_is_not_waited_for() -> None:
 
 
 def test_a_host_paced_loop_wakes_on_its_own_grid_and_takes_the_newest_sample() -> None:
-    """Samples come 0.3 ms after the grid: each tick sees the one before it, 0.7 ms old."""
+    """Samples come 0.3 ms after the grid, so each tick uses the previous one, 0.7 ms old."""
     link = Script(*((at + 300_000, frame) for at, frame in ticks(0, 30)))
     thread, end = ran(link, host_paced=True)
     seen = thread.ring.rows[: end.counters["ticks"]]
@@ -639,7 +639,7 @@ def busy(link: Any, duration_ns: Any) -> Any:
 
 
 def delayed(duration_ns: Any) -> Any:
-    """Thirty samples; the host is away for a while after the tenth tick."""
+    """Return a far end with thirty samples whose host pauses for a while after the tenth tick."""
     link = Script()
     link.events = sorted(
         [*((at + 1, frame) for at, frame in ticks(0, 30)), (9 * PERIOD_NS + 2, None)],
@@ -674,7 +674,7 @@ def test_a_late_tick_ends_the_run_with_zero_where_that_is_set(host_paced: bool) 
 
 
 def test_a_device_paced_host_that_was_away_is_late_though_the_newest_sample_is_not() -> None:
-    """It comes back to two samples: the older one waited for 1.5 periods and is never answered."""
+    """Two samples wait after the pause; the older one waited for 1.5 periods and is never answered."""
     both = (11 * PERIOD_NS + PERIOD_NS // 2, state_frame(10) + state_frame(11))
     link = Script(*ticks(1, 10), both, *ticks(12, 20))
     thread, end = ran(link, stop_when_late=True)
@@ -722,7 +722,7 @@ def test_a_signal_stops_the_loop_while_python_does_not_run(wire: Any) -> None:
 
 
 class Answering(Script):
-    """A far end that also answers GET_TIME, `delay` later, on a clock of its own."""
+    """A far end that also replies to GET_TIME, `delay_ns` later, with a clock of its own."""
 
     offset_units = 1_000_000
     delay_ns = 200_000
@@ -777,7 +777,7 @@ def new_wall(bundle: Any, *, position: Any, stiffness: Any) -> Any:
 
 
 def test_parameters_become_active_between_two_ticks_and_only_in_free_space() -> None:
-    """Pressed into the wall until tick 20: the new wall waits, and the newest of two is taken."""
+    """The handle is in the wall until tick 20: the new wall waits, and the newer of two is used."""
     bundle = at_rest()
     memory = Ring.allocate(4096)
     soft, hard = new_wall(bundle, position=0.0, stiffness=1.0), new_wall(bundle, position=0.0, stiffness=2.0)
@@ -800,7 +800,7 @@ def test_parameters_become_active_between_two_ticks_and_only_in_free_space() -> 
 
 
 def test_a_wall_never_appears_around_the_handle() -> None:
-    """The handle rests at −3 counts: a wall that would begin below it waits, whatever its stiffness."""
+    """The handle rests at −3 counts: a wall that would begin below that waits, whatever its stiffness."""
     bundle = at_rest()
     memory = Ring.allocate(4096)
     below = -10 * float(bundle.control["resolution"][0])
@@ -849,7 +849,7 @@ def wire() -> Iterator[Any]:
 
 
 def start(wire: Any, law: Any = None, **changes: Any) -> Any:
-    """Start the loop in real time, by default for a device that may be silent for a minute."""
+    """Start the loop in real time, by default with a timeout of a minute for the device."""
     values = {"lost_after_ns": 60_000_000_000, **changes}
     thread = LoopThread(wire, at_rest(law), settings(**values), Ring.allocate(4096))
     thread.start()
@@ -875,7 +875,7 @@ def sent_frames(wire: Any) -> Any:
 
 
 def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
-    """The loop object is compiled once, against the types of its plugs, whatever is plugged in."""
+    """The loop is compiled once for the types of its plug points, whatever functions are plugged in."""
     run.prepare()
     before = list(run.signatures)
     assert len(before) == 1
@@ -893,7 +893,7 @@ def test_virtual_and_real_time_run_the_same_machine_code(wire: Any) -> None:
 
 
 def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
-    """One thread holds the GIL (a C call through PyDLL); the loop answers every sample."""
+    """Another thread holds the GIL (a C call through PyDLL); the loop still answers every sample."""
     interval = sys.getswitchinterval()
     thread, memory = start(wire)
     try:

@@ -1,4 +1,4 @@
-"""Signals while a loop runs, and in the moment when the program gets its own handlers back."""
+"""Signals while a loop runs, and at the moment in which the program's own handlers are restored."""
 
 import os
 import signal
@@ -53,7 +53,7 @@ def test_a_handler_of_the_callers_is_called_at_once_and_what_it_raises_waits() -
 def test_ctrl_c_while_handlers_return_is_raised_when_all_of_them_have(
     monkeypatch: pytest.MonkeyPatch, place: int
 ) -> None:
-    """Raised in between, it would leave handlers that swallow SIGTERM, and a wake-up descriptor that is closed."""
+    """Raised earlier, it would leave handlers that swallow SIGTERM, and a closed wake-up descriptor."""
     received: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: received.append(number))
     signal.signal(signal.SIGHUP, lambda number, frame: received.append(number))

@@ -1,4 +1,4 @@
-"""The loop of a law on the device, against a far end of a few lines: rows, gaps, ends, and new walls."""
+"""The host's loop for a law on the device, against a scripted far end: rows, gaps, ends, and new walls."""
 
 import errno
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def loop_settings(**changes: Any) -> LoopSettings:
 def ran(
     device: BatchDevice, bundle: Any = None, *, memory: Ring | None = None, live: Any = None, **changes: Any
 ) -> Any:
-    """Run the loop to its end."""
+    """Run the loop to its end and return the thread with the reason."""
     memory = memory or Ring.allocate(8192)
     supervise.run.prepare()
     thread = SupervisedThread(device, bundle or controlled(), loop_settings(**changes), memory, live=live)
@@ -62,7 +62,7 @@ def ran(
 
 
 def silent_behind(counts: Sequence[int], *rest: Any, **options: Any) -> BatchDevice:
-    """Return a device that sends these counts, and nothing behind them."""
+    """Return a device that sends these counts, then nothing."""
     device = BatchDevice(counts, *rest, **options)
     device.at[len(counts)] = lambda: setattr(device, "silent", True)
     return device
@@ -73,13 +73,13 @@ def rows_of(thread: LoopThread) -> np.ndarray:
 
 
 def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
-    """Counts of a handle that is pushed in and out of the wall."""
+    """Return counts of a handle that is pushed in and out of the wall."""
     noise = np.random.default_rng(seed).integers(-1, 2, ticks)
     return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
 
 
 def by_the_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
-    """Rows of the loop on the host for the same samples."""
+    """Return the rows of the loop with the law on the host for the same samples."""
     memory = Ring.allocate(8192)
     link = Script(*((PERIOD_NS * (k + 1), state_frame(100 + k, count=c)) for k, c in enumerate(counts)))
     changes = {"supervise_every_ns": 0, "lost_after_ns": 10 * PERIOD_NS}
@@ -90,7 +90,7 @@ def by_the_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
 
 
 def replayed(rows: np.ndarray, bundle: Any) -> np.ndarray:
-    """`rig.control.step` over the samples of rows again."""
+    """Return the rows that `rig.control.step` computes again from recorded samples."""
     again = rows.copy()
     bundle.memory[0] = new_memory()[0]
     replay_rows(bundle.arguments(), rows, again, NO_SETS)
@@ -98,7 +98,7 @@ def replayed(rows: np.ndarray, bundle: Any) -> np.ndarray:
 
 
 def assert_replays(rows: np.ndarray, bundle: Any) -> None:
-    """Every computed column to the last bit; of the last row as the loop ended it."""
+    """Check every computed column to the last bit, except in the last row, which the loop ended."""
     again = replayed(rows.copy(), bundle)
     for name in (*COMPUTED, "flags"):
         assert again[name][:-1].tobytes() == rows[name][:-1].tobytes(), name
@@ -148,7 +148,7 @@ def test_the_host_sends_in_time_and_compares_the_clocks() -> None:
 
 
 def test_columns_that_a_batch_lacks_come_from_the_newest_state() -> None:
-    """STATEs at 100, 105, …; each batch of five begins there."""
+    """STATEs come at samples 100, 105, …; each batch of five begins there."""
     device = silent_behind([0] * 60, states_every=5)
     device.at[12] = lambda: setattr(device, "limits", int(LimitFlag.SPEED))  # in the STATE of sample 115
     thread, _ = ran(device)
@@ -381,7 +381,7 @@ def test_a_device_whose_law_ended_is_not_followed_for_ever(control: Any, reason:
 
 
 def apart(changes: dict[int, int]) -> SupervisedThread:
-    """Run a device whose current differs from the law by these amounts (tick → quanta)."""
+    """Run a device whose current differs from the law's by these amounts (tick → quanta)."""
     counts = taps(400)
     currents = by_the_host(counts, controlled())["current_sent"]
     for tick, amount in changes.items():
@@ -416,7 +416,7 @@ def test_an_active_limit_excludes_a_sample_from_the_comparison() -> None:
 
 
 def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it() -> None:
-    """The device saw what the host did not: for a while their velocities are apart."""
+    """The device used samples that the host lost, so their velocities differ for a while."""
     counts = taps(2000)
     currents = by_the_host(counts, controlled())["current_sent"].tolist()
     device = silent_behind(
@@ -440,7 +440,7 @@ def wall_values(bundle: Any, *, position: float, stiffness: float) -> list[float
 
 
 def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
-    """Stands for `rig.config.device_law.live_parameters` here: ten parameters, so that the block takes two chunks."""
+    """Replace `rig.config.device_law.live_parameters`: ten parameters, so that the block needs two chunks."""
     return {
         "float_stiffness": values[1], "float_damping": values[2], "float_surface_fraction": values[0],
         "float_surface": 7, "fixed_surface": 1, "fixed_stiffness": 2, "fixed_damping": 3, "fixed_shift": 4,
@@ -449,7 +449,7 @@ def as_device_parameters(values: Sequence[float]) -> dict[str, float]:
 
 
 class Changing:
-    """A run with a wall that is changed at a tick."""
+    """A run in which the wall changes at given ticks."""
 
     def __init__(
         self, counts: Sequence[int], *sets: tuple[int, float], position: float = 0.0, **options: Any
@@ -477,7 +477,7 @@ class Changing:
         return self.thread.end()
 
     def replay(self) -> np.ndarray:
-        """The rows again, from the recorded sets."""
+        """Return the rows computed again from the recorded parameter sets."""
         fresh = controlled()
         sets = np.array(
             [[one["tick"], one["wall_position"], *one["parameters"]] for one in self.thread.parameter_sets()]
@@ -555,7 +555,7 @@ def test_a_wall_that_cannot_be_computed_is_a_message() -> None:
 @pytest.mark.parametrize("lost", ["ack", "request"])
 @pytest.mark.parametrize("kind", [m.SetBegin, m.SetChunk, m.SetCommit])
 def test_a_lost_frame_of_an_update_is_sent_again_and_the_sample_stays_exact(lost: str, kind: Any) -> None:
-    """A commit whose reply is lost is active on the device: samples wait in the host until that is known."""
+    """A commit may be active on the device although its reply is lost: the host holds samples until it knows."""
     run = Changing([*TAP, *TAP], (20, 1.0))
     device = run.device
     struck = []

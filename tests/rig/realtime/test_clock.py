@@ -1,4 +1,4 @@
-"""Clocks: the same questions in real and in virtual time, from Python and from compiled code."""
+"""Clocks in real and in virtual time: the same functions from Python and from compiled code."""
 
 import time
 
@@ -34,7 +34,7 @@ def test_monotonic_time_never_wakes_before_the_deadline() -> None:
 
 
 def test_compiled_and_python_read_one_and_the_same_monotonic_clock() -> None:
-    """Stamps of both are compared and recorded side by side, so they must interleave."""
+    """Stamps of both are recorded together and compared, so they must interleave."""
     clock = MonotonicClock()
     stamps = []
     for _ in range(50):

@@ -1,4 +1,4 @@
-"""The compiled codec and the readable one are the same, byte for byte and refusal for refusal."""
+"""The compiled codec equals the readable one: the same bytes, and the same rejected frames."""
 
 import zlib
 from dataclasses import astuple
@@ -202,13 +202,13 @@ def test_the_delimiter_is_found(data: bytes, a: int, b: int) -> None:
 
 
 def wrapped(count: int) -> int:
-    """As an encoder's 32 bits hold it."""
+    """Return a count as the 32-bit counter of an encoder shows it."""
     return (count + (1 << 31)) % (1 << 32) - (1 << 31)
 
 
 @st.composite
 def batches(draw: st.DrawFn) -> Batch:
-    """A batch of any layout with as many samples as fit, or fewer."""
+    """Generate a batch of any layout with at most as many samples as fit."""
     layout = draw(st.sampled_from(sorted(BATCH_LAYOUTS)))
     sample = st.tuples(*(integers_of(ctype) for ctype in BATCH_LAYOUTS[layout]))
     size = len(pack_batch_samples(layout, [(0,) * len(BATCH_LAYOUTS[layout])]))

@@ -1,4 +1,4 @@
-"""Groups of arguments: two in each other's place, a member of another type, and members by place are refused."""
+"""Groups of arguments for kernels: swapped groups, members of a wrong type, and members by position are rejected."""
 
 import ast
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from tests.conformance.rigs import rotary_rig
 
 @group
 class Wanted(NamedTuple):
-    """A group."""
+    """A group of arguments."""
 
     values: Floats
     place: Int
@@ -31,7 +31,7 @@ class Wanted(NamedTuple):
 
 @group
 class Measured(NamedTuple):
-    """Another one with the same members."""
+    """Another group with the same members."""
 
     values: Floats
     place: Int
@@ -39,7 +39,7 @@ class Measured(NamedTuple):
 
 @group
 class Plugged(NamedTuple):
-    """With a plug point and an address."""
+    """A group with a plugged-in law and an address."""
 
     law: LawPlug
     state: Floats
@@ -48,7 +48,7 @@ class Plugged(NamedTuple):
 
 @group
 class Both(NamedTuple):
-    """With groups in it."""
+    """A group whose members are groups."""
 
     wanted: Annotated[Wanted, type_of(Wanted)]
     measured: Annotated[Measured, type_of(Measured)]
@@ -92,14 +92,14 @@ def test_a_kernel_takes_groups_and_their_arrays_are_the_callers() -> None:
     "make_groups", [(measured, wanted), (wanted, wanted), (lambda: tuple(wanted()), measured)]
 )
 def test_two_groups_in_each_others_place_are_refused(make_groups: Any) -> None:
-    """Also after a call that was right, though all members have the same types."""
+    """Also after a correct call, and although all members have the same types."""
     assert error(wanted(), measured()) == 4.0
     with pytest.raises(TypeError, match="No matching definition"):
         error(*(make() for make in make_groups))
 
 
 def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
-    """A controller where the port belongs, buffers where the ring belongs."""
+    """For example a controller where the port belongs, or buffers where the ring belongs."""
     link = MemoryLink(SimulatedDevice(rotary_rig()))
     law = controller.for_experiment(presets.load("koul-compliant"), current_quantum_a=0.001).arguments()
     shared = SharedRing(words=0, mailbox=0, rows=np.zeros(1, np.int64))
@@ -154,7 +154,7 @@ MOST = 12  # parameters of a kernel
 
 
 def kernels() -> Iterator[Any]:
-    """Every function with the decorator: its name, its parameters, and its lines."""
+    """Yield name, parameters and source lines of every function with the decorator `kernel`."""
     for module, path in source_files().items():
         text = path.read_text(encoding="utf-8")
         if "@kernel(" not in text:
@@ -174,7 +174,7 @@ def kernels() -> Iterator[Any]:
 
 
 def test_no_kernel_has_more_than_a_dozen_parameters_or_a_wall_of_them() -> None:
-    """A wall is a signature or a call that the formatter leaves alone."""
+    """A wall of parameters is a signature or call that is exempt from the formatter."""
     found = list(kernels())
     assert len(found) > 100
     wide = [name for name, parameters, _ in found if len(parameters) > MOST]

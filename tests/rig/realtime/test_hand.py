@@ -1,4 +1,4 @@
-"""A hand in a file: the other side reads a wish or a motion whole, or not at all."""
+"""A simulated hand shared through a file: each side reads a request or a motion completely, or not at all."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""Signals that come where the interpreter would forget what a handler raises."""
+"""Signals at moments in which the interpreter would lose the exception that their handler raises."""
 
 import ctypes
 import signal
@@ -62,7 +62,7 @@ def test_an_impatient_ctrl_c_is_one_interruption() -> None:
 
 
 def test_a_sigterm_that_nothing_handles_ends_the_process() -> None:
-    """Its action is no function: calling that made a TypeError of the end that a process manager asked for."""
+    """The default action is not a function; a call of it turned a process manager's SIGTERM into a TypeError."""
     program = """
 import signal
 from rig.realtime.handlers import interrupts_later, interrupts_now
@@ -87,7 +87,7 @@ def test_interrupt_is_raised_also_after_an_error() -> None:
 
 
 def test_interrupt_is_raised_between_two_parts() -> None:
-    """Between two functions of a kernel, so that Ctrl-C need not wait for all of them."""
+    """Ctrl-C need not wait until all functions of a kernel are compiled."""
     done = []
 
     def in_parts() -> None:

@@ -1,4 +1,4 @@
-"""The kernel decorator and its disk cache: fast the second time, and never stale.
+"""The kernel decorator and its disk cache: fast at the second start, and never stale.
 
 Each case runs in processes of its own, on a copy of `kernel.py` among packages made for the test: a stale
 cache shows only across processes, and nothing here may touch the real cache.
@@ -79,7 +79,7 @@ print(json.dumps({{
 
 @dataclass
 class Project:
-    """A tiny package around the real decorator: a law, a helper in another file, and its constant in a third."""
+    """A small package around the real decorator: a law, a helper in another file, and its constant in a third."""
 
     root: Path
     cache: str
@@ -124,7 +124,7 @@ def project(tmp_path: Path) -> Project:
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, dict[str, Any]]:
-    """A project that a process has compiled, and its report: the next process may differ in one thing."""
+    """Return a project that one process has compiled, and that process's report."""
     made = project_in(tmp_path_factory.mktemp("first"))
     return made, made.run(before=f"kernel.numba.config.CACHE_DIR = {made.cache + '-elsewhere'!r}")
 
@@ -162,7 +162,7 @@ def test_second_process_waits_while_the_first_compiles(project: Project) -> None
 def test_same_sources_in_another_place_load_the_cache(
     first: tuple[Project, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """A wheel beside a clone, a fresh checkout, an edit of a file that no kernel depends on."""
+    """For example a wheel beside a clone, a new checkout, or an edit of a file that no kernel depends on."""
     project, before = first
     assert (before["value"], before["hits"], before["misses"], before["compiled"]) == (
         3.0,
@@ -193,7 +193,7 @@ def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, di
 
 
 def test_numbas_configured_cache_is_not_used(first: tuple[Project, dict[str, Any]]) -> None:
-    """numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from there."""
+    """numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from its cache."""
     project, report = first
     assert report["value"] == 3.0
     assert not Path(project.cache + "-elsewhere").exists()
@@ -201,7 +201,7 @@ def test_numbas_configured_cache_is_not_used(first: tuple[Project, dict[str, Any
 
 
 def test_run_goes_without_a_writable_cache(project: Project, tmp_path: Path) -> None:
-    """A file where the directory should be stops every user, root too."""
+    """A file in place of the cache directory stops every user, also root."""
     (tmp_path / "cache").touch()
     report = project.run(after="import shutil; shutil.rmtree(kernel.CACHE_DIRECTORY)")
     assert report["value"] == 3.0
@@ -211,7 +211,7 @@ def test_run_goes_without_a_writable_cache(project: Project, tmp_path: Path) -> 
 def test_cache_that_others_can_write_is_refused_with_one_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Machine code from there would run a law on a hand."""
+    """Another user's machine code from there would run a law on a person's hand."""
     named, spare = tmp_path / "cache", tmp_path / "tmp"
     spare.mkdir()
     spare.chmod(0o1777)  # as /tmp
@@ -306,7 +306,7 @@ def is_compiled(path: Path) -> bool:
 
 
 def test_the_key_covers_kernels_and_what_they_import() -> None:
-    """File by file against Python's own parser: the quick reader of the key must miss no form of an import."""
+    """The key's fast import finder must miss no form of import that Python's own parser finds."""
     files, covered = source_files(), compiled_sources()
     assert {name for name, path in files.items() if is_compiled(path)} <= set(covered)
     for name, text in covered.items():
@@ -316,7 +316,7 @@ def test_the_key_covers_kernels_and_what_they_import() -> None:
 
 
 def imported(text: str, files: Container[str]) -> list[str]:
-    """Modules of ours that a source imports; a relative import is refused, because the key does not see it."""
+    """Return the project's modules that a source imports; reject relative imports, which the key does not see."""
     names: list[str] = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
@@ -348,7 +348,7 @@ def test_key_covers_compiler_and_processor(monkeypatch: pytest.MonkeyPatch) -> N
 
 @kernel("f8(f8, f8)", cache=False)
 def quotient(a: float, b: float) -> float:
-    """Numpy's error model: no exception, also for zero."""
+    """Divide by numpy's error model: no exception, also for zero."""
     return a / b
 
 
@@ -389,7 +389,7 @@ def test_modules_without_kernels_do_not_load_the_compiler() -> None:
 
 
 def test_a_kernel_without_reference_counts_writes_into_its_arrays_and_cannot_make_one() -> None:
-    """No references are counted: the arrays stay the caller's, and an allocation is refused by the compiler."""
+    """Arrays stay the caller's without reference counting, and the compiler rejects an allocation."""
 
     @kernel("f8(f8[::1])", cache=False, no_refcount=True)
     def double_first(values: Any) -> Any:
@@ -437,7 +437,7 @@ def test_first_call_compiles_a_declared_kernel() -> None:
 
 
 def test_part_used_in_many_places_computes_the_same() -> None:
-    """A part of parts, a part by two ways, of two signatures, and one that had machine code of its own before."""
+    """Inline functions that are nested, reached in two ways, of two signatures, or compiled on their own before."""
 
     @kernel("f8(f8)", cache=False)
     def half(x: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The mailbox: whatever two sides do at whatever moment, sets arrive whole and in order, and the newest arrives."""
+"""The mailbox: under any interleaving of two processes, sets arrive whole and in order, and the newest arrives."""
 
 import fcntl
 import itertools
@@ -50,7 +50,7 @@ def slots_of(state: int) -> tuple[int, int, int]:
 
 
 def expected(number: int, count: int) -> list[float]:
-    """Values that belong to a set: no two sets share one."""
+    """Return the values of a set by its number; no two sets share a value."""
     return [number + i / 128 for i in range(count)]
 
 
@@ -111,7 +111,7 @@ POSTS, TAKES, KILLS = 4, 4, 2
 
 
 class World(NamedTuple):
-    """Shared memory and both sides' places in their programs, one atomic action a step."""
+    """State of a model of the mailbox: shared memory and both sides' program counters, one atomic action a step."""
 
     state: int
     slots: tuple[tuple[int, ...], ...]  # each: the number of the set, then the set
@@ -129,7 +129,7 @@ class World(NamedTuple):
 
 
 def write_step(w: World) -> World:
-    """The writer: load, number, values, load, swap."""
+    """Step the writer: load the state, store number and values, load again, swap."""
     if w.posts == POSTS:
         return w
     if w.place == 0:
@@ -149,12 +149,12 @@ def write_step(w: World) -> World:
 
 
 def kill_step(w: World) -> World:
-    """kill -9 of the writer; another one begins anew."""
+    """Kill the writer (kill -9); a new one starts from the beginning."""
     return w._replace(place=0, seen=0, tries=0, kills=w.kills + 1) if w.place and w.kills < KILLS else w
 
 
 def read_step(w: World) -> World:  # noqa: PLR0911  (one for each step of the program)
-    """The reader: load, swap, copy word by word."""
+    """Step the reader: load the state, swap, copy the set word by word."""
     if w.takes == TAKES:
         return w
     if w.read_place == 0:
@@ -217,7 +217,7 @@ def test_a_slow_reader_keeps_its_set_and_what_a_killed_writer_had_filled_is_neve
 
 @kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64, types.uintp))
 def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -> Any:  # type: ignore[no-untyped-def]
-    """A loop that takes until it has the newest; counts sets, torn ones and old ones in the three words at `found`."""
+    """Read sets until the newest arrives; store the numbers of sets, torn sets and old sets at `found`."""
     last, deadline = 0, monotonic_now(0) + PATIENCE_NS
     sets = torn = old = 0
     while last < newest and monotonic_now(0) < deadline:
@@ -237,7 +237,7 @@ def read_until(address: Any, message: Any, into: Any, newest: Any, found: Any) -
 
 @kernel(types.int64(types.uintp, types.uint8[::1], types.float64[::1], types.int64))
 def write_many(address: Any, message: Any, values: Any, times: Any) -> Any:  # type: ignore[no-untyped-def]
-    """A writer without mercy; returns the number of the last set."""
+    """Write sets without pause and return the number of the last one."""
     number = 0
     for n in range(times):
         for i in range(len(values)):
@@ -285,7 +285,7 @@ def test_many_writers_in_threads_get_numbers_of_their_own() -> None:
 
 
 def test_a_writer_of_another_process_is_waited_for_but_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second opening of the same memory stands for the other process: its lock is another's."""
+    """A second opening of the memory stands for another process, because locks belong to openings."""
     monkeypatch.setattr(mailbox, "PATIENCE_S", 0.05)
     with Ring.allocate(1, shared=True) as ring, Ring.attach(f"/proc/self/fd/{ring.descriptor}") as other:
         fcntl.flock(other.descriptor, fcntl.LOCK_EX)

@@ -1,4 +1,4 @@
-"""The memory of a running loop off Linux, as files: found, stopped and written to by others, and cleared away."""
+"""The memory of a running loop on systems other than Linux, as files: found, stopped, written by others, removed."""
 
 import os
 import subprocess
@@ -35,7 +35,7 @@ time.sleep(1e3)
 
 @pytest.fixture
 def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
-    """Be on a system whose memories are files, in a cache of the test's own."""
+    """Simulate a system whose loop memories are files, in a cache directory of the test."""
     for module in (memories, ring, running):
         monkeypatch.setattr(module, "place", named_memory)
     monkeypatch.setattr(named_memory, "user_cache", lambda: str(tmp_path))

@@ -1,4 +1,4 @@
-"""The plug points: whatever has the signature can be plugged into a function compiled once."""
+"""Plug points: a function that is compiled once accepts any function of the right signature."""
 
 import ctypes
 import ctypes.util

@@ -1,4 +1,4 @@
-"""Words and the ring: what one thread publishes without the GIL, another sees whole and in order."""
+"""Shared words and the ring: rows that one thread publishes without the GIL arrive whole and in order."""
 
 import fcntl
 import gc
@@ -33,7 +33,7 @@ JOIN_S = 30.0
 
 @kernel(types.int64(types.uintp, ROWS, types.int64))
 def produce(control: Any, rows: Any, count: Any) -> Any:
-    """A loop's writer: rows in order, waiting for room; returns how often the ring was full."""
+    """Write rows in order as a loop does, waiting for room; return how often the ring was full."""
     full, deadline = 0, monotonic_now(0) + PATIENCE_NS
     for n in range(count):
         while n - load_word(control + 8 * control_words.TAIL) >= len(rows):
@@ -52,7 +52,7 @@ def produce(control: Any, rows: Any, count: Any) -> Any:
 
 @kernel(types.int64(types.uintp))
 def spin_until_stopped(control: Any) -> Any:
-    """A loop that does nothing but look at the stop word."""
+    """Poll the stop word without the GIL until it is set, and return it."""
     deadline = monotonic_now(0) + PATIENCE_NS
     turns = 0
     while load_word(control + 8 * control_words.STOP) == 0:
@@ -64,7 +64,7 @@ def spin_until_stopped(control: Any) -> Any:
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
 def trade(mailbox: Any, token: Any, times: Any) -> Any:
-    """Swap the token in hand with the one in the mailbox, again and again."""
+    """Swap a token with the one in the mailbox `times` times, and return the last."""
     for _ in range(times):
         token = exchange_word(mailbox, token)
     return token
@@ -79,7 +79,7 @@ def in_thread(function: Any, *arguments: Any) -> Any:
 
 
 def descriptors_of_rings() -> Any:
-    """Count this process's descriptors that are the memory of a ring."""
+    """Return the number of this process's descriptors that are memory of a ring."""
     found = 0
     for name in os.listdir("/proc/self/fd"):
         with suppress(OSError):
@@ -118,9 +118,9 @@ def test_a_new_ring_is_empty_and_says_its_layout(shared: bool) -> None:
 
 
 def test_a_ring_with_other_rows_has_another_version() -> None:
-    """A console looks at loops of other processes, which may run an older version of this package.
+    """A console reads loops of other processes, which may run an older version of this package.
 
-    When this fails, add one to `LAYOUT_VERSION`, or the console takes one column for another, and write both here.
+    If this fails, increment `LAYOUT_VERSION`, or the console confuses columns; then write both values here.
     """
     columns = sha256(repr(ROW.descr).encode()).hexdigest()[:12]
     assert (control_words.LAYOUT_VERSION, columns) == (4, "46f16a755a8a")
@@ -243,7 +243,7 @@ def test_info_changes_only_from_its_newest_version() -> None:
 
 
 def test_info_is_never_seen_half_written() -> None:
-    """A writer changes it as fast as it can; every reading is one whole mapping, and none is older than the last."""
+    """A writer changes the info as fast as it can; each reading is one whole mapping, none older than the last."""
     ring = Ring.allocate(1, info={"n": 0, "text": ""})
     done = threading.Event()
 
@@ -279,7 +279,7 @@ def test_a_word_holds_any_64_bit_value(value: Any) -> None:
 
 
 def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes() -> None:
-    """The ring of 64 wraps hundreds of times under both threads."""
+    """The ring has 64 rows, so it wraps hundreds of times under both threads."""
     ring, count = Ring.allocate(64), 50_000
     thread, full = in_thread(produce, ring.words.ctypes.data, ring.rows, count)
     tail = 0
@@ -305,7 +305,7 @@ def test_a_reader_sees_every_row_whole_and_in_order_while_the_loop_writes() -> N
 
 
 def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil() -> None:
-    """A plain load could be hoisted out of the loop, which then never stopped."""
+    """A compiler could move a plain load out of the loop, which then would never stop."""
     ring = Ring.allocate(1)
     thread, result = in_thread(spin_until_stopped, ring.words.ctypes.data)
     thread.join(0.02)

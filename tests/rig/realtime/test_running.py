@@ -1,4 +1,4 @@
-"""Loops as other terminals see them: found, distinguished from a mere reader of their memory, and stopped."""
+"""Running loops as other terminals list them: distinguished from processes that only read their memory, and stopped."""
 
 import json
 import os
@@ -23,7 +23,7 @@ INFO = {"url": "serial:///dev/ttyTEST", "recording": "here.rigcap"}
 
 
 def mine(*pids: int) -> list[running.RunningLoop]:
-    """Loops of these processes: other tests may run some too."""
+    """Return the loops of these processes; other tests may run loops too."""
     return [loop for loop in running.running() if loop.pid in pids]
 
 
@@ -58,7 +58,7 @@ def test_a_dead_process_leaves_nothing_to_find() -> None:
 
 
 def test_reader_of_a_loop_is_not_listed_as_a_loop() -> None:
-    """This process has the same memory open, and one started by `fork` inherits it: neither runs that loop."""
+    """This process opens the loop's memory, and its `fork` inherits it; neither runs the loop."""
     with loop_process(INFO) as process:
         (loop,) = mine(process.pid)
         with running.open_loop(loop) as ring:
@@ -108,7 +108,7 @@ def test_only_one_of_several_loops_must_be_named(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.exhaustive("::test_a_loop_of_another_process_is_found_and_stopped")
 @pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become another user")
 def test_process_of_another_user_is_reported_and_not_stopped() -> None:
-    """Run as user 65534, which sees this process and one called rig, and may look into neither."""
+    """The listing runs as user 65534, which may read neither this process nor one called rig."""
     program = f"""
 import os, sys
 sys.path[:0] = {sys.path!r}
@@ -176,7 +176,7 @@ def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def obey(ring: Ring) -> None:
-    """Wait for the stop word, as a loop does."""
+    """Wait for the stop word as a loop does, then end."""
     deadline = time.monotonic() + 60
     while ring.get(control_words.STOP) == 0 and time.monotonic() < deadline:
         time.sleep(0.001)
@@ -208,7 +208,7 @@ def test_command_reports_a_loop_that_does_not_stop(
 
 
 def test_stop_word_is_written_before_click_or_numpy_are_loaded() -> None:
-    """A command that stops a person's rig waits for nothing: of the loads, only the interpreter's own come first."""
+    """A stop of a person's rig must not wait for imports, except the interpreter's own."""
     program = """
 import sys
 from rig.realtime import memories

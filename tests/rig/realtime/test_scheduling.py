@@ -1,6 +1,6 @@
-"""Real-time scheduling: rights that are granted, rights that are refused with a remedy, and no traces afterwards.
+"""Real-time scheduling: rights that are granted, rights refused with a remedy, and settings restored afterwards.
 
-What an ordinary user meets is tried in child processes that give up their rights.
+The cases of an ordinary user run in child processes that give up their rights.
 """
 
 import errno
@@ -37,7 +37,7 @@ KIB = 1024
 
 @dataclass(frozen=True)
 class Asked:
-    """`experiment.host`, as far as scheduling reads it."""
+    """The part of `experiment.host` that scheduling reads."""
 
     realtime: str = "try"
     priority: int = 70
@@ -71,7 +71,7 @@ def state() -> tuple[object, ...]:
 
 
 def is_as(before: object, now: Any) -> bool:
-    """Wait until it is; a thread that was joined is still in /proc for a moment."""
+    """Wait until the state equals `before`: a joined thread stays in /proc for a moment."""
     deadline = time.monotonic() + PATIENCE_S
     while now() != before and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -85,7 +85,7 @@ def in_thread(function: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def granted() -> None:
-    """A machine that grants everything to this process."""
+    """Skip the test unless the machine grants real-time scheduling to this process."""
     with obtained(Asked()) as realtime:
         refused = realtime.refusals
     if refused:
@@ -178,7 +178,7 @@ def test_an_exception_and_a_refusal_undo_everything() -> None:
 
 @pytest.mark.usefixtures("granted")
 def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
-    """Nothing but their number counts: each change of it from none to three and back, and both ways between."""
+    """Only the number of open contexts counts: try each change between none and three, in both directions."""
     held: list[ExitStack] = []
     per_context = 1 if Path("/dev/cpu_dma_latency").exists() else 0
     with ExitStack() as rest:
@@ -352,7 +352,7 @@ found = {}
 def child(
     body: str, *, group: str = "", rtprio: int | None = 0, memlock: int | None = 0, user: int = 65534
 ) -> dict[str, Any]:
-    """Run lines that fill `found` in a process with these limits; it must be as before at the end."""
+    """Run lines that fill `found` in a process with these limits; its state must be restored at the end."""
     if os.geteuid() != 0:
         pytest.skip("only root can give up rights")
     script = (
@@ -439,7 +439,7 @@ def test_limits_are_enough_without_root() -> None:
 
 
 def test_rights_that_went_meanwhile_leave_an_ordinary_thread() -> None:
-    """Without them the kernel keeps "children do not inherit", which an ordinary thread does not notice."""
+    """Without rights the kernel keeps the flag "children do not inherit", which has no effect on such a thread."""
     found = child(
         """
         def body():
@@ -459,7 +459,7 @@ def test_rights_that_went_meanwhile_leave_an_ordinary_thread() -> None:
 
 
 def test_memory_is_not_locked_near_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At its limit the kernel would refuse every further allocation, in the middle of a trial."""
+    """At the limit the kernel would refuse every further allocation, in the middle of a trial."""
     size = facts.status_kilobytes("VmSize") * KIB
     monkeypatch.setattr(Rights, "here", lambda: rights(locked_limit=size + 2**20))
     monkeypatch.setattr(calls, "lock_all", lambda: pytest.fail("it was tried"))

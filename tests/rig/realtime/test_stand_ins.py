@@ -1,5 +1,6 @@
-"""Python behind the names of the C library: answers as compiled code reads them. Compiled code meets them in
-tests/platforms."""
+"""Python functions under the names of the C library: results as compiled code reads them. Calls by compiled code:
+tests/platforms.
+"""
 
 import ctypes
 import errno

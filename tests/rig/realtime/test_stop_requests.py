@@ -1,4 +1,4 @@
-"""Requests to stop: counted in machine code for every thread, and nothing of the caller's handlers changes."""
+"""Requests to stop: counted in machine code for every thread, without any change to the caller's signal handlers."""
 
 import ctypes
 import multiprocessing
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.signals
 
 
 def handlers() -> list[tuple[Any, bytes]]:
-    """Those of Python, and those of the C library with their flags and masks."""
+    """Return for each signal Python's handler, and the C library's handler with its flags and mask."""
     found = []
     for number in STOPPING:
         action = ctypes.create_string_buffer(152)
@@ -33,7 +33,7 @@ def handlers() -> list[tuple[Any, bytes]]:
 
 @pytest.fixture(autouse=True)
 def unchanged() -> Iterator[None]:
-    """As they are in a program of its own, and so again afterwards."""
+    """Set the handlers of a new program, and check that they are the same afterwards."""
     before = {number: signal.getsignal(number) for number in STOPPING}
     for number in STOPPING:
         signal.signal(number, signal.SIG_DFL)
@@ -50,7 +50,7 @@ def unchanged() -> Iterator[None]:
 def in_a_thread(
     context: Callable[[], Any], during: Callable[[RunSeries], object] = lambda series: None
 ) -> Any:
-    """Enter a context of another thread while this lasts; yields its series."""
+    """Enter a context in another thread while this one lasts; yield the other's series of runs."""
 
     @contextmanager
     def entered() -> Iterator[RunSeries]:

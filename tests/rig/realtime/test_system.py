@@ -1,4 +1,4 @@
-"""The system calls of the compiled loop, on real descriptors: pipes, sockets and pseudo-terminals."""
+"""System calls of the compiled loop on real descriptors: pipes, sockets and pseudo-terminals."""
 
 import contextlib
 import errno
@@ -38,7 +38,7 @@ def pseudo_terminal() -> Any:
 
 @pytest.fixture(params=[pipe, sockets, pseudo_terminal], ids=lambda make: make.__name__)
 def ends(request: pytest.FixtureRequest) -> Iterator[Any]:
-    """Descriptors (ours, theirs), both non-blocking: they write, we read. Closed afterwards if still open."""
+    """Yield descriptors (ours, theirs), both non-blocking: the far end writes, the test reads."""
     ours, theirs = request.param()
     for descriptor in (ours, theirs):
         os.set_blocking(descriptor, False)
@@ -64,7 +64,7 @@ def soon() -> int:
 
 
 def test_an_empty_line_is_not_an_error(ends: Any) -> None:
-    """Zero means nothing there, though the other side lives; the loop continues."""
+    """Zero means that no byte is available although the far end is open; the loop continues."""
     ours, _ = ends
     assert read(ours) == 0
     assert descriptor_wait(ours, monotonic_now(0)) == 0
@@ -106,7 +106,7 @@ def test_bytes_wake_a_wait_that_holds_no_gil(ends: Any) -> None:
 
 @pytest.mark.parametrize("make", [pipe, sockets], ids=lambda make: make.__name__)
 def test_bytes_sent_before_a_hang_up_are_still_read(make: Any) -> None:
-    """Not so on a terminal, which throws its queue away when its master goes."""
+    """A terminal is the exception: it discards its queue when its master closes."""
     ours, theirs = make()
     os.write(theirs, b"last words")
     os.close(theirs)
@@ -119,7 +119,7 @@ def test_bytes_sent_before_a_hang_up_are_still_read(make: Any) -> None:
 
 
 def test_a_hang_up_ends_a_wait_at_once_and_for_ever(ends: Any) -> None:
-    """An unplugged device must not cost the loop its time-out, and must not look like an idle line."""
+    """An unplugged device must not cost the loop a timeout, nor look like an idle line."""
     ours, theirs = ends
     os.close(theirs)
     for _ in range(3):
@@ -165,7 +165,7 @@ def test_writing_to_a_closed_line_is_an_error(make: Any) -> None:
 
 
 def test_a_signal_shortens_neither_a_sleep_nor_a_wait() -> None:
-    """Ctrl-C or a profiler's timer interrupts the calls; both go back for the rest."""
+    """Ctrl-C or a profiler's timer interrupts the system calls, which must resume for the remaining time."""
     ours, theirs = pipe()
     caught = []
     previous = signal.signal(signal.SIGALRM, lambda *_: caught.append(time.monotonic_ns()))

@@ -1,4 +1,4 @@
-"""Where caches are, system by system."""
+"""The directory for cached files on each operating system."""
 
 import os
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Marks: events of pins and phases, dated on the device's clock and on the host's."""
+"""Marks: events of input pins and phases, dated on the device's clock and on the host's."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Bounds of quantiles: what the binomial says, how often they hold, too few values."""
+"""Confidence bounds of quantiles: the binomial formula, how often the bounds hold, and too few values."""
 
 import math
 
@@ -22,7 +22,7 @@ from rig.recording.quantiles import (
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99, 0.999])
 @pytest.mark.parametrize("number", [1, 2, 5, 20, 58, 59, 298, 299, 1000, 2994, 2995, 5000])
 def test_bounds_are_order_statistics_by_the_binomial(number: int, share: float, confidence: float) -> None:
-    """Oracle: a binomial summed here. Rank r bounds from above when fewer than r values lie below, surely enough."""
+    """Rank r is an upper bound if fewer than r values are below it with enough confidence; summed here as an oracle."""
     n = np.arange(number + 1)
     chance = (
         special.comb(number, n) * share**n * (1.0 - share) ** (number - n)

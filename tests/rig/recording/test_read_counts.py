@@ -1,4 +1,4 @@
-"""Times and counts of other loggers: any dialect of CSV, lost samples found, irregular times refused with numbers."""
+"""Times and counts from other loggers: CSV dialects, lost samples, irregular times rejected with their numbers."""
 
 import json
 from pathlib import Path

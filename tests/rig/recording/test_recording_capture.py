@@ -1,4 +1,4 @@
-"""The capture format byte by byte: readable from its description alone, and honest about every kind of damage."""
+"""The capture format byte by byte: readable from its description alone, and every kind of damage is reported."""
 
 import json
 import struct
@@ -58,7 +58,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_reader_needs_only_the_description() -> None:
-    """The format read with struct, json and zlib, following the table in the module's docstring line by line."""
+    """Reads the format with struct, json and zlib, line by line after the table in the module's docstring."""
     rows = example_rows(10)
     data = capture_bytes(rows)
     assert data[:8] == b"\x89RIGCAP\n"
@@ -100,7 +100,7 @@ def test_a_reader_needs_only_the_description() -> None:
 def test_bytes_after_a_header_are_rows_or_counted_losses(
     tmp_path_factory: pytest.TempPathFactory, tail: bytes, cut: int
 ) -> None:
-    """Behind a good header whole blocks are read, and every other byte is a counted loss."""
+    """After a valid header, whole blocks are read, and every other byte counts as lost."""
     path = tmp_path_factory.getbasetemp() / "tail.rigcap"
     blocks = capture_bytes(example_rows(2 * BLOCK_ROWS), complete=False)[len(pack_header(HEADER)) :][:cut]
     data = pack_header(HEADER) + blocks + tail
@@ -126,7 +126,7 @@ def test_any_file_gives_a_recording_error(
 
 
 def test_a_block_torn_at_any_byte_loses_that_block_only(path: Path) -> None:
-    """Every byte of its head and its checksum; in between, where all rows are alike, some."""
+    """Cut at every byte of head and checksum, and at some bytes of the rows between, which are alike."""
     rows = example_rows(3 * BLOCK_ROWS)
     whole = capture_bytes(rows, complete=False)
     start, end = start_of(2), start_of(3)
@@ -148,7 +148,7 @@ def test_a_capture_cut_between_blocks_is_whole_but_not_complete(path: Path) -> N
 
 @pytest.mark.parametrize("place", range(HEAD_BYTES))
 def test_damaged_head_costs_only_its_block(path: Path, place: int) -> None:
-    """Also where the damage is in the length: it is never used, because the head has a checksum of its own."""
+    """A damaged length is never used, because the head has its own checksum."""
     rows = example_rows(3 * BLOCK_ROWS)
     data = bytearray(capture_bytes(rows))
     data[start_of(1) + place] ^= 0x40
@@ -211,7 +211,7 @@ def test_rows_that_contain_the_magic_of_a_block_do_not_mislead(path: Path) -> No
 
 
 def test_rows_of_the_wrong_size_are_not_taken(path: Path) -> None:
-    """A good checksum over a row count that does not fit the schema: a writer's error, not one of the disk."""
+    """A valid checksum over a row count that contradicts the schema is an error of the writer, not of the disk."""
     data = pack_header(HEADER) + pack_block(ROWS_MAGIC, 0, 0, 3, bytes(2 * ROW.itemsize)) + pack_end(1, 3, {})
     found = read_bytes(path, data)
     assert (len(found), found.lost[0].rows) == (0, 3)
@@ -312,7 +312,7 @@ def test_pandas_gets_columns_and_units(path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is locked on Linux alone")
 def test_a_capture_is_read_while_the_memory_of_the_process_is_locked(path: Path) -> None:
-    """As it is while another thread runs in real time: pages that are locked cannot be dropped."""
+    """Memory is locked while another thread runs in real time, and locked pages cannot be dropped."""
     rows = example_rows(10)
     refusal = memory.take()
     if refusal is not None:

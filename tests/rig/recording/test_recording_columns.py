@@ -1,4 +1,4 @@
-"""A recording opened with some of its columns: the same numbers and verdicts, in the memory of these columns."""
+"""A recording opened with some of its columns: the same numbers and verdicts, and memory for these columns only."""
 
 import os
 import subprocess
@@ -93,7 +93,7 @@ def test_a_long_line_is_drawn_by_its_extremes() -> None:
 
 
 def long(recording: Recording, rows: int) -> Recording:
-    """Return the recording with its trial repeated."""
+    """Return the recording with its trial repeated up to this number of rows."""
     (trial,) = np.nonzero(recording.rows["phase"] == 3)
     places = np.concatenate((np.arange(trial[0]), np.resize(trial, rows)))
     found = recording.rows[places]

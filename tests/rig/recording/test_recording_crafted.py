@@ -1,4 +1,4 @@
-"""Forged recordings with a right checksum: exit code 9 and a sentence, from every command."""
+"""Forged recordings with a valid checksum: every command ends with exit code 9 and a sentence."""
 
 import copy
 import math

@@ -1,4 +1,4 @@
-"""Exports: read back by the tools they are for; never over a file that is there."""
+"""Exports: read back with the tools that they are made for; an existing file is never overwritten."""
 
 import json
 from datetime import datetime

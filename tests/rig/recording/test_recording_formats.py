@@ -92,7 +92,7 @@ def test_a_sealed_recording_of_another_format_version_is_refused(tmp_path: Path)
 
 
 def test_a_change_of_the_columns_is_another_format_version() -> None:
-    """A change of a column raises `rig.recording.header.VERSION`, and then this number."""
+    """If a column changes, increment `rig.recording.header.VERSION`, then update this number."""
     described = [(column.name, column.dtype, column.unit) for column in COLUMNS]
     assert (VERSION, len(COLUMNS), zlib.crc32(repr(described).encode())) == (2, 36, 1874533501)
 

@@ -1,4 +1,4 @@
-"""The header: one spelling, exact floats, units by motion, and nothing volatile outside three keys."""
+"""The recording header: canonical JSON, exact floats, units by motion, and volatile values in three keys only."""
 
 import json
 import os
@@ -32,7 +32,7 @@ json_values = st.recursive(
 @settings(max_examples=50)
 @given(json_values)
 def test_json_values_come_back_from_one_spelling(value: Any) -> None:
-    """Also names of files that are not UTF-8, which Python holds as lone surrogates."""
+    """File names that are not UTF-8 work too; Python represents them as lone surrogates."""
     spelled = canonical_json(value)
     assert json.loads(spelled) == value
     assert canonical_json(_reversed(value)) == spelled
@@ -51,7 +51,7 @@ def test_floats_keep_their_bits(values: list[float]) -> None:
 
 
 def test_nan_is_spelled_as_a_string() -> None:
-    """Strict JSON, so that every language reads it; and `float` understands it."""
+    """Strict JSON can be read in every language, and `float` parses the string."""
     text = canonical_json({"state": np.array([np.nan, -np.inf, 1.5])})
     assert text == b'{"state":["NaN","-Infinity",1.5]}'
     assert np.isnan(float(json.loads(text)["state"][0]))

@@ -1,4 +1,4 @@
-"""The recorder beside a running producer: nothing lost, nothing torn, whatever ends the loop or the process."""
+"""The recorder beside a running producer: no row lost or torn, however the loop or the process ends."""
 
 import errno
 import os
@@ -32,7 +32,7 @@ HEADER = example_header()
 
 
 def produce(ring: Ring, rows: NDArray[np.void], at_once: int) -> None:
-    """Put rows into the ring as the loop does in virtual time: wait for room, write, publish."""
+    """Put rows into the ring as a loop in virtual time does: wait for room, write, publish."""
     done = 0
     while done < len(rows):
         head, tail = ring.get(HEAD), ring.get(TAIL)
@@ -51,7 +51,7 @@ def produce(ring: Ring, rows: NDArray[np.void], at_once: int) -> None:
 def test_recorder_keeps_every_row_of_a_faster_producer(
     tmp_path: Path, virtual: bool, capacity: int, block_rows: int
 ) -> None:
-    """Also when a block is larger than the ring: rows leave the ring before their block is full."""
+    """If a block is larger than the ring, rows must leave the ring before their block is full."""
     rows = example_rows(120)
     ring = Ring.allocate(capacity)
     path = tmp_path / "trial.rigcap"
@@ -71,7 +71,7 @@ def test_recorder_keeps_every_row_of_a_faster_producer(
 
 
 def test_equal_virtual_runs_give_equal_files(tmp_path: Path) -> None:
-    """Bit for bit behind the header, however the threads were scheduled."""
+    """Files are equal bit for bit after the header, however the threads were scheduled."""
     rows = example_rows(5000)
     bodies = []
     for run, at_once in enumerate((1000, 37)):
@@ -88,7 +88,7 @@ def test_equal_virtual_runs_give_equal_files(tmp_path: Path) -> None:
 
 
 def test_rows_reach_the_file_while_the_loop_runs(tmp_path: Path) -> None:
-    """Real time: a row is readable soon after it was made, not only when a block is full."""
+    """In real time a row is readable soon after it was made, before its block is full."""
     rows = example_rows(3)
     ring = Ring.allocate(16)
     path = tmp_path / "trial.rigcap"
@@ -181,7 +181,7 @@ def test_syncing_is_asked_only_of_files(tmp_path: Path) -> None:
 
 
 def test_partial_writes_are_continued() -> None:
-    """A pipe takes what it has room for; the bytes come out in order and whole."""
+    """A pipe accepts as many bytes as fit; all must come out complete and in order."""
     data = np.random.default_rng(1).integers(0, 256, 300_000).astype(np.uint8)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -238,7 +238,7 @@ def run_python(body: str, path: Path) -> AbstractContextManager[subprocess.Popen
 
 @pytest.mark.exhaustive("::test_rows_reach_the_file_while_the_loop_runs")
 def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
-    """The ring in shared memory, as a loop in real time has it; times are those of the rows themselves."""
+    """The ring is in shared memory as in a real-time loop; the age of rows is measured by their own times."""
     path = tmp_path / "trial.rigcap"
     body = """
         ring = Ring.allocate(4096, info={"recording": sys.argv[1]}, shared=True)
@@ -277,7 +277,7 @@ def test_kill_costs_at_most_the_last_second(tmp_path: Path) -> None:
 
 
 def test_full_disk_keeps_the_rows_before_and_leaves_no_empty_file(tmp_path: Path) -> None:
-    """A limit on the file's size stands for the full disk: the same path, with EFBIG for ENOSPC."""
+    """A file size limit stands in for a full disk: it gives EFBIG where that gives ENOSPC, on the same path."""
     path = tmp_path / "trial.rigcap"
     body = """
         import resource

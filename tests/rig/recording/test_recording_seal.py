@@ -1,4 +1,4 @@
-"""Sealing: the capture goes only when an equal file has taken its place."""
+"""Sealing a recording: the capture is removed only after an equal sealed file has replaced it."""
 
 import json
 import subprocess
@@ -47,7 +47,7 @@ def write(path: Path, recording: Recording) -> Path:
 
 
 def sealed_file(capture: Path, *given: Any, **options: Any) -> Path:
-    """Seal a capture; what was read back and is returned is what its file holds."""
+    """Seal a capture, check that the returned recording equals its file, and return the path."""
     sealed = seal(open_recording(capture), *given, **options)
     assert sealed.path is not None
     again = open_recording(sealed.path)
@@ -75,7 +75,7 @@ def test_a_sealed_recording_is_not_sealed_once_more_and_lost(capture: Path) -> N
 
 
 def timed(**trailer: Any) -> Recording:
-    """Fifty ticks of a millisecond, of which each command became active with the next sample."""
+    """Return fifty ticks of a millisecond in which each command became active with the next sample."""
     rows = example_rows(50)
     number = np.arange(50)
     rows["tick"], rows["sample_index"], rows["elapsed_ticks"], rows["flags"] = number, 100 + number, 1, 0
@@ -140,7 +140,7 @@ def test_invalid_clock_costs_only_the_ledger(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
-    """Read by pyarrow alone: unit and meaning at each field, header and trailer as JSON in the file's metadata."""
+    """pyarrow alone reads unit and meaning of each field, and header and trailer as JSON metadata."""
     file = parquet.ParquetFile(sealed_file(capture))
     for field, column in zip(file.schema_arrow, COLUMNS, strict=True):
         assert field.name == column.name
@@ -154,7 +154,7 @@ def test_other_programs_find_units_in_the_fields(capture: Path) -> None:
 
 
 def test_truth_is_joined_by_sample_index(capture: Path, recording: Recording) -> None:
-    """In any order, with samples missing on either side; of two truths the later counts."""
+    """Truth rows may be in any order or missing on either side; of two for a sample the later one counts."""
     index = recording.rows["sample_index"]
     truth = example_truth(np.concatenate([[index[3]], index[40:9:-1] + 1, index[40:9:-1], [7, 999]]))
     truth["position_true"][0] = -1.0
@@ -195,7 +195,7 @@ def test_a_capture_cut_off_is_sealed_with_its_losses(capture: Path) -> None:
 
 
 def test_sealing_again_after_a_crash_finishes(capture: Path, recording: Recording) -> None:
-    """Both files are there when the process died between the two steps."""
+    """Both files exist if the process died between the two steps."""
     truth = example_truth(recording.rows["sample_index"])
     sealed = sealed_file(capture, truth, keep_capture=True)
     before = sealed.read_bytes()
@@ -249,7 +249,7 @@ def test_foreign_parquet_is_not_a_recording(tmp_path: Path) -> None:
 
 
 def test_without_pyarrow_the_capture_serves(tmp_path: Path, recording: Recording) -> None:
-    """Nothing fails: the capture takes up truth and trailer, CSV works, and the missing library is named."""
+    """The capture stores truth and trailer, CSV export works, and a message names the missing library."""
     capture = write(tmp_path / "trial.rigcap", recording)
     torn = tmp_path / "torn.rigcap"
     torn.write_bytes(capture.read_bytes()[:-3000])

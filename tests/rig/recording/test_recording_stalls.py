@@ -1,4 +1,4 @@
-"""The disk stalls and Python holds its lock: the ring takes every row, or the row is counted as dropped."""
+"""The disk stalls while Python holds the GIL: the ring stores every row, or counts it as dropped."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def check(run: DiskRun, made: int) -> None:
 
 @pytest.mark.parametrize("shared", first_by_default([False, True]))
 def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
-    """At 10 kHz, with the ring of 5 s that a trial has."""
+    """At 10 kHz, with a trial's usual ring of 5 s."""
     run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], shared=shared)
     check(run, round(1.4 * RATE))
     assert run.longest_hold_s > 0.9
@@ -30,7 +30,7 @@ def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool)
 
 @pytest.mark.exhaustive("::test_a_second_without_the_disk_and_without_python_costs_no_row")
 def test_a_stall_longer_than_the_ring_costs_what_the_ring_cannot_hold_and_no_more() -> None:
-    """A model of 6 s against 5 s: all rows that there was room for arrive, the others are counted."""
+    """Scaled down from a stall of 6 s with a ring of 5 s: rows that fit arrive, the others are counted."""
     run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], ring_s=0.25)
     check(run, round(1.4 * RATE))
     assert run.fullest == 0.25 * RATE

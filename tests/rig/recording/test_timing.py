@@ -1,4 +1,4 @@
-"""The latency ledger: a little world of two clocks and a lossy link as its oracle, and quantiles counted by hand."""
+"""The latency ledger against a small model of two clocks and a lossy link, and against quantiles counted by hand."""
 
 import json
 import math
@@ -25,11 +25,10 @@ def clock(*, offset_ns: int = 0, drift_ppm: float = 0.0, reference_ns: int = 0) 
 
 
 class Session:
-    """Device and host, event by event: the rows, and beside them the true times (host clock).
+    """A model of device and host, event by event: the rows, and the true times (host clock).
 
-    Sample k is taken at `at(k)` of the device's clock. A STATE takes a while, the answer leaves after the law and
-    takes another; the device keeps the newest COMMAND that came before sample k + 1, from sample k on, but not before
-    it was sent.
+    Sample k is taken at `at(k)` of the device's clock. A STATE takes some time, and so does the answer after the law.
+    From sample k on the device uses the newest COMMAND that came before sample k + 1, but not before it was sent.
     """
 
     def __init__(
@@ -91,7 +90,7 @@ class Session:
         return int(self.rng.exponential(mean_ns)) + 1_000
 
     def seen(self) -> Any:
-        """Rows whose command some later row shows active, by looking at every pair."""
+        """Return for each row if some later row shows its command as active, by comparing every pair."""
         sequence, active, age = (
             self.rows[name].tolist() for name in ("command_sequence", "command_active", "command_age")
         )
@@ -117,7 +116,7 @@ class Session:
 def test_every_time_is_the_true_one(
     offset_ns: int, drift_ppm: float, first_sequence: int, lost: Any, eaten: Any, spread: Any, seed: int
 ) -> None:
-    """Lost samples, lost commands, waits longer than a period, sequences that wrap."""
+    """With lost samples, lost commands, waits longer than a period, and sequences that wrap."""
     fit = clock(offset_ns=offset_ns, drift_ppm=drift_ppm, reference_ns=1000 * PERIOD_NS)
     session = Session(
         fit, ticks=100, seed=seed, first_sequence=first_sequence, lost=lost, eaten=eaten, spread=spread
@@ -139,7 +138,7 @@ def test_every_time_is_the_true_one(
 
 
 def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers() -> None:
-    """Virtual time: sampled, received, sent and applied are one moment; the last answer is never seen."""
+    """In virtual time sampling, receiving, sending and applying coincide; no sample shows the last answer."""
     rows = np.zeros(5, ROW)
     rows["sample_index"] = np.arange(1, 6)
     rows["elapsed_ticks"] = 1
@@ -160,7 +159,7 @@ def test_in_lock_step_a_command_is_active_at_the_sample_that_it_answers() -> Non
     ("sent_ns", "applied_ns", "within"), [(1_700, 1_700, 1), (1_000, 1_000, 0), (20_000, 1_000, 0)]
 )
 def test_no_command_is_active_before_it_was_sent(sent_ns: int, applied_ns: int, within: int) -> None:
-    """It came within the tick, and the device cannot say when; sent ticks later than active, the clocks are wrong."""
+    """Within a tick the device reports no finer time; a command active ticks before it was sent means wrong clocks."""
     rows = np.zeros(2, ROW)
     rows["sample_index"] = [1, 2]
     rows["device_time"] = rows["received_at"] = [1_000, 2_000]
@@ -173,7 +172,7 @@ def test_no_command_is_active_before_it_was_sent(sent_ns: int, applied_ns: int, 
 
 
 def test_active_command_of_another_run_is_ignored() -> None:
-    """More than half a round of the sequence behind, or of an earlier session."""
+    """Its sequence is more than half a wrap behind, or it belongs to an earlier session."""
     rows = np.zeros(3, ROW)
     rows["sample_index"] = rows["received_at"] = rows["device_time"] = np.arange(1, 4)
     rows["command_sequence"] = [0, 1, 2]
@@ -199,7 +198,7 @@ def test_without_a_fit_only_the_host_is_known() -> None:
 
 @pytest.mark.parametrize("wraps", [0, 1, 1000])
 def test_a_device_that_has_been_up_for_long_is_put_on_its_own_scale(wraps: int) -> None:
-    """A STATE has 32 bits of the device's clock, an exchange 64: the rows lack a multiple of 268 s."""
+    """A STATE has 32 bits of the device's clock, an exchange 64, so rows lack a multiple of 268 s."""
     fit = clock(offset_ns=5 * 10**9, drift_ppm=80.0)
     up = wraps * WRAP_NS
     times = np.array([1_000, 2_000_000, 3 * 10**9], np.int64)
@@ -275,7 +274,7 @@ def test_each_count_is_reported_separately() -> None:
 
 
 def rows_of_batches(fit: Any, ticks: int = 200, samples: int = 20) -> Any:
-    """Return the rows of a loop that receives batches: no command answers a sample."""
+    """Return the rows of a loop that receives batches, in which no command answers a sample."""
     rows = np.zeros(ticks, ROW)
     number = np.arange(ticks)
     rows["tick"] = number

@@ -1,4 +1,4 @@
-"""Load libraries before pytester runs: it would import and forget them, which compiled ones do not survive."""
+"""Import libraries before pytester runs: it forgets its imports, which compiled libraries do not survive."""
 
 import gc
 import warnings
@@ -22,7 +22,7 @@ from rig.testing import Experiments
 
 @pytest.fixture(scope="session", autouse=True)
 def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Hit once; what that leaves for good, no collection below looks through again."""
+    """Run one hit, then freeze its objects so that garbage collections below are quick."""
     if numba.config.DISABLE_JIT:
         return
     short = Experiments(None, Path()).short()
@@ -33,7 +33,7 @@ def _loaded(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(autouse=True)
 def _captures_closed(request: pytest.FixtureRequest) -> Iterator[None]:
-    """A run of pytest in this process that was interrupted leaves its captures open: not for the tests after it."""
+    """Close captures that an interrupted pytest run in this process left open, before the next test."""
     yield
     if "pytester" in request.fixturenames:
         with warnings.catch_warnings(action="ignore", category=ResourceWarning):
@@ -42,6 +42,6 @@ def _captures_closed(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture
 def suite(pytester: pytest.Pytester) -> pytest.Pytester:
-    """An empty suite of a lab."""
+    """Return an empty test suite of a lab."""
     pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin -p no:cacheprovider --strict-markers")
     return pytester

@@ -1,4 +1,4 @@
-"""Asserts name place, time, value and unit; and what they observe agrees with the simulation's truth."""
+"""Assertions for a lab's tests: messages name place, time, value and unit, and agree with the simulation's truth."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,7 +28,7 @@ HARD = {**QUICK, "wall.stiffness": 900.0, "wall.damping": 0.0, "trial.effort": 0
 
 @kernel(LAW_SIGNATURE)
 def sticky(penetration: Any, velocity: Any, elapsed_ticks: Any, state: Any, parameters: Any) -> Any:
-    """A wall that is softer on the way in than on the way out: it gives energy at each contact."""
+    """A wall that is softer on the way in than on the way out, so each contact adds energy."""
     if penetration <= 0.0:
         return 0.0
     return 100.0 * penetration if velocity > 0.0 else 200.0 * penetration
@@ -127,7 +127,7 @@ def test_effort_after_the_last_command_is_not_safe(
 def test_a_pulled_plug_costs_lifetime_and_ramp(
     rig_hit: Hits, rig_faults: FaultWords, rig_experiment: Experiments
 ) -> None:
-    """At 1 kHz a command lives 5 ms, and the ramp takes 10: after the last one came, a tick before the plug went."""
+    """At 1 kHz a command lives 5 ms and the ramp takes 10; the last one came a tick before the unplugging."""
     rig_faults.link("unplug", tick=30)
     hit = rig_hit(rig_experiment.short())
     assert hit.rest is not None

@@ -1,4 +1,4 @@
-"""The checks for a lab's own tests find each promise that a law or an estimator breaks."""
+"""Checks for a lab's own tests find each rule that a law or an estimator breaks."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,7 +38,7 @@ def test_our_own_laws_keep_the_promises(name: str, given: dict[str, Any]) -> Non
 
 
 def test_a_wall_with_friction_compensation_keeps_them_where_it_acts() -> None:
-    """Outside of the wall it acts too, and on the way in it pulls: less than the friction of the rig."""
+    """Outside the wall the compensation acts too, and on the way in it pulls by less than the rig's friction."""
     wanted = friction.Compensation(up=0.1, down=0.1, dead_band=0.1)
     check_law(friction.compensate_friction(laws.get("spring-damper"), wanted), everywhere=True, passive=False)
 

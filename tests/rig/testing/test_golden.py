@@ -1,4 +1,4 @@
-"""A golden recording tolerates rounding; any other difference has row, column, value and unit."""
+"""Comparison with a golden recording tolerates rounding; other differences name row, column, value and unit."""
 
 from dataclasses import replace
 

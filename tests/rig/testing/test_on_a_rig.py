@@ -1,6 +1,6 @@
-"""The same tests on a rig: consent, one process, one open device, its zero, and STOP however the run ends.
+"""The same lab tests on a real rig: consent, one process, one open device, its zero, and STOP however the run ends.
 
-Devices here say that they are real. Most run in virtual time behind a patched opener; one stands behind a port.
+Devices here claim to be real. Most run in virtual time behind a patched opener; one is behind a port.
 """
 
 import os
@@ -31,7 +31,7 @@ AWAY = 0.02  # of the handle from position zero as its count shows it (rad)
 
 
 class Bench:
-    """A rig on a bench: it stays when hosts go."""
+    """A simulated rig on a bench, which keeps running when hosts disconnect."""
 
     def __init__(self) -> None:
         self.device, _ = make_device(config.rig_model(presets.load("koul-compliant")), None)
@@ -190,7 +190,7 @@ def served() -> Iterator[SerialRig]:
 
 @pytest.fixture
 def port(served: SerialRig, suite: pytest.Pytester) -> SerialRig:
-    """A rig in real time behind a port, and a suite of tests for it."""
+    """Serve a rig in real time behind a port, with a test suite for it."""
     suite.makepyfile(
         """
         import pytest
@@ -225,7 +225,7 @@ def test_a_rig_behind_a_port_is_locked_hit_and_left_at_rest(
 
 @contextmanager
 def a_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[None]:
-    """Act once as soon as a condition holds, as a person who watches would."""
+    """Call `does` once as soon as `sees` returns True, as a watching person would act."""
 
     def watch() -> None:
         while not over.wait(0.02):
@@ -245,7 +245,7 @@ def a_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[N
 
 @pytest.mark.quiet
 def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> None:
-    """Else the next test would move the rig again."""
+    """Otherwise the next test would move the rig again."""
 
     def runs() -> bool:
         return any(loop.pid == os.getpid() and loop.ticks > 50 for loop in running.running())

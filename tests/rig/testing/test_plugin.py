@@ -1,4 +1,4 @@
-"""The plug-in as pytest runs it: options, fixtures, one report for every frame, and its files."""
+"""The pytest plug-in: options, fixtures, one report for every frame, and its files."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ from tests.conformance.tiers import first_by_default
 
 
 def test_its_entry_point_and_dash_p_are_one_plugin(suite: pytest.Pytester) -> None:
-    """pytest knows a plug-in by its name, and registers none twice: an entry point of another name would raise."""
+    """pytest registers a plug-in once per name, so an entry point of another name would raise an error."""
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]
     assert project["entry-points"]["pytest11"] == {"rig.testing.plugin": "rig.testing.plugin"}
     config = suite.parseconfig("-p", "rig.testing.plugin")
@@ -37,7 +37,7 @@ def test_the_plugin_imports_nothing_heavy() -> None:
 
 
 class Rigless:
-    """Stands for `rig_hit` on a link of seven frames to the device, and six to the host."""
+    """Replaces `rig_hit` by a link with seven frames to the device and six to the host."""
 
     def __init__(self, frames: int = 7) -> None:
         self.faults, self.frames = FaultWords(), frames
@@ -261,7 +261,7 @@ def test_a_map_of_the_simulated_rig(rig_zwidth: Maps) -> None:
 
 @pytest.mark.exhaustive("::test_experiments_come_by_name_by_path_beside_the_test_and_as_a_parameter")
 def test_a_program_in_another_language_finds_a_rig_on_a_port(rig_serial: SerialRig) -> None:
-    """A program of the system alone: it sends nonsense, and nothing moves."""
+    """A shell program sends invalid bytes to the port, and nothing moves."""
     subprocess.run(["sh", "-c", f"printf 'hello\\000world\\000' > {rig_serial.path}"], check=True)
     did = rig_serial.did()
     assert (did.state.name, did.current, did.fault.code) == ("IDENTIFIED", 0, 0)

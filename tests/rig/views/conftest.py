@@ -1,4 +1,4 @@
-"""Helpers of the tests of pictures."""
+"""Helpers of the tests of pictures: checks of axes, and figures captured instead of saved."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ def check_axes(figure: Any) -> Any:
 
 @pytest.fixture
 def composed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Intercept `style.save`: the list of the figures passed to it, each with checked axes."""
+    """Intercept `style.save`; return the list of figures passed to it, each with checked axes."""
     figures: list[Any] = []
 
     def save(figure: Any, path: Path) -> Path:

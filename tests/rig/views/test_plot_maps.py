@@ -1,4 +1,4 @@
-"""Pictures of maps: markers, a legend that hides nothing and names every mark, and no width of a single damping."""
+"""Pictures of maps: markers, a legend that names every mark and hides none, and no width of a single damping."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -32,7 +32,7 @@ def limit(
 
 
 def a_peak(scheme: int, damping: float, criterion: str) -> Sequence[StiffnessLimit]:
-    """Highest in the corner in which a legend used to stand."""
+    """Return limits that are highest in the corner in which a legend used to be."""
     heard = 0.9 if criterion == "heard" else 1.0
     return [limit(heard * (300.0 + 100.0 * scheme + 200.0 * damping + 10.0 * offset)) for offset in (0, 1)]
 
@@ -114,7 +114,7 @@ def test_a_single_damping_is_no_width() -> None:
 
 
 def test_equal_limits_are_both_seen() -> None:
-    """Felt and heard often end at the same wall: one line over the other must leave it visible."""
+    """Felt and heard often end at the same wall, so the line below must show beside the one above."""
     figure = kmax_figure(over_rates(lambda *_: [limit(300.0)]))
     (axes,) = figure.axes
     felt, heard = marked(axes)
@@ -136,7 +136,7 @@ def test_equal_limits_are_both_seen() -> None:
     ),
 )
 def test_next_to_nothing_is_drawn(some: Any, ending: str, painted: int, tmp_path: Path) -> None:
-    """Each kind of picture of each kind of limit is composed, and painted once, in each format."""
+    """Each kind of picture is composed with almost no data, and rendered once in each format."""
     maps = [zwidth_figure(a_map(dampings, lambda *_: some, SCHEMES[:1])) for dampings in ([0.0], [0.0, 0.1])]
     figures = [check_axes(one) for one in (*maps, kmax_figure(over_rates(lambda *_: some, [1000])))]
     assert style.save(figures[painted], tmp_path / f"x.{ending}").stat().st_size > 4000

@@ -1,4 +1,4 @@
-"""Properties of all pictures: formats by the ending of a name, axes of values that are alike, axes that count."""
+"""Properties of all pictures: formats by file ending, axes of almost equal values, axes of whole numbers."""
 
 import ast
 import os
@@ -49,7 +49,7 @@ figure.facecolor: black
 
 @pytest.mark.exhaustive("::test_every_function_that_makes_a_figure_draws_in_the_style_of_this_package")
 def test_style_latex_and_backend_of_others_change_no_byte_and_stay_as_they_were(tmp_path: Path) -> None:
-    """A lab's matplotlibrc, a style that a notebook uses, and the backend of a notebook that is not installed here."""
+    """A lab's matplotlibrc, a notebook's style, and a notebook's backend that is not installed here."""
     plain = style.save(a_figure(), tmp_path / "plain.svg").read_bytes()
     (tmp_path / "matplotlibrc").write_text(OUTSIDE)
     drawing = "from tests.rig.views.conftest import *; style.save(a_figure(), Path('theirs.svg'))"
@@ -80,7 +80,7 @@ def test_pictures_that_two_threads_draw_at_once_leave_the_settings_of_the_user(t
 
 
 def test_every_function_that_makes_a_figure_draws_in_the_style_of_this_package() -> None:
-    """Texts take their settings when they are made: a function that forgets it would draw with those of the user."""
+    """Texts use the settings at their creation, so an undecorated function would use those of the user."""
     package = Path(rig.__file__).parent
     files = [*(package / "views/plots").glob("*.py"), *(package / "extras").rglob("*.py")]
     makers = [

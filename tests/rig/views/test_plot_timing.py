@@ -1,4 +1,4 @@
-"""The picture of the ledger: any ledger can be drawn, the same one gives the same bytes, and axes have units."""
+"""The picture of the latency ledger: any ledger can be drawn, with reproducible bytes and units on the axes."""
 
 import itertools
 from pathlib import Path
@@ -56,7 +56,7 @@ def test_a_ledger_is_painted(count: int, least: int, tmp_path: Path) -> None:
 def test_any_ledger_can_be_composed(
     tmp_path: Path, count: int, fit: Any, spread: float, composed: list[Any]
 ) -> None:
-    """No ticks, one, no time passing (virtual time), times before their causes (clocks that are wrong)."""
+    """No tick, one tick, no elapsed time (virtual time), or effects before causes (wrong clocks)."""
     draw(rows_of(count, spread=spread), fit, tmp_path / "x.png", name="\udcff")
     (figure,) = composed
     assert figure._suptitle.get_text() == "\udcff"

@@ -1,4 +1,4 @@
-"""Pictures: of any recording, without a display, the same bytes for the same input, units in every label."""
+"""Pictures of any recording: without a display, the same bytes for the same input, units in every label."""
 
 import struct
 from dataclasses import replace
@@ -66,12 +66,12 @@ def line(axes: Any, label: Any) -> Any:
 
 
 def panels(figure: Any) -> Any:
-    """Panels of position, velocity and effort: those of the impact, those of the whole push."""
+    """Return the panels of position, velocity and effort: those of the impact, and those of the whole push."""
     return np.reshape(figure.axes, (3, 2)).T
 
 
 def size_of(png: Any) -> Any:
-    """Width and height in pixels; asserts that it is a PNG."""
+    """Return width and height in pixels; assert that the data is a PNG."""
     assert png.startswith(b"\x89PNG\r\n\x1a\n")
     assert png.endswith(b"IEND\xaeB`\x82")
     return struct.unpack(">II", png[16:24])
@@ -160,7 +160,7 @@ def test_saturation_and_gaps_are_marked(recording: Any) -> None:
 
 
 def test_impact_and_whole_push_have_one_scale(recording: Any) -> None:
-    """A handle that is thrown far later on is drawn in one unit all the same: the panels share their axis."""
+    """A handle that is thrown far later on must not change the unit: the panels share their axis."""
     thrown = recording.rows["position"].copy()
     thrown[-1500:] = -0.7
     verdict = {"kind": "unstable", "reasons": [], "settling_s": 0.03}
