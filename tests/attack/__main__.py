@@ -77,7 +77,7 @@ class Worker:
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def _last_words(self) -> str:
+    def _read_stderr_tail(self) -> str:
         self._stderr.seek(0, 2)
         self._stderr.seek(max(0, self._stderr.tell() - 2000))
         return self._stderr.read().decode("utf-8", "replace")
@@ -90,7 +90,7 @@ class Worker:
 
 
 @contextmanager
-def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
+def start_worker(area: str, seed: int) -> Iterator[list[Worker]]:
     """Start a worker; yield it in a list, in which the caller may replace it by a new one."""
     workers = [Worker(area, seed)]
     try:
@@ -101,7 +101,7 @@ def worker_of(area: str, seed: int) -> Iterator[list[Worker]]:
 
 def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float, most_bytes: float) -> None:
     """Run cases of an area until the time is over, enough bytes were sent, or no case remains."""
-    with worker_of(area, seed) as workers:
+    with start_worker(area, seed) as workers:
         begun = printed = time.monotonic()
         for case in cases:
             answer = workers[0].run(case)

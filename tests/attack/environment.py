@@ -162,7 +162,7 @@ class Environment:
             raise Skip("a user without privileges may not run this interpreter")
         if self._cache is None:
             self._cache = self._place / "cache"
-            shutil.copytree(cache_root(), self._cache, ignore=_others)
+            shutil.copytree(cache_root(), self._cache, ignore=_other_versions)
             subprocess.run(["chown", "-R", f"{UNPRIVILEGED}:{UNPRIVILEGED}", str(self._cache)], check=True)
         return str(self._cache)
 
@@ -179,7 +179,7 @@ def _runs_without_privileges() -> bool:
     return done.returncode == 0
 
 
-def _others(place: str, names: list[str]) -> list[str]:
+def _other_versions(place: str, names: list[str]) -> list[str]:
     """Return the names of cache directories that belong to other versions of the sources."""
     return [name for name in names if Path(place) == cache_root() and name != CACHE_DIRECTORY.name]
 

@@ -45,7 +45,7 @@ class Talk(Pair):
         self.sent = bytearray()  # to the device
         self.sent_to_host = bytearray()
 
-    def over_the_line(self, frames: bytes, sent: bytearray) -> bytes:
+    def mangle_frames(self, frames: bytes, sent: bytearray) -> bytes:
         """Return what arrives at the other end; messages of strangers are inserted between the frames."""
         chance, out = self.chance, b""
         for piece in frames.split(b"\0")[:-1]:
@@ -68,7 +68,7 @@ class Talk(Pair):
         session = chance.randrange(1, 256) if cls is m.Arm else None
         with suppress(LocalProtocolError):  # the state forbids it
             frame = host.send(any_message(chance, [cls]), session=session)
-        answers = self.answers_of(frame)
+        answers = self.reply_to(frame)
         if device.session and chance.random() < 0.5:
             with suppress(LocalProtocolError):
                 answers += device.send(state_message(device.state, chance.randrange(4)))
@@ -76,12 +76,12 @@ class Talk(Pair):
             device.fault()
         elif chance.random() < 0.001:
             device.reset()
-        self.deliver(self.over_the_line(answers, self.sent_to_host))
+        self.deliver(self.mangle_frames(answers, self.sent_to_host))
 
-    def answers_of(self, frame: bytes) -> bytes:
+    def reply_to(self, frame: bytes) -> bytes:
         """Return the device's reply to a damaged frame, and require that only a received ARM arms it."""
         before = self.device.state
-        came = self.over_the_line(frame, self.sent)
+        came = self.mangle_frames(frame, self.sent)
         status = Status.OK if self.chance.random() < 0.9 else Status.OUT_OF_RANGE
         answers = self.answer(came, status)
         device = self.device
@@ -171,7 +171,7 @@ class Protocol:
         self._check_batch(found, readable)
 
     def _check(self, cls: type[Message], found: int, raw: bytes) -> None:
-        message = _expected(cls, raw)
+        message = _decode_readable(cls, raw)
         if isinstance(message, int):
             require(found == message, cls.__name__, found, "not", message, raw.hex())
             return
@@ -181,7 +181,7 @@ class Protocol:
         require(same and tuple(self._header) == HEADER.unpack_from(raw), cls.__name__, raw.hex())
 
     def _check_batch(self, found: int, raw: bytes) -> None:
-        message = _expected(m.Batch, raw)
+        message = _decode_readable(m.Batch, raw)
         if isinstance(message, int):
             require(found == message, "Batch", found, "not", message, raw.hex())
             return
@@ -195,7 +195,7 @@ class Protocol:
         require(found == len(samples), "Batch", found, raw.hex())
 
 
-def _expected(cls: type[Message], raw: bytes) -> Any:
+def _decode_readable(cls: type[Message], raw: bytes) -> Any:
     """Return the decoded message, or the error code that the compiled decoder must return."""
     if raw[0] != MAJOR:
         return codec.FOREIGN_MAJOR

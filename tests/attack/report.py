@@ -56,9 +56,9 @@ class AreaReport:
         lines += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
         lines += [f"  skipped: {what} ({times} times)" for what, times in sorted(self.skipped.items())]
         for case, what in self.failures.items():
-            lines += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indented(what[:SHOWN])]
+            lines += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indent(what[:SHOWN])]
         return lines
 
 
-def _indented(text: str) -> list[str]:
+def _indent(text: str) -> list[str]:
     return [f"    {line}" for line in text.splitlines()]

@@ -165,7 +165,7 @@ def visible_s(rows: Any, model: RigModel, rate: int, broken: dict[str, float], a
     def smoothed(current: Any) -> Any:  # the rule compares what is as smooth as the speed
         return current if sensor.back_emf == 0.0 else behind(current, SPEED_LAG_S)
 
-    def over_window(current: Any) -> Any:
+    def window_means(current: Any) -> Any:
         return np.convolve(np.abs(current), np.full(ticks, 1.0 / ticks), "valid")
 
     if (
@@ -187,8 +187,8 @@ def visible_s(rows: Any, model: RigModel, rate: int, broken: dict[str, float], a
     ]
     left = smoothed(left)
     outside = left - np.clip(left, np.min(lags, axis=0), np.max(lags, axis=0))
-    difference = over_window(outside) - spike / ticks
-    threshold = np.maximum(SIGMAS * sensor.noise, over_window(expected) / SHARE)
+    difference = window_means(outside) - spike / ticks
+    threshold = np.maximum(SIGMAS * sensor.noise, window_means(expected) / SHARE)
     seen = np.convolve(difference > threshold, np.ones(ticks), "valid") == ticks
     return (len(active) - int(np.argmax(seen))) / rate if seen.any() else None
 

@@ -34,7 +34,7 @@ def drawn(preset: str, draw: random.Random, stiffer: tuple[float, ...], damped: 
     return config.override(x, {**SHORT, **changes})
 
 
-def tick_of(place: str, rows: Any, rate: int) -> int:
+def tick_of_change(place: str, rows: Any, rate: int) -> int:
     """Return the tick at which the scale changes."""
     released, contact = int(rows["sample_index"][rows["phase"] == Phase.TRIAL][0]), contact_of(rows)
     return {"halfway": (released + contact) // 2, "contact": contact, "rest": contact + round(0.15 * rate)}[
@@ -69,7 +69,7 @@ def main() -> None:
                         x = drawn(preset, draw, (0.7, 1.0, 1.5), (0.5, 1.0, 2.0))
                         try:
                             _, rows = judged(x, path)
-                            tick = tick_of(where, rows, x.controller.position_rate)
+                            tick = tick_of_change(where, rows, x.controller.position_rate)
                             motion = judged(x, path, *scaled(scale, tick, len(rows)))[0].motion
                         except RigError:
                             found[f"{where} {scale:g} ended"] += 1

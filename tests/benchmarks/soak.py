@@ -198,7 +198,7 @@ def resident_mb() -> float:
 
 
 @contextlib.contextmanager
-def behind_a_pty(directory: Path, rate: int) -> Iterator[Any]:
+def start_far_end(directory: Path, rate: int) -> Iterator[Any]:
     """Start the C far end on a pseudo-terminal, and open it as rig opens ports."""
     program = workbench.compile_c(directory, "far_end")
     master, slave = pty.openpty()
@@ -233,7 +233,7 @@ def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: D
             library = workbench.compile_c(directory, "near", "-fPIC", "-shared")
             link: Any = workbench.NearLink(library, rate)
         else:
-            link = stack.enter_context(behind_a_pty(directory, rate))
+            link = stack.enter_context(start_far_end(directory, rate))
         path = (options.output or directory) / f"soak-{time.time_ns()}.rigcap"
         recorder = stack.enter_context(Recorder(path, example_header(), ring))
         with workbench.running_loop(link, rate, ring, cpu=options.cpu, **settings) as loop:
@@ -283,7 +283,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
 
     def progress(ticks: int, phase: int) -> None:
         if not rings:
-            rings.append(own_ring())
+            rings.append(attach_ring())
         if time.monotonic() > end[0]:  # beside the loop, not beside what follows it
             load.close()
         elif options.busy and not busy and ticks > 0:
@@ -322,7 +322,7 @@ def device_run(options: argparse.Namespace, directory: Path, watch: Watch) -> di
     return found
 
 
-def own_ring() -> Any:
+def attach_ring() -> Any:
     """Return the ring that the trial of this process shares with others."""
     for entry in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -340,7 +340,7 @@ def give_up_rights() -> None:
         os.execvp("setpriv", (*setpriv, sys.executable, *sys.orig_argv[1:]))
 
 
-def beside_the_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
+def compare_to_goal(options: argparse.Namespace, totals: dict[str, Any]) -> str:
     """Return a text that compares the lost samples of a device with the permitted share."""
     granted = Rights.here().may_schedule(options.priority)
     lost, ticks = totals["lost"] + totals["skipped"], totals["ticks"]
@@ -368,7 +368,7 @@ def main() -> int:
         else:
             found = device_run(options, directory, watch)
     if options.url is not None and watch.totals:
-        print(beside_the_goal(options, watch.totals))
+        print(compare_to_goal(options, watch.totals))
     chosen = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}
     summary = {"asked": chosen, **found, **watch.totals}
     print(json.dumps(summary))

@@ -19,7 +19,7 @@ GOAL_US = 3.0
 EXPERIMENT = config.override(presets.load("koul-compliant"), {"trial.duration_s": 0.5})
 
 
-def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
+def measure_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> float:
     """Return the loop thread's CPU time per tick (µs), without recorder and sealing: the least of three hits."""
     found = []
     run = LoopThread._run
@@ -37,7 +37,7 @@ def loops_tick_us(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, url: str) -> 
 
 
 def test_a_tick_over_the_byte_link_passes_no_python(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    readable = loops_tick_us(monkeypatch, tmp_path, "sim://?firmware=0")
-    firmware = loops_tick_us(monkeypatch, tmp_path, "sim://")
+    readable = measure_tick_us(monkeypatch, tmp_path, "sim://?firmware=0")
+    firmware = measure_tick_us(monkeypatch, tmp_path, "sim://")
     print(f"\nbyte link, a tick: {firmware:.2f} µs (goal {GOAL_US:g} µs), through Python {readable:.1f} µs")
     assert firmware < 0.2 * readable

@@ -102,7 +102,7 @@ def test_the_signals_of_a_trial_cost_less_than_a_copy_of_its_rows() -> None:
 def test_work_on_a_whole_session_grows_with_its_length_not_with_its_square(what: str) -> None:
     few, many = 2_000, 20_000
 
-    def of_exchanges(count: int) -> Callable[[], object]:
+    def clock_work(count: int) -> Callable[[], object]:
         exchanges = np.zeros(count, EXCHANGE)
         waits = np.random.default_rng(1).integers(0, 20_000, (count, 2)).cumsum(axis=1)
         exchanges["host_sent"] = np.arange(count) * 100_000_000
@@ -112,7 +112,7 @@ def test_work_on_a_whole_session_grows_with_its_length_not_with_its_square(what:
         exchanges["host_received"] = exchanges["host_sent"] + 100_000 + waits[:, 1]
         return lambda: fit_clock(exchanges)
 
-    def of_rows(count: int) -> Callable[[], object]:
+    def row_work(count: int) -> Callable[[], object]:
         rows = np.zeros(50 * count, ROW)
         ticks = np.arange(len(rows))
         rows["sample_index"] = rows["tick"] = ticks
@@ -125,7 +125,7 @@ def test_work_on_a_whole_session_grows_with_its_length_not_with_its_square(what:
         clock = fit_clock(exchanges)
         return lambda: summarise(ledger(rows, clock, 100_000.0), None)
 
-    made = of_exchanges if what == "clock fit" else of_rows
+    made = clock_work if what == "clock fit" else row_work
     short, long = (per_call(made(count), 1) for count in (few, many))
     print(f"\n{what}: {1e3 * short:.1f} ms, ten times as long {1e3 * long:.1f} ms")
     assert long < 30.0 * short  # ten times; its square is a hundred

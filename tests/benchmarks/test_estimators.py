@@ -74,7 +74,7 @@ def counts() -> Any:
     return np.resize(np.concatenate([once, once[::-1]]), SAMPLES)
 
 
-def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: Any, out: Any) -> Any:
+def make_run(update: Any, state_f: Any, state_i: Any, parameters: Any, counts: Any, out: Any) -> Any:
     """Return a function that runs an estimator over all counts in the compiled loop, from fresh memory."""
     ages, elapsed, efforts, windows = (
         np.zeros(len(counts)),
@@ -94,7 +94,7 @@ def in_the_loop(update: Any, state_f: Any, state_i: Any, parameters: Any, counts
 def run_ours(prepared: Any, counts: Any, out: Any) -> Any:
     """Return a run of our estimator in the loop."""
     p = prepared
-    return in_the_loop(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
+    return make_run(p.estimator.update, p.state_f, p.state_i, p.parameters, counts, out)
 
 
 def run_theirs(library: Any, function: Any, parameters: Any, counts: Any, out: Any) -> Any:
@@ -114,7 +114,7 @@ def run_theirs(library: Any, function: Any, parameters: Any, counts: Any, out: A
             *pointers,
         )
 
-    return in_the_loop(plugged, f, i, parameters, counts, out), alone
+    return make_run(plugged, f, i, parameters, counts, out), alone
 
 
 def cpu_ns(function: Any) -> Any:

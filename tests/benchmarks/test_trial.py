@@ -63,7 +63,7 @@ def header() -> str:
 
 
 def build_c(directory: Any, *options: Any) -> Any:
-    """Compile trial.c; returns a function that runs a trial into a trace as `in_numba` does."""
+    """Compile trial.c; returns a function that runs a trial into a trace as `run_in_numba` does."""
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc")
@@ -86,7 +86,7 @@ def build_c(directory: Any, *options: Any) -> Any:
     return run
 
 
-def in_numba(law: Any, plant: Any, trace: Any) -> Any:
+def run_in_numba(law: Any, plant: Any, trace: Any) -> Any:
     """Run one trial without a byte link from rest; return its number of ticks."""
     arguments = run_arguments(law, plant, plant.at_rest(0.0), 0.0, OLDEST_EDGE, OperatorScript.silent())
     return run_ticks(*arguments, trace)
@@ -109,9 +109,9 @@ def cpu_ns(function: Any, *arguments: Any) -> Any:
 
 def test_a_trial_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
     _, plant, fresh = the_rig("koul-compliant")
-    runs = in_numba, build_c(tmp_path), build_c(tmp_path, "-march=native")
+    runs = run_in_numba, build_c(tmp_path), build_c(tmp_path, "-march=native")
     trace, other = Trace.empty(MOST_TICKS, plant), Trace.empty(MOST_TICKS, plant)
-    ticks = in_numba(fresh(), plant, trace)
+    ticks = run_in_numba(fresh(), plant, trace)
     assert trace.phases[ticks - 1] == step.DONE
     for in_c in runs[1:]:
         assert in_c(fresh(), plant, other) == ticks
@@ -160,7 +160,7 @@ def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays(
     model, plant, fresh = the_rig("koul-rigid", **SHORT)
     coulomb = model.mechanics.motor_coulomb + model.mechanics.link_coulomb
     trace = Trace.empty(MOST_TICKS, plant)
-    ticks = in_numba(fresh(), plant, trace)
+    ticks = run_in_numba(fresh(), plant, trace)
     usual, fast = (in_mujoco(mujoco, model, options) for options in ("/>", FAST_MUJOCO))
 
     def steps(hinge: Any, data: Any) -> None:
@@ -174,7 +174,7 @@ def test_a_step_is_far_quicker_than_one_of_mujoco_and_a_joint_that_sticks_stays(
 
     def our_trials(laws: Any) -> None:
         for law in laws:
-            in_numba(law, plant, trace)
+            run_in_numba(law, plant, trace)
 
     our_steps()
     times = [

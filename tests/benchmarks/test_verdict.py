@@ -44,7 +44,7 @@ def median_us(call: Any, repeats: int = 60) -> Any:
     return statistics.median(times) / 1e3
 
 
-def with_scipy(position: Any, effort: Any) -> Any:
+def filter_with_scipy(position: Any, effort: Any) -> Any:
     """Compute only the numbers that need filters, over the whole trial."""
     high = butter(2, 30.0, "highpass", fs=RATE, output="sos")
     band = butter(2, [30.0, 500.0], "bandpass", fs=RATE, output="sos")
@@ -61,7 +61,7 @@ def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone() 
     effort, flags, nothing = np.ascontiguousarray(states[:, 5]), np.ones(RATE, np.int64), np.zeros(RATE, bool)
     measuring = meter(LIMITS, 1.0 / RATE, DELTA)
     numbers = measuring.recorded(counts, effort, counts, flags)
-    expected = with_scipy(counts, effort)
+    expected = filter_with_scipy(counts, effort)
     assert numbers["felt"] == pytest.approx(expected[0], rel=1e-6)
     assert numbers["heard"] == pytest.approx(expected[1], rel=1e-6)
     signals = TrialSignals(
@@ -72,7 +72,7 @@ def test_a_verdict_costs_a_fraction_of_what_scipy_needs_for_its_filters_alone() 
     recorded = median_us(lambda: measuring.recorded(counts, effort, counts, flags))
     true = median_us(lambda: measuring.true(states[:, 2], states[:, 3], states[:, 5], states[:, 2], flags))
     whole = median_us(lambda: judge(signals, LIMITS))
-    scipy = median_us(lambda: with_scipy(counts, effort))
+    scipy = median_us(lambda: filter_with_scipy(counts, effort))
     criteria = median_us(lambda: [Measured(numbers, LIMITS).passes(c) for c in ("felt", "heard", "any")])
     print(
         f"\n1 s at 20 kHz: recorded {recorded:.0f} µs, true (strided) {true:.0f} µs (goal {GOAL_US:.0f}); "

@@ -313,7 +313,7 @@ class Bridged:
         while self._events and self._events[0][0] <= next_ns:
             _, _, way, line = heapq.heappop(self._events)
             if way == "to drive":
-                self._arrives(line)
+                self._deliver(line)
             elif self.alive:
                 self._to_drive(self.bridge.receive_bus(line, self._now))
             else:
@@ -349,7 +349,7 @@ class Bridged:
             self._number += 1
             heapq.heappush(self._events, (self._at_ns + self.travel_ns, self._number, way, line))
 
-    def _arrives(self, line: bytes) -> None:
+    def _deliver(self, line: bytes) -> None:
         frame, sent = self.adapter.open(from_wire(line) if self.on_a_bus else line)
         for one in sent:
             self._send("from drive", one)

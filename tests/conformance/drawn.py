@@ -17,14 +17,14 @@ _execute = core.StateForActualGivenExecution._execute_once_for_engine
 _choices: list[str] = []
 
 
-def _noted(state: Any, data: Any) -> None:
+def _record_choices(state: Any, data: Any) -> None:
     try:
         _execute(state, data)
     finally:
         _choices.append(repr(data.choices))
 
 
-core.StateForActualGivenExecution._execute_once_for_engine = _noted
+core.StateForActualGivenExecution._execute_once_for_engine = _record_choices
 
 
 @pytest.hookimpl(wrapper=True)

@@ -261,7 +261,7 @@ def test_unknown_boards_and_settings_are_refused(model: Any, tmp_path: Path) -> 
         build(BuildRequest(model=model, board=BOARD, output=tmp_path / "file"))
 
 
-def with_settings(*settings: Any) -> Any:
+def board_with_settings(*settings: Any) -> Any:
     return replace(boards.load("mps2"), settings={setting.name: setting for setting in settings})
 
 
@@ -282,7 +282,7 @@ LINK = boards.BoardSetting(name="link", default="usb", meaning="which", choices=
     ],
 )
 def test_a_setting_takes_what_it_may_be(setting: Any, good: Any, bad: Any) -> None:
-    board = with_settings(setting)
+    board = board_with_settings(setting)
     assert boards.settings_of(board, {})[setting.name] == setting.default
     assert boards.settings_of(board, {setting.name: good})[setting.name] == good
     with pytest.raises(ConfigError, match="give "):
@@ -292,7 +292,7 @@ def test_a_setting_takes_what_it_may_be(setting: Any, good: Any, bad: Any) -> No
 def test_no_pin_is_used_twice() -> None:
     encoder = boards.BoardSetting(name="encoder", default=2, meaning="A, then B", pins=2)
     enable = boards.BoardSetting(name="enable", default=4, meaning="on", pins=1)
-    board = with_settings(encoder, enable)
+    board = board_with_settings(encoder, enable)
     assert boards.settings_of(board, {"encoder": 5}) == {"encoder": 5, "enable": 4}
     with pytest.raises(ConfigError, match=r"encoder and enable .* both use pin 4"):
         boards.settings_of(board, {"encoder": 3})

@@ -29,13 +29,13 @@ ticks = st.tuples(
 )
 
 
-def board_of(library: ctypes.CDLL, layout: int = 0, most: int = 76, **more: int) -> Board:
+def make_board(library: ctypes.CDLL, layout: int = 0, most: int = 76, **more: int) -> Board:
     return Board(library).begin(
         **run_values(push(), batch_layout=layout, batch_samples=most, **WIDE_OPEN, **more)
     )
 
 
-def as_sent(sample: Sample, layout: int) -> Sample:
+def as_layout(sample: Sample, layout: int) -> Sample:
     return sample._replace(measured=None) if layout == 1 else sample
 
 
@@ -45,7 +45,7 @@ def as_sent(sample: Sample, layout: int) -> Sample:
 def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
     library: ctypes.CDLL, layout: int, most: int, script: list[tuple[int, int, int, bool]]
 ) -> None:
-    board = board_of(library, layout, most)
+    board = make_board(library, layout, most)
     for moved, board.measured, missed, stuck in script:
         board.missed = missed
         library.host_set_room(board.core.address, 0 if stuck else OUTPUT_BYTES)
@@ -53,7 +53,7 @@ def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
         board.supervise()
     library.host_set_room(board.core.address, OUTPUT_BYTES)
     board.command(Mode.STOP)
-    fed = {sample.index: as_sent(sample, layout) for sample in board.fed}
+    fed = {sample.index: as_layout(sample, layout) for sample in board.fed}
     assert all(fed[sample.index] == sample for sample in board.samples)
     assert [frame.message.layout for frame in board.frames] == [layout] * len(board.frames)
     dropped = board.core.status.dropped
@@ -67,19 +67,19 @@ def test_each_tick_arrives_as_it_was_or_shows_as_a_gap(
 
 @pytest.mark.parametrize("layout", [0, 1, 2])
 def test_frame_has_as_many_samples_as_fit_or_as_configured(library: ctypes.CDLL, layout: int) -> None:
-    board = board_of(library, layout)
+    board = make_board(library, layout)
     ticks = 2 * FULL[layout] + 5
     board.run(range(0, 2 * ticks, 2))  # a handle that stood still under this push would be a fault
     assert [len(frame.samples) for frame in board.frames] == [FULL[layout]] * 2
     raw = 6 + 13 + len(board.frames[0].message.data) + 4
     assert raw <= RAW_LIMIT < raw + {0: 5, 1: 3, 2: 6}[layout]
-    few = board_of(library, layout, 7)
+    few = make_board(library, layout, 7)
     few.run(range(0, 46, 2))
     assert [len(frame.samples) for frame in few.frames] == [7, 7, 7]
 
 
 def test_a_frame_knows_when_its_first_sample_was_taken(library: ctypes.CDLL) -> None:
-    board = board_of(library, 0, 10)
+    board = make_board(library, 0, 10)
     times = []
     for board.count in range(35):
         times.append(board.core.status.due & 0xFFFFFFFF)
@@ -92,7 +92,7 @@ def test_a_frame_knows_when_its_first_sample_was_taken(library: ctypes.CDLL) -> 
 def test_a_difference_that_does_not_fit_is_a_fault_and_the_rest_is_kept(
     library: ctypes.CDLL, layout: int, sign: int
 ) -> None:
-    board = board_of(library, layout)
+    board = make_board(library, layout)
     most = LARGEST[layout] if sign > 0 else LARGEST[layout] + 1
     board.run([0, 0, sign * most, sign * most])
     assert board.core.status.fault == Fault.NONE
@@ -104,7 +104,7 @@ def test_a_difference_that_does_not_fit_is_a_fault_and_the_rest_is_kept(
 
 
 def test_how_far_the_handle_moved_over_a_gap_need_not_fit(library: ctypes.CDLL) -> None:
-    board = board_of(library)
+    board = make_board(library)
     board.run([0, 0])
     board.missed = 1
     board.run([10_000, 10_001])
@@ -117,7 +117,7 @@ def test_how_far_the_handle_moved_over_a_gap_need_not_fit(library: ctypes.CDLL) 
 
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.CURRENT])
 def test_the_last_samples_leave_when_supervision_ends(library: ctypes.CDLL, mode: Mode) -> None:
-    board = board_of(library)
+    board = make_board(library)
     board.run([0] * 7)
     assert not board.frames
     board.command(mode)
@@ -141,7 +141,7 @@ def test_the_tick_of_a_fault_is_the_last_that_arrives(library: ctypes.CDLL) -> N
 
 
 def test_a_fault_between_ticks_ends_the_frame(library: ctypes.CDLL) -> None:
-    board = board_of(library)
+    board = make_board(library)
     board.run([0] * 7)
     library.host_fault(board.core.address, int(Fault.INTERNAL))
     board.tick()
@@ -149,7 +149,7 @@ def test_a_fault_between_ticks_ends_the_frame(library: ctypes.CDLL) -> None:
 
 
 def test_a_new_session_begins_with_frame_zero_and_without_the_past(library: ctypes.CDLL) -> None:
-    board = board_of(library, 0, 5)
+    board = make_board(library, 0, 5)
     board.run([0] * 12)
     board.disarm()
     board.count = 5_000
@@ -197,7 +197,7 @@ def test_each_frame_leaves_whole_however_little_time_remains_between_ticks(
     board.polls = 60
     board.supervise()
     board.command(Mode.STOP)
-    fed = {sample.index: as_sent(sample, layout) for sample in board.fed}
+    fed = {sample.index: as_layout(sample, layout) for sample in board.fed}
     if law:
         assert board.samples == list(fed.values())
     assert board.states[-1].sample_index <= board.fed[-1].index
@@ -206,7 +206,7 @@ def test_each_frame_leaves_whole_however_little_time_remains_between_ticks(
 
 @pytest.mark.parametrize("end", ["stop", "disarm"])
 def test_the_current_is_gone_before_what_waits_is_packed_and_sent(library: ctypes.CDLL, end: str) -> None:
-    board = board_of(library)
+    board = make_board(library)
     board.run([120] * 60)
     before = board.core.status
     assert before.current != 0

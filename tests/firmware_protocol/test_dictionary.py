@@ -35,7 +35,7 @@ PACKED = encode(DICTIONARY)
 CONTENT = json.loads(zlib.decompress(PACKED))
 
 
-def repacked(**changes: Any) -> bytes:
+def repack(**changes: Any) -> bytes:
     return zlib.compress(json.dumps({**CONTENT, **changes}).encode(), 1)
 
 
@@ -46,7 +46,7 @@ def test_a_dictionary_comes_back() -> None:
 
 def test_the_hash_is_the_head_of_sha_256() -> None:
     assert dictionary_hash(PACKED).to_bytes(8, "little") == hashlib.sha256(PACKED).digest()[:8]
-    assert dictionary_hash(PACKED) != dictionary_hash(repacked(device="another"))
+    assert dictionary_hash(PACKED) != dictionary_hash(repack(device="another"))
 
 
 def test_a_device_may_be_narrower_than_the_table() -> None:
@@ -59,12 +59,12 @@ def test_a_device_may_be_narrower_than_the_table() -> None:
 
 
 def test_unknown_keys_of_a_newer_device_are_ignored() -> None:
-    assert decode(repacked(colour="red")) == DICTIONARY
+    assert decode(repack(colour="red")) == DICTIONARY
 
 
 def test_the_devices_own_text_comes_first_then_ours_then_a_placeholder() -> None:
     own = {"code": 200, "name": "LASER", "text": "laser hot", "remedy": "wait"}
-    dictionary = decode(repacked(faults=[own]))
+    dictionary = decode(repack(faults=[own]))
     assert dictionary.explain_fault(200).text == "fault 200 (unknown to this version): laser hot"
     assert dictionary.explain_fault(Fault.ENCODER).text == Fault.ENCODER.text
     assert dictionary.explain_fault(999).name == "code 999"
@@ -93,7 +93,7 @@ def test_the_devices_own_text_comes_first_then_ours_then_a_placeholder() -> None
 )
 def test_invalid_values_are_a_remote_protocol_error(changes: dict[str, Any]) -> None:
     with pytest.raises(RemoteProtocolError):
-        decode(repacked(**changes))
+        decode(repack(**changes))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_invalid_bytes_are_a_remote_protocol_error(packed: bytes) -> None:
 def test_arbitrary_value_is_accepted_or_a_remote_protocol_error(value: object) -> None:
     for key in ("parameters", "faults", "current_quantum_a", "device"):
         try:
-            assert isinstance(decode(repacked(**{key: value})), Dictionary)
+            assert isinstance(decode(repack(**{key: value})), Dictionary)
         except RemoteProtocolError:
             continue
 

@@ -29,8 +29,8 @@ def _entry(name: str, mode: int, content: bytes) -> bytes:
     """Return the archive entry of one file; inode, owner, times and devices are not used."""
     numbers = (0, mode, 0, 0, 1, 0, len(content), 0, 0, 0, 0, len(name) + 1, 0)
     head = b"070701" + b"".join(b"%08X" % number for number in numbers) + name.encode() + b"\0"
-    return _padded(head) + _padded(content)
+    return _pad(head) + _pad(content)
 
 
-def _padded(data: bytes) -> bytes:
+def _pad(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)

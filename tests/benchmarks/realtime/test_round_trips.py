@@ -84,7 +84,7 @@ class Wire:
 
 
 @contextlib.contextmanager
-def over_pty() -> Iterator[tuple[Wire, int]]:
+def open_pty() -> Iterator[tuple[Wire, int]]:
     """Yield a pseudo-terminal, opened by rig and by plain pyserial."""
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -100,7 +100,7 @@ def over_pty() -> Iterator[tuple[Wire, int]]:
 
 
 @contextlib.contextmanager
-def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[Wire, int]]:
+def connect_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[Wire, int]]:
     """Yield two connected sockets as a link."""
     with ours, theirs:
         ours.settimeout(1.0)
@@ -117,22 +117,22 @@ def over_sockets(ours: socket.socket, theirs: socket.socket) -> Iterator[tuple[W
         yield Wire(ours.fileno(), port, ours.send, ours.recv), theirs.fileno()
 
 
-def over_socket_pair() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
+def open_socket_pair() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
     """Return a link over a pair of stream sockets."""
-    return over_sockets(*socket.socketpair())
+    return connect_sockets(*socket.socketpair())
 
 
-def over_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
+def open_udp() -> contextlib.AbstractContextManager[tuple[Wire, int]]:
     """Return a link over UDP on the loopback interface, connected in both directions."""
     ours, theirs = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     for one in (ours, theirs):
         one.bind(("127.0.0.1", 0))
     ours.connect(theirs.getsockname())
     theirs.connect(ours.getsockname())
-    return over_sockets(ours, theirs)
+    return connect_sockets(ours, theirs)
 
 
-LINKS = {"pty": over_pty, "socket pair": over_socket_pair, "udp": over_udp}
+LINKS = {"pty": open_pty, "socket pair": open_socket_pair, "udp": open_udp}
 
 
 class Contest:

@@ -25,7 +25,7 @@ NAME = "the-first-page"
 
 
 @asynccontextmanager
-async def beating(hold: ClientConnection) -> AsyncIterator[None]:
+async def send_beats(hold: ClientConnection) -> AsyncIterator[None]:
 
     async def beat() -> None:
         while True:
@@ -87,7 +87,7 @@ def check_zero(recording: Recording, reason: str) -> None:
 @pytest.mark.quiet
 def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
     async def scenario(console: Served) -> tuple[dict[str, Any], dict[str, Any]]:
-        async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
+        async with console.hold(NAME) as hold, send_beats(hold), console.page(NAME) as page:
             await drag_into_wall(page)
             changed = await page.ask("set", changes={"wall.damping": 0.25})
             state: dict[str, Any] = page.newest("state") or {}
@@ -111,7 +111,7 @@ def test_a_page_that_goes_ends_what_it_moves(tmp_path: Path) -> None:
 def test_an_automated_hit_may_outlive_its_page(tmp_path: Path) -> None:
     async def whole() -> None:
         async with asyncio.timeout(100), served(tmp_path, own=True) as console:
-            async with console.hold(NAME) as hold, beating(hold), console.page(NAME) as page:
+            async with console.hold(NAME) as hold, send_beats(hold), console.page(NAME) as page:
                 assert "result" in await page.ask("run", job="hit", is_detached=True)
                 try:
                     await page.until(lambda page: phase(page) in ("homing", "settle", "trial"))
@@ -136,7 +136,7 @@ def test_a_killed_console_leaves_nothing_that_moves(tmp_path: Path) -> None:
             async with (
                 asyncio.timeout(100),
                 console.hold(NAME) as hold,
-                beating(hold),
+                send_beats(hold),
                 console.page(NAME) as page,
             ):
                 await drag_into_wall(page)

@@ -31,7 +31,9 @@ from tests.rig.session.session_fakes import FakeRunner
 REAL = "serial:///dev/ttyACM0"
 
 
-def at_a_terminal(monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int], Awaitable[None]]) -> None:
+def run_at_terminal(
+    monkeypatch: pytest.MonkeyPatch, body: Callable[[Terminal, int], Awaitable[None]]
+) -> None:
     """Run `body` with a terminal and the descriptor for its operator's input."""
     person, ours = pty.openpty()
     try:
@@ -68,7 +70,7 @@ def test_the_word_lets_it_be_armed_and_nothing_else_does(monkeypatch: pytest.Mon
             os.write(person, typed)
             assert await answer == lets, typed
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)
 
 
 def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,7 +87,7 @@ def test_a_word_typed_before_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> No
         os.write(person, b"\n")
         assert not await answer
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)
 
 
 def test_a_terminal_obeys_no_page(
@@ -98,7 +100,7 @@ def test_a_terminal_obeys_no_page(
         with pytest.raises(ConfigError, match="more than 2000 characters"):
             await terminal.insist(REAL, ["x" * LONGEST, "y"])
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)
     shown = capsys.readouterr().out
     assert "serial:///é�[2J��rig: all is well��\nrig:   and more�\nrig: are all hands clear" in shown
     assert "xxx" not in shown
@@ -133,7 +135,7 @@ def test_a_word_arms_nothing_for_a_page_that_stopped_or_went(
                 await wanted
             assert shared.jobs.running is None
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)
 
 
 def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
@@ -172,7 +174,7 @@ def test_terminal_and_page_show_what_is_agreed_to_and_nothing_else_is_armed(
         with pytest.raises(ConfigError, match="has changed since the operator agreed to it"):
             hits.hit({**content, "changes": {"wall.stiffness": 56}}, Talk(is_detached=False))
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)
 
 
 def test_a_resumed_session_has_the_digest_that_it_began_with(
@@ -217,4 +219,4 @@ def test_a_console_ends_though_it_waits_for_a_word(tmp_path: Path, monkeypatch: 
                 await asyncio.sleep(0.01)
             assert "result" in await page.ask("operate", take=True), "requests are served meanwhile"
 
-    at_a_terminal(monkeypatch, body)
+    run_at_terminal(monkeypatch, body)

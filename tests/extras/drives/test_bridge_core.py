@@ -485,7 +485,7 @@ def test_structures_are_those_of_the_header() -> None:
     assert names == [name for name, *_ in library.Setup._fields_]
 
 
-def switched(world: Bridged, pins: int) -> None:
+def set_pins(world: Bridged, pins: int) -> None:
     world.drive._computed_registers[0x05E] = (lambda words: pins, WHOLE)
 
 
@@ -493,22 +493,22 @@ def test_a_hold_to_run_switch_on_a_pin_of_the_drive() -> None:
     world, host = armed(Bridged(switches={"hold": "aux1.2"}), hold_to_run=1)
     push(host, 5)
     assert world.torque == 0.0
-    switched(world, 1 << 2)
+    set_pins(world, 1 << 2)
     push(host, 5)
     assert world.torque > 0.0
     assert host.next_state().inputs & Input.HOLD_TO_RUN
-    switched(world, 0)
+    set_pins(world, 0)
     push(host, 2)
     assert world.torque == 0.0
 
 
 def test_an_emergency_stop_on_a_pin_of_the_drive_and_its_broken_wire() -> None:
     world = Bridged(switches={"stop": "aux1.3"})
-    switched(world, 1 << 3)
+    set_pins(world, 1 << 3)
     world.run(0.01)  # before it has replied, it counts as pressed
     world, host = armed(world)
     push(host, 5)
-    switched(world, 0)
+    set_pins(world, 0)
     push(host, 3)
     assert host.next_state().fault == Fault.EMERGENCY_STOP
     world.run(0.01)

@@ -170,7 +170,7 @@ def test_an_adapter_works_through_a_pseudo_terminal() -> None:
         os.close(slave)
 
 
-def can_ends() -> tuple[CanBus, socket.socket]:
+def make_can_pair() -> tuple[CanBus, socket.socket]:
     """Return a bus and its other end: a socket pair that keeps messages separate, as a raw CAN socket does."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return CanBus("can0", ours), theirs
@@ -180,7 +180,7 @@ def can_ends() -> tuple[CanBus, socket.socket]:
 @given(st.integers(0, 2**29 - 1), st.binary(max_size=64))
 def test_a_frame_of_a_can_socket(identifier: int, data: bytes) -> None:
     """The layout is `struct canfd_frame` of linux/can.h: id with flag for 29 bits, length, flags, 64 bytes."""
-    bus, end = can_ends()
+    bus, end = make_can_pair()
     bus.send(CanFrame(identifier, data))
     packed = end.recv(100)
     extended = 0x80000000 if identifier > 0x7FF else 0
@@ -198,7 +198,7 @@ def test_a_frame_of_a_can_socket(identifier: int, data: bytes) -> None:
 
 
 def test_a_frame_without_data_is_ignored() -> None:
-    bus, end = can_ends()
+    bus, end = make_can_pair()
     remote, error = 0x40000001, 0x20000040  # CAN_RTR_FLAG; CAN_ERR_FLAG with CAN_ERR_BUSOFF
     for identifier in (remote, error):
         end.send(identifier.to_bytes(4, "little") + bytes(12))

@@ -56,7 +56,7 @@ def person(offset: float = 0.0, **settings: Any) -> Any:
     )
 
 
-def mapping_of(**sections: Any) -> Any:
+def make_protocol(**sections: Any) -> Any:
     chosen = {
         "study": {"title": f"Two schemes {NASTY}", "participants": 3, "changes": {"operator.press": 2.0}},
         "search": {"step": 20.0, "settings": {"turns": 2, "most": 40}},
@@ -72,7 +72,7 @@ def mapping_of(**sections: Any) -> Any:
 def study(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Three people, with every kind of deviation."""
     where = tmp_path_factory.mktemp("study")
-    mapping = mapping_of()
+    mapping = make_protocol()
     with without_sync():
         with sitting(where / "P01", mapping, person(), row=0, recorded=True) as one:
             one.run(5)
@@ -304,7 +304,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
 
 
 def protocol_keys() -> Iterator[Any]:
-    for section, values in mapping_of().items():
+    for section, values in make_protocol().items():
         for one in values if isinstance(values, list) else [values]:
             yield from ((section, key) for key in one)
 
@@ -468,7 +468,7 @@ def test_a_table_keeps_its_columns_where_a_single_cell_says_something() -> None:
 
 @pytest.mark.parametrize("trials", [0, 1])
 def test_a_session_that_has_hardly_begun_has_a_page(trials: int, tmp_path: Path) -> None:
-    with without_sync(), sitting(tmp_path / "P01", mapping_of(), person()) as one:
+    with without_sync(), sitting(tmp_path / "P01", make_protocol(), person()) as one:
         one.run(trials)
     found = analyse([tmp_path], AnalysisOptions(measure="K50 person"))
     read = ParsedPage(render(found, {}))

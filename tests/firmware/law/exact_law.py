@@ -52,7 +52,7 @@ class ExactLaw:
             self.velocity = self.filter.velocity(count, periods)
             self.flags |= RowFlag.VELOCITY_UPDATED
         self._advance(travel, depth, elapsed)
-        wanted = self._wanted(travel, depth, elapsed)
+        wanted = self._unlimited_effort(travel, depth, elapsed)
         out = not p.window_minimum <= travel <= p.window_maximum or abs(self.velocity) > w.speed_limit
         if out:
             self.flags |= RowFlag.OUT_OF_WINDOW
@@ -103,7 +103,7 @@ class ExactLaw:
         elif self.phase is Phase.RELEASE and self.phase_ticks >= p.release_ticks:
             self._enter(Phase.DONE)
 
-    def _wanted(self, travel: int, depth: int, elapsed: int) -> Fraction:
+    def _unlimited_effort(self, travel: int, depth: int, elapsed: int) -> Fraction:
         """Return the unlimited effort (quanta)."""
         p, w = self.p, self.w
         if self.phase in (Phase.HOMING, Phase.SETTLE):

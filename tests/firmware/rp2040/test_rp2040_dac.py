@@ -101,7 +101,7 @@ def test_wall_leaves_as_the_reported_currents_frame_by_frame(powered_dac: Powere
     counts, indices = session.counts()
     assert np.max(counts) > 0, "in the wall"
     assert look["most"] > 1.0, "it pushed back (A)"
-    reported = np.concatenate([_commanded(batch) for batch in session.batches])
+    reported = np.concatenate([_commanded_quanta(batch) for batch in session.batches])
     sent = frames(session)
     ended = np.array([frame.ended for frame in sent])
     # The current of a sample was set in the tick before: its frame is the first that ends after that tick began.
@@ -111,7 +111,7 @@ def test_wall_leaves_as_the_reported_currents_frame_by_frame(powered_dac: Powere
     assert max(map(steps_off, codes, reported)) <= NEAREST
 
 
-def _commanded(batch: m.Batch) -> np.ndarray:
+def _commanded_quanta(batch: m.Batch) -> np.ndarray:
     return np.array([sample[1] for sample in unpack_batch_samples(batch)], dtype=np.int64)
 
 
