@@ -124,7 +124,7 @@ def run(port: ScriptedPort, duration_s: float, **options: Any) -> FirmwareDevice
     return device
 
 
-def grouped(sent: Sent) -> Sent:
+def join_by_time(sent: Sent) -> Sent:
     """Join the bytes that were sent at the same time."""
     found: dict[int, bytes] = {}
     for at_ns, data in sent:
@@ -138,7 +138,7 @@ def test_firmware_sends_the_bytes_of_the_readable_device_at_the_same_times(most:
     port = ScriptedPort(script)
     until_ns = script[-1][0] + 5 * TICK_NS
     device = run(port, until_ns * 1e-9, most=most)
-    assert grouped(port.sent) == grouped(reference(script, until_ns))
+    assert join_by_time(port.sent) == join_by_time(reference(script, until_ns))
     assert device.state == State.RUNNING
 
 

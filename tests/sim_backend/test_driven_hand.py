@@ -59,7 +59,7 @@ class Wishes:
         return self.wish
 
 
-def played(driven: Any, seconds: Any, hand: Any = START, wish: Any = None) -> Any:
+def play_hand(driven: Any, seconds: Any, hand: Any = START, wish: Any = None) -> Any:
     """Return the hand's intended motion for some seconds; `wish` is called before each block."""
     rows = []
     while sum(map(len, rows)) < seconds * RATE:
@@ -105,7 +105,7 @@ def test_it_follows_as_the_differential_equation_does(distance: float, rate: flo
 def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:
     driven, wishes = begun()
     goal = START + 0.1  # 10 mm at the handle
-    rows = played(driven, 0.8, wish=lambda: wishes.set(goal, 3.0))
+    rows = play_hand(driven, 0.8, wish=lambda: wishes.set(goal, 3.0))
     assert np.all(np.diff(rows[:, 0]) >= 0.0)
     assert rows[-1, 0] == pytest.approx(goal, abs=1e-4)
     assert np.abs(rows[:, 1]).max() * RADIUS < 0.08
@@ -119,7 +119,7 @@ def test_a_step_of_a_key_becomes_a_motion_without_overshoot() -> None:
 def test_a_jump_to_the_other_end_is_a_reach_at_a_bounded_speed(far: float) -> None:
     """The end key or a mouse can jump; once, the speed grew with the distance, to 0.26 m/s."""
     driven, wishes = begun()
-    rows = played(driven, 3.0, wish=lambda: wishes.set(START + far))
+    rows = play_hand(driven, 3.0, wish=lambda: wishes.set(START + far))
     speed = rows[:, 1] * RADIUS
     assert speed.max() <= REACH_M_S * (1.0 + 1e-9)
     assert speed.min() >= -1e-9, "without overshoot"
@@ -161,15 +161,15 @@ def test_it_stays_in_reach_whatever_is_wished(drawn: Any, mirrored: bool) -> Non
 
 def test_hand_without_wishes_rests_where_it_is() -> None:
     driven, wishes = begun()
-    played(driven, 0.5, wish=lambda: wishes.set(0.05, 4.0))
-    rows = played(driven, SILENT_S - 2 * BLOCK_S, hand=0.011)  # the last word counts for a while
+    play_hand(driven, 0.5, wish=lambda: wishes.set(0.05, 4.0))
+    rows = play_hand(driven, SILENT_S - 2 * BLOCK_S, hand=0.011)  # the last word counts for a while
     assert rows[-1, 2] == pytest.approx(4.0 * RADIUS, rel=1e-2)
-    rows = played(driven, 1.0, hand=0.011)
+    rows = play_hand(driven, 1.0, hand=0.011)
     assert rows[-1, 0] == pytest.approx(0.011, abs=1e-5)
     assert rows[-1, 2] == pytest.approx(0.0, abs=1e-5)
-    rows = played(driven, 1.0, hand=0.02)
+    rows = play_hand(driven, 1.0, hand=0.02)
     assert rows[-1, 0] == pytest.approx(0.011, abs=1e-5), "it does not run away with the handle"
-    rows = played(driven, 1.0, wish=lambda: wishes.set(0.03))
+    rows = play_hand(driven, 1.0, wish=lambda: wishes.set(0.03))
     assert rows[-1, 0] == pytest.approx(0.03, abs=1e-4), "and follows the next wish"
 
 
@@ -178,18 +178,18 @@ def test_wish_before_the_session_moves_nothing() -> None:
     wishes.set(0.2, 9.0)
     driven = DrivenHand(MODEL, wishes)
     driven.begin(START, 1.0 / RATE)
-    rows = played(driven, LEAD_S + 1.5)
+    rows = play_hand(driven, LEAD_S + 1.5)
     assert np.allclose(rows, [START, 0.0, 0.0], atol=1e-12)
 
 
 def test_tremor_comes_with_the_effort_of_the_hand() -> None:
     model = replace(MODEL, operator=replace(MODEL.operator, tremor=166e-6))
     driven, wishes = begun(model)
-    loose = played(driven, 1.0, wish=lambda: wishes.set(START))
+    loose = play_hand(driven, 1.0, wish=lambda: wishes.set(START))
     assert np.ptp(loose[:, 0]) == 0.0
     driven, wishes = begun(model)
-    played(driven, 1.0, wish=lambda: wishes.set(START, 4.0))
-    pressing = played(driven, 2.0, wish=lambda: wishes.set(START, 4.0))
+    play_hand(driven, 1.0, wish=lambda: wishes.set(START, 4.0))
+    pressing = play_hand(driven, 2.0, wish=lambda: wishes.set(START, 4.0))
     share = 4.0 / (4.0 + MODEL.operator.hand_stiffness * MODEL.operator.depth)
     assert np.std(pressing[:, 0]) * RADIUS == pytest.approx(166e-6 * share, rel=0.05)
 

@@ -25,7 +25,7 @@ COGS = {
 RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
-def the_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any) -> Any:
+def new_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any) -> Any:
     """Return an experiment with excitation, its rig model, and a new controller."""
     x = config.excited(config.override(presets.load(name), changes))
     quantum = x.rig.amplifier.current_quantum_a
@@ -38,7 +38,7 @@ def excited_plant(x: Any, model: Any, acquisition_hz: float = 4000.0, ticks: int
 
 
 def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
-    x, model, law = the_rig(**RIGID, **{"wall.stiffness": 0.0, "wall.damping": 0.0})
+    x, model, law = new_rig(**RIGID, **{"wall.stiffness": 0.0, "wall.damping": 0.0})
     run = excited_plant(x, model).excite(law, 0.0, np.array([0.26]), 0.0, 100)
     time_s = np.arange(len(run.position)) * run.acquisition_s
     assert len(run.position) == 400
@@ -62,8 +62,8 @@ def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
 def test_it_is_the_plant_and_the_law_stepped_by_hand(name: str, delay: int, cogging: Any) -> None:
     """The compiled call equals single steps in every bit, also with cogging and with a delay in ticks of the law."""
     changes = {"rig.simulation.computation_delay_ticks": delay, **cogging}
-    x, model, law = the_rig(name, **changes)
-    _, _, other = the_rig(name, **changes)
+    x, model, law = new_rig(name, **changes)
+    _, _, other = new_rig(name, **changes)
     push = 0.4 * x.rig.limits.effort * np.sin(np.arange(400) * 2.0 * np.pi / 400)
     bench = excited_plant(x, model, acquisition_hz=1.0, ticks=400)
     ratio = round(bench.inner_rate_hz / x.controller.position_rate)
@@ -90,7 +90,7 @@ def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well() -> Non
         ("koul-rigid", 20_000, 20_000),
         ("koul-rigid", 7000, 21_000),
     ):
-        x, model, _ = the_rig(name, **{"controller.position_rate": rate, "controller.velocity_rate": rate})
+        x, model, _ = new_rig(name, **{"controller.position_rate": rate, "controller.velocity_rate": rate})
         assert excited_plant(x, model).inner_rate_hz == pytest.approx(inner)
 
 
@@ -98,14 +98,14 @@ def test_the_inner_step_divides_the_tick_and_samples_an_excitation_well() -> Non
     ("asked", "got"), [(1.0, 1000), (1000.0, 1000), (4000.0, 4000), (5500.0, 10_000), (1e9, 20_000)]
 )
 def test_positions_are_kept_at_least_as_often_as_asked_and_whole_times_a_tick(asked: float, got: int) -> None:
-    x, model, law = the_rig()
+    x, model, law = new_rig()
     run = excited_plant(x, model, acquisition_hz=asked).excite(law, 0.0, np.array([1.0]), 0.0, 50)
     assert run.acquisition_s == pytest.approx(1.0 / got)
     assert len(run.position) == 50 * got // 1000
 
 
 def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so() -> None:
-    x, model, law = the_rig(**{"wall.stiffness": 0.0, "wall.damping": 0.0})
+    x, model, law = new_rig(**{"wall.stiffness": 0.0, "wall.damping": 0.0})
     run = excited_plant(x, model).excite(law, 0.0, np.array([5.0]), 0.0, 2000)
     assert 0 < run.ticks < 2000
     assert len(run.position) == 4 * run.ticks
@@ -114,7 +114,7 @@ def test_the_guard_ends_a_run_that_leaves_its_window_and_the_run_says_so() -> No
 
 
 def test_an_effort_beyond_the_limit_is_clipped_and_counted() -> None:
-    x, model, law = the_rig(
+    x, model, law = new_rig(
         **{"rig.limits.effort": 1.0, "rig.limits.nominal_effort": 1.0, "homing.effort": 1.0, "trial.effort": 1.0,
            "wall.stiffness": 20e3, "trial.minimum_rest_counts": 0.0}
     )  # fmt: skip
@@ -130,15 +130,15 @@ def _broken(penetration: Any, velocity: Any, elapsed: Any, state: Any, parameter
 
 def test_law_that_returns_nan_is_named_in_the_error() -> None:
     law = Law("broken", "", _broken, 1, lambda wall: [])
-    x, model, fresh = the_rig(law=law)
+    x, model, fresh = new_rig(law=law)
     with pytest.raises(LawError, match="law broken"):
         excited_plant(x, model).excite(fresh, 0.0, np.array([1.0]), 0.0, 100)
 
 
 def test_two_runs_are_equal_and_the_first_is_not_overwritten_by_the_second() -> None:
-    x, model, law = the_rig()
-    _, _, other = the_rig()
-    _, _, third = the_rig()
+    x, model, law = new_rig()
+    _, _, other = new_rig()
+    _, _, third = new_rig()
     bench = excited_plant(x, model)
     one = bench.excite(law, 0.0, np.array([1.0, -1.0]), 0.0, 100)
     before = one.position.tobytes()

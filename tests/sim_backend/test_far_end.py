@@ -57,7 +57,7 @@ def fresh(**options: Any) -> MemoryLink:
     return MemoryLink(FirmwareDevice(rotary_rig(current_noise_a=0.002), law_maximum=0, **options))
 
 
-def three() -> list[ThroughThePort]:
+def three_links() -> list[ThroughThePort]:
     """Return the compiled far end, the firmware behind callbacks, and the readable device behind callbacks."""
     rig = rotary_rig(current_noise_a=0.002)
     return [
@@ -107,7 +107,7 @@ STEPS = ("command", "command", "wait", "wait", "sleep", "stop", "ask", "push", "
 )
 @example([("command", 300), ("sleep", 400), ("sleep", 400), ("wait", 1), ("again", -300), ("wait", 300)])
 def test_compiled_far_end_sends_and_moves_as_the_readable_device(steps: list[tuple[str, int]]) -> None:
-    wires = three()
+    wires = three_links()
     for wire in wires:
         walk(wire, steps)
     *others, readable = [
@@ -125,7 +125,7 @@ def test_it_conforms_as_a_link() -> None:
 
 
 def test_unread_bytes_are_dropped_and_counted() -> None:
-    wires = three()
+    wires = three_links()
     for wire in wires:
         host = Host(wire)  # type: ignore[arg-type]
         host.begin(position_rate=RATE)
@@ -154,7 +154,7 @@ def test_a_change_that_python_makes_is_seen_by_ticks_that_run(monkeypatch: pytes
 
 @pytest.mark.parametrize("number", range(3))
 def test_an_exception_inside_is_eio_and_kept_as_the_links_failure(number: int) -> None:
-    wire = three()[number]
+    wire = three_links()[number]
     Host(wire).begin(position_rate=RATE)  # type: ignore[arg-type]
     wire.link.device.hardware.external_effort = "no number"
     into = np.zeros(64, np.uint8)

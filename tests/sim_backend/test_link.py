@@ -202,7 +202,7 @@ def line_of(kind: FaultKind, frame: int, **others: Any) -> ScriptedLine:
     return ScriptedLine([FrameFault(kind=kind, direction=TO_HOST, frame=frame, **others)])
 
 
-def through(line: ScriptedLine, frames: list[bytes]) -> list[bytes]:
+def send_through(line: ScriptedLine, frames: list[bytes]) -> list[bytes]:
     """Return the bytes received in each tick when frame k is sent in tick k."""
     out = []
     for tick, frame in enumerate(frames):
@@ -235,13 +235,13 @@ A, B, C, D, E = FRAMES
          "unplug", "other-direction", "from-a-tick-on"],
 )  # fmt: skip
 def test_a_fault_does_what_it_says_to_its_frame_and_no_other(line: ScriptedLine, out: list[bytes]) -> None:
-    assert through(line, FRAMES) == out
+    assert send_through(line, FRAMES) == out
 
 
 def test_bytes_in_pieces_are_frames_all_the_same() -> None:
     line = line_of(FaultKind.DROP, 1)
     whole = b"".join(FRAMES)
-    out = through(line, [b"\0"] + [whole[k : k + 3] for k in range(0, len(whole), 3)])
+    out = send_through(line, [b"\0"] + [whole[k : k + 3] for k in range(0, len(whole), 3)])
     assert b"".join(out) == A + C + D + E
     assert line.frames[TO_HOST] == 5
     assert line.acted == {FaultKind.DROP: 1}
@@ -252,7 +252,7 @@ def test_faults_on_one_frame_act_one_after_the_other() -> None:
         FrameFault(kind=kind, direction=TO_HOST, frame=0, ticks=3)
         for kind in (FaultKind.DUPLICATE, FaultKind.DELAY)
     ]
-    assert through(ScriptedLine(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
+    assert send_through(ScriptedLine(faults), FRAMES) == [b"", b"", b"", A + A + B + C + D, E]
 
 
 def test_delayed_frame_arrives_at_its_tick_on_an_idle_line() -> None:

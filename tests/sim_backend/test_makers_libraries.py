@@ -35,7 +35,7 @@ FREE = {
 }
 
 
-def asked(path: str, line: bytes, enough: bytes) -> bytes:
+def request(path: str, line: bytes, enough: bytes) -> bytes:
     """Send a line to a serial port and return the reply up to `enough`."""
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
@@ -54,7 +54,7 @@ def asked(path: str, line: bytes, enough: bytes) -> bytes:
 def test_a_moteus_is_driven_by_one_host_after_the_other_and_by_its_makers_library() -> None:
     with simulated_drive("moteus", drive_rig()) as drive:
         for _ in range(2):
-            assert asked(drive.path, b"can send 8001 1100\n", b"2100") == b"OK\r\nrcv 00000100 210000\r\n"
+            assert request(drive.path, b"can send 8001 1100\n", b"2100") == b"OK\r\nrcv 00000100 210000\r\n"
         moteus = pytest.importorskip("moteus")
         asyncio.run(asyncio.wait_for(moteus_session(moteus, drive.path), WAIT_S))
 

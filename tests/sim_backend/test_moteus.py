@@ -172,7 +172,7 @@ def test_a_question_feeds_no_watchdog() -> None:
     assert drive.read(0) == 11
 
 
-def moving(kd_scale: float = 0.0, **settings: str) -> Moteus:
+def expiring_drive(kd_scale: float = 0.0, **settings: str) -> Moteus:
     """Return a drive whose watchdog expires while it turns at some revolutions per second."""
     drive = Moteus(settings={f"servo.{name}": value for name, value in settings.items()})
     drive.start()
@@ -185,18 +185,18 @@ def moving(kd_scale: float = 0.0, **settings: str) -> Moteus:
 
 
 def test_a_time_out_lets_go_or_damps_or_brakes_or_holds_as_configured() -> None:
-    free = moving(timeout_mode="0")
+    free = expiring_drive(timeout_mode="0")
     assert free.command == 0.0
-    damped = moving(1.0, timeout_mode="12")
+    damped = expiring_drive(1.0, timeout_mode="12")
     kd = 0.05  # N·m a revolution a second
     assert damped.command == pytest.approx(-kd * damped.read(2), rel=0.02)
     assert (
-        moving(0.0, timeout_mode="12").command == 0.0
+        expiring_drive(0.0, timeout_mode="12").command == 0.0
     )  # with the last command's kd scale: fw, ISR_DoZeroVelocity
-    braked = moving(timeout_mode="15")
+    braked = expiring_drive(timeout_mode="15")
     per_turn = TURN * KT**2 / (1.5 * 0.05)
     assert braked.command == pytest.approx(-per_turn * braked.read(2), rel=0.02)
-    held = moving(timeout_mode="10", default_accel_limit="200", default_velocity_limit="nan")
+    held = expiring_drive(timeout_mode="10", default_accel_limit="200", default_velocity_limit="nan")
     held.wait(1.0)
     there = held.read(1)
     held.wait(0.5)

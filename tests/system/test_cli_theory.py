@@ -11,7 +11,7 @@ from rig.analysis.theory import _summary as summary
 
 
 @pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_curve_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compute curves at few points; the limits at B = 0 and at the wall's damping do not depend on the number."""
     for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
         monkeypatch.setattr(summary, name, number)

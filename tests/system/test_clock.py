@@ -35,7 +35,7 @@ HIT = config.override(
 )
 
 
-class Slow:
+class DelayingLink:
     """A link whose delay each way is a minimum plus an exponentially distributed jitter, in virtual time."""
 
     def __init__(self, link: Any, *, out_ns: Any, back_ns: Any, jitter_ns: Any, seed: int = 0) -> None:
@@ -61,7 +61,7 @@ class Slow:
         self.link.close()
 
 
-def up_for(ticks: Any) -> Any:
+def device_after(ticks: Any) -> Any:
     simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
     for _ in range(ticks):
         simulated.tick()
@@ -79,8 +79,8 @@ def up_for(ticks: Any) -> Any:
     ids=["quiet", "asymmetric", "out-waits"],
 )
 def test_exchanges_over_a_link_find_offset_and_drift(ppm: float, delays: Any) -> None:
-    simulated = up_for(777)
-    link = Slow(MemoryLink(simulated, clock_ppm=ppm), **delays, seed=int(ppm) + 500)
+    simulated = device_after(777)
+    link = DelayingLink(MemoryLink(simulated, clock_ppm=ppm), **delays, seed=int(ppm) + 500)
     start_ns = simulated.elapsed_ns
     fit = FramedDevice(link).clock(40, over_s=4.0)
     device_ns = start_ns + np.array([0, 2 * 10**9, 4 * 10**9])

@@ -54,7 +54,7 @@ def test_a_homing_servo_without_an_encoder_is_a_runaway_before_the_handle_is_fas
     assert caught.value.exit_code == 7
 
 
-class Clocked(Counting):
+class SpeedLog(Counting):
     """A simulated hardware layer that records the largest speed of its handle (rad/s or m/s)."""
 
     fastest = 0.0
@@ -64,12 +64,12 @@ class Clocked(Counting):
         self.fastest = max(self.fastest, abs(self._state[self._plant.handle_position + 1]))
 
 
-def clocked(model: RigModel, loop: str) -> Any:
+def device_with_speed_log(model: RigModel, loop: str) -> Any:
     """Return a device at rest, with its own law if `loop` is "device", that records the speed of its handle."""
     device: Any = SimulatedDevice(model) if loop == "host" else TickByTick(model)
     if loop == "device":
         device.stand_before(Hardware(model, 1000, seed=0, initial_position=0.0))
-    device.hardware.__class__ = Clocked
+    device.hardware.__class__ = SpeedLog
     return device
 
 
@@ -80,7 +80,7 @@ def test_a_servo_below_the_check_of_the_device_is_stopped_by_the_host(loop: str,
     friction = moved_mechanics(config.rig_model(x)).friction
     x = config.override(x, {"homing.effort": friction + 0.04 * x.rig.limits.effort, "controller.loop": loop})
     model = config.rig_model(x)
-    device = clocked(model, loop)
+    device = device_with_speed_log(model, loop)
 
     def die(device: Any) -> None:
         device.hardware.counts = DEAD["unplugged"](device.hardware.count)
@@ -114,7 +114,7 @@ def test_a_torque_pulse_without_an_encoder_ends_before_the_handle_is_fast(
     changes = {"rig.amplifier.current_monitor": False, "controller.loop": loop}
     x = config.override(presets.load(name), changes)
     model = config.rig_model(still(x))
-    device = clocked(model, loop)
+    device = device_with_speed_log(model, loop)
     device.hardware.counts = DEAD[dead](device.hardware.count)
     with FramedDevice(MemoryLink(device, Faults())) as framed:
         found = pulse(framed, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)

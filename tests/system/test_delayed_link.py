@@ -51,7 +51,7 @@ def steady(delay: int) -> Delays:
     return lambda frame: delay
 
 
-def growing(delay: int) -> Delays:
+def ramp(delay: int) -> Delays:
     """Return delays of a buffer that fills slowly: the device still receives a frame in most ticks."""
     return lambda frame: min(frame // 2, delay)
 
@@ -115,7 +115,7 @@ class Run:
         assert self.recording.trailer["reason"] == "link_delayed"
 
 
-def behind(
+def late_run(
     delays: Delays,
     make: Callable[..., Any] = SimulatedDevice,
     *,
@@ -128,7 +128,7 @@ def behind(
 
 
 def ran(directory: Path, delays: Delays, make: Callable[..., Any] = SimulatedDevice, **options: Any) -> Run:
-    run = behind(delays, make, **options)
+    run = late_run(delays, make, **options)
     path = directory / f"{make.__name__}.rigcap"
     path.unlink(missing_ok=True)
     try:
@@ -187,7 +187,7 @@ def test_a_command_beyond_its_lifetime_drives_nothing_and_the_effort_ramps_to_ze
 def test_a_buffer_that_fills_slowly_drives_no_longer_than_a_lifetime(
     make: Callable[..., Any], tmp_path: Path
 ) -> None:
-    run = ran(tmp_path, growing(LONGEST), make)
+    run = ran(tmp_path, ramp(LONGEST), make)
     run.assert_link_delayed()
     late = 2 * (LIFETIME + 1)  # frames, until one is late by more than a lifetime
     newest = run.commands[run.first + late - 1]
@@ -212,8 +212,8 @@ def test_a_link_that_is_late_from_the_first_command_on_never_moves_the_motor(
     [
         (steady(6), (Direction.TO_DEVICE,)),
         (steady(12), tuple(Direction)),
-        (growing(8), (Direction.TO_HOST,)),
-        (growing(LONGEST), (Direction.TO_DEVICE,)),
+        (ramp(8), (Direction.TO_HOST,)),
+        (ramp(LONGEST), (Direction.TO_DEVICE,)),
     ],
     ids=["6", "12", "up to 8", "up to 40"],
 )
@@ -257,7 +257,7 @@ def test_a_silence_long_after_a_late_command_is_a_silence(tmp_path: Path) -> Non
 
 
 def test_the_verdict_of_a_delayed_hit_is_invalid(tmp_path: Path) -> None:
-    run = behind(steady(8))
+    run = late_run(steady(8))
     with FramedDevice(run.link) as device, pytest.raises(LinkLostError) as caught:
         list(hit(HitRequest(experiment=EXPERIMENT, device=device, output=tmp_path), admit))
     left = left_by(caught.value)

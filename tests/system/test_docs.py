@@ -51,7 +51,7 @@ PATTERNS = {
 }
 
 
-def runs(page: Path) -> list[Block]:
+def runnable_blocks(page: Path) -> list[Block]:
     return [one for one in blocks(page) if not one.reason]
 
 
@@ -71,7 +71,7 @@ LONG = {  # half a second and more
     "tutorials/session.md",
 }
 RUNNING = sorted(
-    (name for name, page in PAGES.items() if any(b.language != "toml" for b in runs(page))),
+    (name for name, page in PAGES.items() if any(b.language != "toml" for b in runnable_blocks(page))),
     key=LONG.__contains__,
 )
 
@@ -85,7 +85,7 @@ def test_examples_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.M
     names: dict[str, Any] = {"__name__": name}
     output = StringIO()
     with redirect_stdout(output):
-        for number, block in enumerate(runs(PAGES[name])):
+        for number, block in enumerate(runnable_blocks(PAGES[name])):
             if block.file:
                 Path(block.file).write_text(block.text, encoding="utf-8")
             elif block.language == "python":
@@ -143,7 +143,7 @@ def test_a_command_that_is_not_run_exists_with_its_options(line: str) -> None:
 def test_each_block_that_does_not_run_has_a_reason() -> None:
     reasons = {block.reason for page in GUIDES for block in blocks(page) if block.reason}
     assert all(len(reason) > 10 for reason in reasons)
-    shown = [line for page in PAGES.values() for block in runs(page) for line in block.commands()]
+    shown = [line for page in PAGES.values() for block in runnable_blocks(page) for line in block.commands()]
     assert len(shown) >= 25
 
 
@@ -151,7 +151,7 @@ def test_each_block_that_does_not_run_has_a_reason() -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built_sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the documentation sources and add all generated pages, as Sphinx reads them."""
     place = tmp_path_factory.mktemp("docs") / "docs"
     shutil.copytree(site.SOURCES, place)
@@ -159,8 +159,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
-    reference = made / "reference"
+def test_every_command_fault_key_and_column_has_its_place(built_sources: Path) -> None:
+    reference = built_sources / "reference"
     assert {page.stem for page in (reference / "commands").iterdir()} == {
         words.split()[0] for words in commands()
     }
@@ -174,11 +174,11 @@ def test_every_command_fault_key_and_column_has_its_place(made: Path) -> None:
     assert all(f"| `{key.rpartition('.')[2]}` |" in configuration for key in parameters())
     columns = (reference / "columns.md").read_text()
     assert all(f"| `{column.name}` |" in columns for column in COLUMNS)
-    assert "<!--" not in "".join(page.read_text() for page in made.rglob("*.md"))
+    assert "<!--" not in "".join(page.read_text() for page in built_sources.rglob("*.md"))
 
 
-def test_the_page_of_a_fault_has_its_remedy_and_causes(made: Path) -> None:
-    page = (made / "reference" / "faults" / "encoder.md").read_text()
+def test_the_page_of_a_fault_has_its_remedy_and_causes(built_sources: Path) -> None:
+    page = (built_sources / "reference" / "faults" / "encoder.md").read_text()
     assert Fault.ENCODER.remedy[1:] in page
     assert "Found by" in page
     assert "(../../explanation/single-faults.md)" in page
@@ -196,12 +196,12 @@ def test_measurements_of_the_second_paper_need_public_names_alone() -> None:
     assert set(re.findall(r"\brig\.(\w+)", code)) <= set(rig.__all__)
 
 
-def test_links_between_pages_are_those_of_the_site(made: Path) -> None:
+def test_links_between_pages_are_those_of_the_site(built_sources: Path) -> None:
     called_by_files = [
-        page for page in made.rglob("*.md") if re.search(r"\[[^]\n]*\.md`?\]\(", page.read_text())
+        page for page in built_sources.rglob("*.md") if re.search(r"\[[^]\n]*\.md`?\]\(", page.read_text())
     ]
     assert not called_by_files
-    sessions = (made / "how-to" / "sessions.md").read_text()
+    sessions = (built_sources / "how-to" / "sessions.md").read_text()
     assert "(../explanation/safety.md)" in sessions
     assert "(../reference/searches.md)" in sessions
 

@@ -104,7 +104,7 @@ def at(act: Callable[[Any], None], tick: int = STRIKE) -> Faults:
     return Faults(device=(Happening(tick, act),))
 
 
-def frames_of(directory: Any) -> Any:
+def count_frames(directory: Any) -> Any:
     """Return the number of frames of an undisturbed run in each direction."""
     bench = Bench()
     trial = bench.run(directory)
@@ -114,21 +114,21 @@ def frames_of(directory: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def counts_with_dictionary(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return the number of frames in each direction if the host must first read the device's dictionary."""
     framed._dictionaries.clear()
-    return frames_of(tmp_path_factory.mktemp("first"))
+    return count_frames(tmp_path_factory.mktemp("first"))
 
 
 @pytest.fixture(scope="module")
-def frames(pages: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def frames(counts_with_dictionary: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Return the number of frames each way, and check which of them carry samples and commands."""
     clean = tmp_path_factory.mktemp("clean")
-    sent = frames_of(clean)
+    sent = count_frames(clean)
     phases = open_recording(clean / "trial.rigcap").rows["phase"]
     assert set(phases[PUSH.start - TICKS - 1 : PUSH.stop - TICKS + 1]) == {Phase.TRIAL}
     assert all(40 < count <= 100 for count in sent.values())
-    assert all(pages[direction] > sent[direction] + 50 for direction in Direction)
+    assert all(counts_with_dictionary[direction] > sent[direction] + 50 for direction in Direction)
     return sent
 
 
@@ -146,7 +146,7 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
     alike = {*PUSH, *CLOCKS, *range(count - EXCHANGES + 1, count - 1)}
     chosen = [frame for frame in range(count) if frame not in alike or frame % 3 == turn][::every]
     if kind in (FaultKind.SILENCE, FaultKind.UNPLUG):
-        finished = sum(struck(kind, direction, [frame], tmp_path) for frame in chosen)
+        finished = sum(strike_frames(kind, direction, [frame], tmp_path) for frame in chosen)
         closing = 2 * STOP_FRAMES + 5 + EXCHANGES  # stops, disarming and its repeats, clocks compared at rest
         assert finished <= closing + 1000 * (LIFETIME_S + RAMP_S) + 1, (
             "the watchdog ends every longer silence"
@@ -157,7 +157,7 @@ def test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording(
     rest = chosen[len(answered) :]
     runs = len(rest) // 3 + 1
     for some in answered + [rest[first::runs] for first in range(runs)]:
-        assert struck(kind, direction, some, tmp_path), (
+        assert strike_frames(kind, direction, some, tmp_path), (
             "one bad frame is a counted loss, never the end of a run"
         )
 
@@ -167,19 +167,19 @@ def test_after_a_fault_at_a_page_of_the_dictionary_it_is_requested_again_or_noth
     kind: Any,
     direction: Any,
     every: int,
-    pages: Any,
+    counts_with_dictionary: Any,
     frames: Any,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    last = pages[direction] - frames[direction]
+    last = counts_with_dictionary[direction] - frames[direction]
     for page in (0, 1, last // 2, last - 1, last)[:: 2 if every > 1 else 1]:
         monkeypatch.setattr(framed, "_dictionaries", {})
-        finished = struck(kind, direction, [page], tmp_path)
+        finished = strike_frames(kind, direction, [page], tmp_path)
         assert finished == (kind not in (FaultKind.SILENCE, FaultKind.UNPLUG)), page
 
 
-def struck(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool:
+def strike_frames(kind: Any, direction: Any, frames: list[int], directory: Any) -> bool:
     """Apply a fault to frames of a run, check how the run ended, and return True if it finished."""
     place = directory / str(frames[0])
     place.mkdir()

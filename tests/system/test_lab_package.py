@@ -57,7 +57,7 @@ sys.exit(code)
 """
 
 
-def done(*command: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(*command: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-P", *command], cwd=cwd, env={**os.environ, **environment},
         capture_output=True, text=True, timeout=100, check=False,
@@ -70,7 +70,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("lab") / "lab"
     shutil.copytree(ROOT / "tests" / "lab_package", place)
     for source in (ROOT, place):
-        built = done("-m", "hatchling", "build", "-t", "wheel", "-d", str(place / "dist"), cwd=source)
+        built = run_python("-m", "hatchling", "build", "-t", "wheel", "-d", str(place / "dist"), cwd=source)
         assert built.returncode == 0, built.stderr
     for wheel in (place / "dist").glob("*.whl"):
         shutil.unpack_archive(wheel, place / "site", "zip")
@@ -93,7 +93,7 @@ def test_it_and_every_example_pass_mypy_strict_and_errors_are_found(lab: Path) -
     assert len(shown) >= 10
     kept = ROOT / ".mypy_cache" / "lab_package"
     command = ("-m", "mypy", f"--cache-dir={kept}", "mylab", "tests", *shown, "wrong.py")
-    checked = done(*command, cwd=lab, PYTHONPATH=str(lab / "site"))
+    checked = run_python(*command, cwd=lab, PYTHONPATH=str(lab / "site"))
     errors = [line for line in checked.stdout.splitlines() if ": error: " in line]
     assert [line for line in errors if not line.startswith("wrong.py:")] == []
     assert len(errors) == len(ERRORS), checked.stdout + checked.stderr
@@ -114,7 +114,7 @@ def test_its_tests_pass_with_the_wheel_and_without_the_sources(lab: Path) -> Non
         if text := line.partition("#")[0].strip():
             requirement = Requirement(text)
             assert version(requirement.name) in requirement.specifier, "installed"
-    tests = done("-c", TWICE, cwd=lab, **environment)
+    tests = run_python("-c", TWICE, cwd=lab, **environment)
     assert tests.returncode == 0, tests.stdout + tests.stderr
     assert "1 passed, 8 deselected" in tests.stdout  # once, and committed
     assert "9 passed" in tests.stdout

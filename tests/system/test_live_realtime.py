@@ -37,10 +37,10 @@ def hit(
     command = [sys.executable, "-m", "rig", "hit", "--realtime", "-o", str(directory), *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": os.environ | environment}
     with started(*command, cwd=ROOT, text=True, **pipes) as process:
-        yield process, stepping(process, ticks)
+        yield process, wait_until_stepping(process, ticks)
 
 
-def stepping(process: subprocess.Popen[str], ticks: int) -> RunningLoop:
+def wait_until_stepping(process: subprocess.Popen[str], ticks: int) -> RunningLoop:
     """Wait until the loop of a process has made more than `ticks` steps, and return that loop."""
     deadline = time.monotonic() + PATIENCE_S
     while process.poll() is None and time.monotonic() < deadline:

@@ -22,7 +22,7 @@ from tests.conformance.trials import trial_on
 SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.15}
 
 
-def walled(preset: str, changes: dict[str, Any]) -> config.Experiment:
+def walls_on(preset: str, changes: dict[str, Any]) -> config.Experiment:
     return config.override(presets.load(preset), {**SHORT, **changes})
 
 
@@ -68,7 +68,7 @@ def test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported
 ) -> None:
     """A few of the 200 sound and 288 changed trials in the table of rig/docs/explanation/verdicts.md."""
     path = tmp_path / "trial.rigcap"
-    x = walled(preset, {"trial.seed": 7, "rig.encoder.offset": 0.37})
+    x = walls_on(preset, {"trial.seed": 7, "rig.encoder.offset": 0.37})
     sound, rows = judged(x, path)
     assert sound.motion is not None
     assert sound.motion.ratio == pytest.approx(1.0, abs=0.2)
@@ -100,7 +100,7 @@ def test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported
 @pytest.mark.exhaustive("::test_a_changed_encoder_scale_is_detected_and_a_sound_encoder_is_not_reported")
 def test_a_changed_scale_at_rest_is_not_detected_and_its_effect_is_small(tmp_path: Path) -> None:
     """Scale ½ or 2, or drift of 100 counts/s, once the handle rests: the verdict stays stable, as FMEA.md says."""
-    x, path = walled("koul-compliant", {}), tmp_path / "trial.rigcap"
+    x, path = walls_on("koul-compliant", {}), tmp_path / "trial.rigcap"
     rate = x.controller.position_rate
     _, rows = judged(x, path)
     rest = contact_of(rows) + round(0.15 * rate)
@@ -114,7 +114,7 @@ def test_a_changed_scale_at_rest_is_not_detected_and_its_effect_is_small(tmp_pat
 
 
 def test_without_known_effort_or_friction_the_encoder_scale_is_not_judged(tmp_path: Path) -> None:
-    x = walled("koul-compliant", {})
+    x = walls_on("koul-compliant", {})
     judged(x, tmp_path / "trial.rigcap")
     recording = open_recording(tmp_path / "trial.rigcap")
     for unknown in (

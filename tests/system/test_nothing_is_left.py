@@ -142,7 +142,7 @@ def in_memory(faults: Any = None) -> Any:
 
 
 @pytest.fixture(autouse=True)
-def little_to_look_through() -> None:
+def frozen_objects() -> None:
     """Freeze the compilers' half a million objects, so that garbage collections in these tests are quick."""
     gc.collect()
     gc.freeze()
@@ -272,7 +272,7 @@ def test_a_command_that_ctrl_c_ends_leaves_no_process_and_no_memory(tmp_path: Pa
     command = (sys.executable, "-m", "rig", "hit", "--realtime", "--duration", "60")
     options = {"cwd": tmp_path, "env": {**os.environ, MARK: mark}, "start_new_session": True}
     with open(tmp_path / "output", "wb") as out, started(*command, stdout=out, stderr=out, **options) as hit:
-        wait_until(lambda: grown(tmp_path) or hit.poll() is not None, lambda: "the trial does not begin")
+        wait_until(lambda: has_rows(tmp_path) or hit.poll() is not None, lambda: "the trial does not begin")
         assert len(marked(mark)) >= 2 or hit.poll() is not None, "host and device at least"
         hit.send_signal(signal.SIGINT)  # nothing, when it has ended by itself
         hit.wait(WAIT_S)
@@ -287,7 +287,7 @@ def test_a_command_that_ctrl_c_ends_leaves_no_process_and_no_memory(tmp_path: Pa
     assert (recording.complete, recording.trailer["reason"]) == (True, "stopped")
 
 
-def grown(directory: Any) -> Any:
+def has_rows(directory: Any) -> Any:
     """Return True if a capture in the directory has rows."""
     return any(path.stat().st_size > 40_000 for path in directory.glob("recordings/*.rigcap"))
 

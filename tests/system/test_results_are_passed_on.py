@@ -40,7 +40,7 @@ COUNTED: dict[str, Callable[..., Any]] = {
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def call_counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Count the calls of the costly functions, whichever module of `rig` they come from."""
     calls: Counter[str] = Counter()
 
@@ -63,7 +63,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 @pytest.mark.parametrize("loop", first_by_default(["host", "device"]))
 def test_a_hit_validates_designs_judges_and_reads_back_once(
-    loop: str, seen: Counter[str], tmp_path: Path
+    loop: str, call_counts: Counter[str], tmp_path: Path
 ) -> None:
     experiment = presets.load("koul-rigid")
     (result,) = hit(
@@ -72,7 +72,7 @@ def test_a_hit_validates_designs_judges_and_reads_back_once(
     assert result.recorded.recording.trailer is not None
     assert plain(result.verdict) == result.recorded.recording.trailer["verdict"]
     assert result.experiment.controller.loop == loop
-    assert seen == {
+    assert call_counts == {
         "files": 1,
         "rules": 2,  # of the file, and of the experiment in effect: nothing else is armed
         "designs": 1,
@@ -100,7 +100,7 @@ def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
 
 
 def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
-    seen: Counter[str], tmp_path: Path
+    call_counts: Counter[str], tmp_path: Path
 ) -> None:
     protocol = tmp_path / "quick.toml"
     settings = "settings = { turns = 3, most = 5, steps = [2, 1] }"
@@ -120,7 +120,7 @@ def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recor
     assert trials == 11
     met = {(one["condition"], one["stiffness"]) for one in hits}
     ends = {(name, end) for name in ("hidden-dual", "hidden-uniform") for end in (20.0, 120.0)}
-    assert seen == {
+    assert call_counts == {
         "files": 1,  # the preset
         # each wall that is hit or that a search may end at, for a condition's device and for each hit
         "rules": 1 + len(met | ends) + conditions + trials,

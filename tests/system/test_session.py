@@ -120,7 +120,7 @@ def results(directory: Path) -> dict[str, list[list[str]]]:
     }
 
 
-def _killed_again_and_again(protocol: Path, study: Path, most: int, seed: int) -> None:
+def _kill_repeatedly(protocol: Path, study: Path, most: int, seed: int) -> None:
     """Kill and resume a session at random times; each attempt is a fork of this process, which has no threads."""
     drawn, kills = random.Random(seed), 0
     # What the session needs is loaded and compiled before the first fork, by a session of one trial.
@@ -178,4 +178,4 @@ def _lines(log: Path) -> int:
 
 
 if __name__ == "__main__":
-    _killed_again_and_again(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
+    _kill_repeatedly(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))

@@ -26,7 +26,7 @@ Count = Callable[[int], int]
 
 
 @dataclass(frozen=True)
-class Ran:
+class TrialEnd:
     """Result of a trial: true speeds at the samples, flags of the last tick, phases, and the final current.
 
     `inside` is True if the encoder died in the wall, where a count may rest lawfully: there the device must judge, not
@@ -47,7 +47,7 @@ def run(
     dies: int,
     dead: Callable[[int], Count] = DEAD["unplugged"],
     model: RigModel | None = None,
-) -> Ran:
+) -> TrialEnd:
     """Run a trial from rest at a position until a phase begins; the encoder dies in tick `dies`."""
     law = controller.for_experiment(x, current_quantum_a=x.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(model or config.rig_model(x), 1.0 / x.controller.position_rate)
@@ -63,7 +63,7 @@ def run(
         speeds.append(abs(state[plant.handle_position + 1]))
         current = step(arguments, read(count), 0.0, 1, 0)
         phases.add(Phase(memory["phase"]))
-    return Ran(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current, inside)
+    return TrialEnd(np.array(speeds), RowFlag(int(memory["flags"])), frozenset(phases), current, inside)
 
 
 def away(x: Experiment, share: float) -> float:
@@ -71,7 +71,7 @@ def away(x: Experiment, share: float) -> float:
     return x.trial.start + 0.5 * share * (x.rig.limits.position_minimum - x.trial.start)
 
 
-def assert_bounded(x: Experiment, ran: Ran, dies: int) -> None:
+def assert_bounded(x: Experiment, ran: TrialEnd, dies: int) -> None:
     """Check that the speed stays below its bound plus one tick and the amplifier's lag, and the current ends at 0."""
     m, limits = moved_mechanics(config.rig_model(x)), x.rig.limits
     effort = max(x.homing.effort, abs(x.trial.effort))

@@ -36,7 +36,7 @@ def friction(v: Any) -> Any:
     )
 
 
-def linear(efforts: Any, derivative: Any, state: Any) -> Any:
+def integrate_linear(efforts: Any, derivative: Any, state: Any) -> Any:
     """Do what `integrate` does for a linear derivative, exactly, by a matrix exponential."""
     size = len(state)
     a = np.array([derivative(one, 0.0) for one in np.eye(size)]).T
@@ -99,7 +99,7 @@ def test_an_interval_is_written_with_the_digits_it_deserves(interval: Any, text:
     assert interval.text("kg") == text
 
 
-def pushed(
+def push_handle(
     sign: float = 1.0, mass: Any = MASS, growth: float = 2.0, gap: bool = False, damping: float = 0.0
 ) -> Any:
     """Return two pushes each way of a handle with friction, to 30 counts; `gap`: a tenth of the mass at a reversal."""
@@ -130,7 +130,7 @@ def signs_of(data: Any, expected: Any = MASS, damping: float = 0.0) -> Any:
 
 
 def test_pushes_show_sign_breakaway_and_scale() -> None:
-    found = signs_of(pushed())
+    found = signs_of(push_handle())
     assert (found.sign, found.ok, found.warnings, len(found.pushes)) == (1, True, (), 6)
     assert found.scale == pytest.approx(1.0, rel=0.3)
     assert found.breakaway_up == pytest.approx(UP, rel=0.2), "two counts later than the very first motion"
@@ -140,13 +140,13 @@ def test_pushes_show_sign_breakaway_and_scale() -> None:
 
 def test_damping_that_is_described_is_no_inertia() -> None:
     """A push lasts some 30 ms, the time constant of this damping 5 ms, as with back-EMF."""
-    braked = pushed(damping=200.0 * MASS)
+    braked = push_handle(damping=200.0 * MASS)
     assert "times the described inertia" in signs_of(braked).warnings[0]
     assert signs_of(braked, damping=200.0 * MASS).ok
 
 
 def test_an_encoder_that_counts_the_other_way_is_found() -> None:
-    found = signs_of(pushed(sign=-1.0))
+    found = signs_of(push_handle(sign=-1.0))
     assert found.sign == -1
     assert not found.ok
     assert "connected in reverse" in found.warnings[0]
@@ -154,14 +154,14 @@ def test_an_encoder_that_counts_the_other_way_is_found() -> None:
 
 @pytest.mark.parametrize("factor", [10.0, 0.1])
 def test_a_wrong_scale_is_found(factor: float) -> None:
-    found = signs_of(pushed(), expected=factor * MASS)
+    found = signs_of(push_handle(), expected=factor * MASS)
     assert found.sign == 1
     assert not found.ok
     assert "times the described inertia" in found.warnings[0]
 
 
 def test_backlash_shows_as_a_light_handle_after_each_reversal() -> None:
-    assert any("backlash" in warning for warning in signs_of(pushed(gap=True)).warnings)
+    assert any("backlash" in warning for warning in signs_of(push_handle(gap=True)).warnings)
 
 
 def test_handle_that_does_not_move_has_no_sign() -> None:
@@ -183,7 +183,7 @@ def test_stiction_is_breakaway_well_above_sliding() -> None:
 
 
 @pytest.fixture(scope="module")
-def slid() -> Any:
+def servo_strokes() -> Any:
     """Return strokes by a servo, integrated by scipy, with effort and position as a rig records them."""
     strokes, time_s, setpoint = [], 0.0, []
     for length in (0.4, 0.8):
@@ -207,8 +207,8 @@ def slid() -> Any:
     return np.arange(len(efforts)) / RATE, np.array(efforts), counted(np.array(states)[:, 0]), strokes
 
 
-def test_sliding_recovers_friction_each_way_and_damping(slid: Any) -> None:
-    found = fit_sliding(*slid, resolution=QUANTUM)
+def test_sliding_recovers_friction_each_way_and_damping(servo_strokes: Any) -> None:
+    found = fit_sliding(*servo_strokes, resolution=QUANTUM)
     assert found.up.value == pytest.approx(UP, rel=0.02)
     assert found.down.value == pytest.approx(DOWN, rel=0.02)
     assert found.damping.value == pytest.approx(DAMPING, rel=0.03)
@@ -219,12 +219,12 @@ def test_sliding_recovers_friction_each_way_and_damping(slid: Any) -> None:
     assert found.at(np.array([0.05]))[0] == pytest.approx(UP + 0.05 * DAMPING, rel=0.03)
 
 
-def test_back_emf_that_is_given_is_no_friction(slid: Any) -> None:
+def test_back_emf_that_is_given_is_no_friction(servo_strokes: Any) -> None:
     """The command is larger by b_e·v, while the same effort acts."""
-    time_s, effort, position, strokes = slid
+    time_s, effort, position, strokes = servo_strokes
     command = effort + 20.0 * np.gradient(position, 1.0 / RATE)
     found = fit_sliding(time_s, command, position, strokes, resolution=QUANTUM, back_emf=20.0)
-    plain_fit = fit_sliding(*slid, resolution=QUANTUM)
+    plain_fit = fit_sliding(*servo_strokes, resolution=QUANTUM)
     assert found.damping.value == pytest.approx(plain_fit.damping.value, abs=0.05)
     assert found.coulomb.value == pytest.approx(plain_fit.coulomb.value, rel=0.005)
 
@@ -250,8 +250,8 @@ def test_only_samples_at_the_asked_speed_are_used() -> None:
     assert found.points < 18
 
 
-def test_handle_that_did_not_slide_is_refused(slid: Any) -> None:
-    time_s, effort, position, strokes = slid
+def test_handle_that_did_not_slide_is_refused(servo_strokes: Any) -> None:
+    time_s, effort, position, strokes = servo_strokes
     with pytest.raises(IdentificationError, match="0 in the positive direction, 0 in the negative"):
         fit_sliding(time_s, effort, np.zeros_like(position), strokes, resolution=QUANTUM)
     with pytest.raises(IdentificationError, match="0 in the negative"):
@@ -272,7 +272,7 @@ def record(
     state: Any,
     realisation: Any,
     *,
-    states: Any = linear,
+    states: Any = integrate_linear,
     late: int = 0,
     periods: int = 1,
     settle: int = 2,

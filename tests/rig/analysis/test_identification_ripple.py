@@ -25,14 +25,14 @@ def pairs(run: Any, noise: Any = 0.0) -> Any:
     )
 
 
-def found(rig: Cogging, load: float = LOAD) -> Ripple:
+def fit_rig(rig: Cogging, load: float = LOAD) -> Ripple:
     free, loaded = (pairs(swept(rig, load=hung)) for hung in (0.0, load))
     return fit_ripple(free, loaded, period=PERIOD, most_order=MOST)
 
 
 def test_amplitude_and_phase_of_each_harmonic_are_those_of_the_motor() -> None:
     """Load, cogging and friction do not affect them; the error is by quanta of effort and position."""
-    ripple = found(RIPPLES)
+    ripple = fit_rig(RIPPLES)
     assert ripple.orders == COGS.orders
     for i, (c, s) in enumerate(zip(RIPPLES.ripple_cosine, RIPPLES.ripple_sine, strict=True)):
         assert ripple.amplitude[i].value == pytest.approx(math.hypot(c, s), abs=1e-4)
@@ -45,7 +45,7 @@ def test_amplitude_and_phase_of_each_harmonic_are_those_of_the_motor() -> None:
 
 
 def test_a_motor_that_only_cogs_has_no_ripple_worth_the_name() -> None:
-    ripple = found(COGS)
+    ripple = fit_rig(COGS)
     assert all(amplitude.value < 1e-4 for amplitude in ripple.amplitude)
     assert ripple.unseen < 5e-4
 
@@ -81,4 +81,4 @@ def test_without_a_load_ripple_looks_like_varying_friction() -> None:
 
 def test_a_load_that_is_lost_in_the_friction_is_refused() -> None:
     with pytest.raises(IdentificationError, match="friction masks"):
-        found(RIPPLES, load=1e-7)
+        fit_rig(RIPPLES, load=1e-7)

@@ -9,7 +9,7 @@ from rig.cli._compiling import CompilingNotice
 from rig.realtime import compiling
 
 
-def shown(expected: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
+def notice_lines(expected: int, capsys: pytest.CaptureFixture[str]) -> list[str]:
     """Announce twenty kernels and return what the notice prints, after at least three lines."""
     notice = CompilingNotice(expected)
     notice(True)
@@ -26,7 +26,7 @@ def test_a_log_has_the_compiled_kernels_and_the_remaining_time_where_that_is_kno
 ) -> None:
     monkeypatch.setattr(sys.modules[CompilingNotice.__module__], "LINE_S", 0.05)
     monkeypatch.setitem(compiling._count, "kernels", 20)
-    first, second, *_ = shown(60, capsys)
+    first, second, *_ = notice_lines(60, capsys)
     assert first == "compiling the code of this run (once per version and machine) …"
     assert second == "still compiling: 20 kernels in 0 s, about 1 s left"
-    assert shown(0, capsys)[1] == shown(20, capsys)[1] == "still compiling: 20 kernels in 0 s"
+    assert notice_lines(0, capsys)[1] == notice_lines(20, capsys)[1] == "still compiling: 20 kernels in 0 s"

@@ -57,7 +57,7 @@ def lagged(active: Any, rate: int, lag_s: float) -> Any:
     return np.floor(lfilter([share], [1.0, share - 1.0], active) + 0.5)
 
 
-def outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:
+def distance_outside(active: Any, measured: Any, rate: int, lag_s: float) -> Any:
     """Return the distance of a current from those behind the lag, half of it and twice of it (quanta)."""
     flowing = [lagged(active, rate, share * lag_s) for share in (1.0, 0.5, 2.0)]
     return np.abs(measured - np.clip(measured, np.min(flowing, axis=0), np.max(flowing, axis=0)))
@@ -160,7 +160,7 @@ def test_other_current_disagrees_in_each_clear_window(
     ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
     whole = len(active) // ticks * ticks
     windows = np.abs(flowing)[:whole].reshape(-1, ticks).sum(axis=1)
-    left = outside(active, gain * flowing, rate, lag_s)[:whole].reshape(-1, ticks).sum(axis=1)
+    left = distance_outside(active, gain * flowing, rate, lag_s)[:whole].reshape(-1, ticks).sum(axis=1)
     counted = left - np.abs((gain - 1.0) * flowing)[:whole].reshape(-1, ticks).max(
         axis=1
     )  # one might be a spike
@@ -234,7 +234,7 @@ def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> 
     assert set(answers(words, active[skip:], flowing[skip:], counts[skip:])) == {DISAGREES}
 
 
-def moving(rate: int, lag_s: float, back_emf: float, most: float, seed: int) -> tuple[Any, Any, Any]:
+def moving_motor(rate: int, lag_s: float, back_emf: float, most: float, seed: int) -> tuple[Any, Any, Any]:
     """Return counts, active and flowing current of a driven motor that is moved at up to 60 Hz.
 
     `most` is the largest back-EMF (quanta). At a speed v·cos ωt it reduces the current by v·Re(e^{jωt}/(1 + jωτ)).
@@ -262,7 +262,7 @@ VOLTAGE = given(
 )
 
 
-def of_voltage(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
+def voltage_drive_check(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
     noise = float(np.hypot(ROUNDED, ROUNDED * back_emf / SPEED_LAG_S))
     return watched(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
 
@@ -272,8 +272,8 @@ def of_voltage(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
 def test_sound_motor_under_voltage_drive_never_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
 ) -> None:
-    counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
-    words = of_voltage(rate, lag_s, back_emf, sign)
+    counts, active, flowing = moving_motor(rate, lag_s, back_emf, most, seed)
+    words = voltage_drive_check(rate, lag_s, back_emf, sign)
     assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts)
     current.resume(words, int(flowing[0]))
     assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts), "nor after a gap"
@@ -285,9 +285,9 @@ def test_dead_or_reversed_motor_under_voltage_drive_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
 ) -> None:
     """Judged where the expected current, smoothed like the speed, is clearly above the noise."""
-    counts, active, flowing = moving(rate, lag_s, back_emf, most, seed)
+    counts, active, flowing = moving_motor(rate, lag_s, back_emf, most, seed)
     for gain in (0.0, -1.0):
-        words = of_voltage(rate, lag_s, back_emf, sign)
+        words = voltage_drive_check(rate, lag_s, back_emf, sign)
         ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
         windows = len(flowing) // ticks
         smoothed = lagged(flowing, rate, SPEED_LAG_S)
@@ -312,8 +312,8 @@ def test_dead_or_reversed_motor_under_voltage_drive_disagrees(
 @pytest.mark.parametrize("rate", [1_000, 20_000])
 @pytest.mark.parametrize("at", [3, 9])
 def test_one_spike_across_windows_is_forgiven_under_voltage_drive(rate: int, at: int) -> None:
-    counts, active, flowing = moving(rate, 1e-4, 0.017, 500.0, 3)
-    words = of_voltage(rate, 1e-4, 0.017, 1)
+    counts, active, flowing = moving_motor(rate, 1e-4, 0.017, 500.0, 3)
+    words = voltage_drive_check(rate, 1e-4, 0.017, 1)
     measured = np.floor(flowing + 0.5)
     measured[1 + words[CURRENT.ticks] * at // 10 :: 4 * words[CURRENT.ticks]] += 12_000
     assert set(answers(words, active, np.minimum(measured, 32_767), counts)) <= {AGREES}

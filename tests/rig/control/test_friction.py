@@ -151,7 +151,7 @@ def helped(free: Any) -> Any:
     return compensate_friction(free, Compensation(up=LEVEL, down=LEVEL, dead_band=DEAD_BAND))
 
 
-def hand(speed: Any) -> Any:
+def hand_push(speed: Any) -> Any:
     """Return the push of a stiff, damped hand that moves the handle at a slow constant speed."""
 
     def push(time_s: Any, state: Any) -> Any:
@@ -163,7 +163,7 @@ def hand(speed: Any) -> Any:
 def test_a_slow_hand_feels_less_than_half_of_the_friction(free: Any, helped: Any) -> None:
     felt, speed = {}, -0.4
     for name, law in (("off", free), ("on", helped)):
-        _, _, pushes = bench(law, hand(speed), seconds=0.25)
+        _, _, pushes = bench(law, hand_push(speed), seconds=0.25)
         felt[name] = abs(pushes[len(pushes) // 2 :].mean())
     viscous = 0.003 * abs(speed)
     assert felt["off"] - viscous == pytest.approx(LEVEL, rel=0.02)

@@ -23,7 +23,7 @@ LIMITS = replace(VERDICT_LIMITS, felt_velocity=1e9)  # no floor hides it
 QUIET = np.zeros(RATE)
 
 
-def recorded(
+def measure_counts(
     position: Any, *, effort: Any = None, resolution: Any = DELTA, rate: Any = RATE, limits: Any = LIMITS
 ) -> Any:
     """Return the measures of a trial whose position is known by counts only."""
@@ -96,13 +96,13 @@ def test_the_lead_in_stands_for_the_whole_trial(seed: int) -> None:
     effort, position = impact(seed), 1e-2 * impact(seed + 10)
     velocity = np.gradient(position, 1.0 / RATE)
     assert filters(1.0 / RATE, 30.0, 500.0).lead_ticks < 0.17 * RATE
-    numbers = recorded(position, effort=effort, resolution=0.0)
+    numbers = measure_counts(position, effort=effort, resolution=0.0)
     for name, value in by_scipy(position, velocity, effort, RATE).items():
         assert numbers[name] == pytest.approx(value, rel=1e-6), name
 
 
 def test_a_constant_leaves_no_ripple_at_all() -> None:
-    numbers = recorded(np.full(RATE, 1.234e-3), effort=np.full(RATE, 0.7), resolution=0.0)
+    numbers = measure_counts(np.full(RATE, 1.234e-3), effort=np.full(RATE, 0.7), resolution=0.0)
     assert [numbers[name] for name in ("felt", "heard", "moved", "growth", "felt_floor")] == [0.0] * 5
 
 
@@ -161,7 +161,7 @@ def telegraph(changes_per_s: Any, seed: int = 0) -> Any:
 
 
 def floor_of(position: Any) -> Any:
-    return float(recorded(position)["felt_floor"])
+    return float(measure_counts(position)["felt_floor"])
 
 
 def floor_at(hz: Any) -> Any:
@@ -171,7 +171,7 @@ def floor_at(hz: Any) -> Any:
 def floor_hz(position: Any) -> Any:
     """Return the toggling frequency that the measured floor implies, where no harmonic is in the band."""
     one_line = replace(LIMITS, highpass_hz=30.0, lowpass_hz=31.0)
-    numbers = recorded(position, limits=one_line)
+    numbers = measure_counts(position, limits=one_line)
     return numbers["felt_floor"] / (2.0 * math.sqrt(2.0) * DELTA)
 
 
@@ -195,7 +195,7 @@ def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> N
 )
 def test_one_changing_count_reads_no_more_than_its_floor(position: Any) -> None:
     """A harmonic just above the band passes in part and adds a tenth (510 Hz of 170)."""
-    numbers = recorded(position)
+    numbers = measure_counts(position)
     assert numbers["felt"] < 1.12 * numbers["felt_floor"]
 
 
@@ -203,8 +203,8 @@ def test_one_changing_count_reads_no_more_than_its_floor(position: Any) -> None:
 def test_a_slow_press_on_a_soft_wall_is_never_called_felt(stiffness: int) -> None:
     """0.4 N·m that varies by a fifth at 2 Hz crosses many counts, but has almost no true velocity in the band."""
     press = 0.4 / stiffness * (1.0 + 0.2 * np.sin(2 * np.pi * 2.0 * TIME + 1.5))
-    assert math.isnan(recorded(counts(press), limits=replace(LIMITS, felt_velocity=0.05))["felt"]) or (
-        recorded(counts(press))["felt"] < 0.05
+    assert math.isnan(measure_counts(counts(press), limits=replace(LIMITS, felt_velocity=0.05))["felt"]) or (
+        measure_counts(counts(press))["felt"] < 0.05
     )
 
 

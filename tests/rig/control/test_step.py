@@ -522,7 +522,7 @@ def test_homing_efforts_rise_no_faster_than_the_homing_slew() -> None:
 # --- what the handle feels --------------------------------------------------------------------------------
 
 
-def press(
+def simulate_press(
     tick: Tick, *, seconds: float, mass: float = 0.5, friction: float = 20.0, start: float = -0.005
 ) -> Any:
     """Simulate a mass on a viscous slide (Chawda's rig, well damped), exact between ticks.
@@ -551,7 +551,7 @@ def test_a_20_newton_push_rests_20_mm_inside_a_1_kn_per_metre_wall(estimator: An
         effort_quantum=1e-4,
         wall={"stiffness": 1e3, "damping": 10.0},
     )
-    positions, efforts = press(tick, seconds=1.5)
+    positions, efforts = simulate_press(tick, seconds=1.5)
     assert positions[-1] == pytest.approx(0.020, abs=2 * DELTA)
     assert efforts[-1] == pytest.approx(0.0, abs=2e-3)
     assert positions.max() > 0.0204  # it overshot: the wall is springy

@@ -130,7 +130,7 @@ def test_leaving_the_wall_at_the_very_start_of_the_tail_counts() -> None:
 PERSON = replace(LIMITS, may_leave=True)
 
 
-def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
+def withdrawn_handle(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
     """Return positions that rest in the wall, leave it from time `at` on, and stay 30 mrad away."""
     return np.maximum(depth - speed * np.maximum(TIME - at, 0.0), -0.03)
 
@@ -138,7 +138,7 @@ def withdrawn(at: float, speed: float = 3.0, depth: float = 1e-3) -> np.ndarray:
 @pytest.mark.parametrize("at", [0.82, 0.9, 0.97])
 @pytest.mark.parametrize(("speed", "stiffness"), [(0.3, 200.0), (3.0, 200.0), (10.0, 800.0)])
 def test_person_who_leaves_a_calm_wall_gives_no_verdict(at: float, speed: float, stiffness: float) -> None:
-    position = withdrawn(at, speed)
+    position = withdrawn_handle(at, speed)
     s = signals(position, effort=-stiffness * np.maximum(position, 0.0), resolution=DELTA)
     verdict = judge(s, PERSON)
     assert verdict.kind is Kind.INVALID
@@ -154,7 +154,7 @@ def test_person_who_leaves_a_calm_wall_gives_no_verdict(at: float, speed: float,
         np.where(
             (TIME > 0.9) & (TIME < 0.92), 1e-3, np.where(TIME < 0.5, 1e-3, -1e-2)
         ),  # a bounce in the tail
-        withdrawn(0.85) + np.where(TIME < 0.85, ripple(0.9e-3, 60.0), 0.0),  # it shook before
+        withdrawn_handle(0.85) + np.where(TIME < 0.85, ripple(0.9e-3, 60.0), 0.0),  # it shook before
     ],
 )
 def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position: Any) -> None:
@@ -162,14 +162,14 @@ def test_a_wall_that_bounces_or_shakes_a_person_out_stays_unstable(position: Any
 
 
 def test_wall_that_buzzed_until_a_person_left_stays_unstable() -> None:
-    position = withdrawn(0.85)
+    position = withdrawn_handle(0.85)
     effort = np.where(position > 0.0, -0.3 + ripple(0.2, 150.0), 0.0)
     assert judge(signals(position, effort=effort), PERSON).kind is Kind.UNSTABLE
 
 
 @pytest.mark.parametrize("at", [0.25, 0.45, 0.57])
 def test_person_who_left_before_the_tail_gives_no_verdict(at: float) -> None:
-    position = withdrawn(at)
+    position = withdrawn_handle(at)
     s = signals(position, effort=-200.0 * np.maximum(position, 0.0), resolution=DELTA)
     assert judge(s, PERSON).kind is Kind.INVALID
     assert "left the calm wall" in " ".join(judge(s, PERSON).reasons)
@@ -187,7 +187,7 @@ def test_person_who_left_in_the_first_tick_of_the_tail_gives_no_verdict() -> Non
     "position",
     [
         np.where(TIME < 0.02, 1e-3, -0.02),  # a bounce
-        withdrawn(0.5) + np.where(TIME < 0.5, ripple(0.9e-3, 60.0), 0.0),  # it shook
+        withdrawn_handle(0.5) + np.where(TIME < 0.5, ripple(0.9e-3, 60.0), 0.0),  # it shook
         np.where(TIME < 0.5, 1e-3 + ripple(2e-3, 12.0), -0.02),  # in and out, and away
     ],
 )
@@ -538,7 +538,7 @@ def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None
 def test_each_number_decides_kind_and_pass(
     changed: dict[str, float], kind: Kind, passes: bool | None
 ) -> None:
-    numbers = measured(REST).numbers.copy()
+    numbers = measure_signals(REST).numbers.copy()
     for name, value in changed.items():
         numbers[name] = value
     trial = Measured(numbers, LIMITS)
@@ -551,12 +551,12 @@ def test_each_number_decides_kind_and_pass(
 
 def test_a_wall_that_still_rings_when_the_trial_ends_fails_though_its_verdict_wants_a_longer_trial() -> None:
     ring = 5e-3 + 4e-3 * np.exp(-TIME / 0.32) * np.cos(2 * np.pi * 60 * TIME)
-    ringing = measured(ring, effort=900 * ring)
+    ringing = measure_signals(ring, effort=900 * ring)
     assert ringing.kind is Kind.INVALID
     assert ringing.passes("heard") is False
 
 
-def measured(position: Any, **options: Any) -> Measured:
+def measure_signals(position: Any, **options: Any) -> Measured:
     """Return the measures of `signals` as a sweep stores them."""
     s = signals(position, **options)
     flags = np.where(s.slew_bound, int(RowFlag.SLEW_BOUND), 0)
@@ -565,20 +565,20 @@ def measured(position: Any, **options: Any) -> Measured:
 
 
 def test_a_handle_that_was_thrown_out_and_stays_out_ends_the_z_width_though_it_gives_no_verdict() -> None:
-    gone = measured(np.where(TIME < 0.2, 1e-3, -1e-3))
+    gone = measure_signals(np.where(TIME < 0.2, 1e-3, -1e-3))
     assert gone.kind is Kind.INVALID
     assert {gone.passes(criterion) for criterion in CRITERIA} == {False}
-    spoilt = measured(np.where(TIME < 0.2, 1e-3, -1e-3), slew_bound=first(2))
+    spoilt = measure_signals(np.where(TIME < 0.2, 1e-3, -1e-3), slew_bound=first(2))
     assert {spoilt.passes(criterion) for criterion in CRITERIA} == {None}
 
 
 def test_a_buzz_that_is_heard_and_not_felt_fails_the_criteria_that_ask_for_it() -> None:
-    buzz = measured(REST, effort=ripple(0.5))
+    buzz = measure_signals(REST, effort=ripple(0.5))
     assert [buzz.passes(criterion) for criterion in ("felt", "heard", "any")] == [True, False, False]
 
 
 def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_without() -> None:
-    thrown, lost = (replace(measured(position), thrown_out=True) for position in (REST, REST - 2e-3))
+    thrown, lost = (replace(measure_signals(position), thrown_out=True) for position in (REST, REST - 2e-3))
     assert (thrown.kind, lost.kind) == (Kind.UNSTABLE, Kind.INVALID)
     assert [side.passes("any") for side in (thrown, lost)] == [False, None]
     thrown.numbers["current_differs"] = 1
@@ -587,7 +587,7 @@ def test_a_push_that_a_guard_ended_is_unstable_after_contact_and_says_nothing_wi
 
 
 def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None:
-    calm, gone = measured(REST).numbers, measured(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
+    calm, gone = measure_signals(REST).numbers, measure_signals(np.where(TIME < 0.2, 1e-3, -1e-3)).numbers
     lost, late, both, elsewhere = (numbers.copy() for numbers in (calm, calm, gone, calm))
     lost["longest_gap"] = both["longest_gap"] = 3
     late["late_fraction"], elsewhere["slew_bound_ticks"] = 0.02, 1
@@ -605,7 +605,7 @@ def test_only_gaps_and_late_ticks_by_themselves_are_the_machines_fault() -> None
     ("share", "written"), [(1.0, "100 %"), (0.996, "100 %"), (0.123, "12 %"), (0.0123, "1.2 %")]
 )
 def test_a_reason_has_its_shares_as_a_person_writes_them(share: float, written: str) -> None:
-    late = measured(REST).numbers.copy()
+    late = measure_signals(REST).numbers.copy()
     late["late_fraction"] = share
     (reason,) = Measured(late, LIMITS).verdict.reasons
     assert reason.startswith(f"from contact on, {written} late ticks (limit 1 %)")

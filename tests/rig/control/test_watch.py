@@ -14,7 +14,7 @@ from tests.rig.control.test_step import DELTA, Tick
 STIFF = {"stiffness": 1e6}  # 1 N a count, a hundred quanta
 
 
-def ran(tick: Tick, counts: list[int]) -> list[float]:
+def run_counts(tick: Tick, counts: list[int]) -> list[float]:
     """Return the effort sent for each count."""
     sent = []
     for count in counts:
@@ -32,7 +32,7 @@ def test_energy_is_effort_times_travel_reset_in_free_space(
     counts: list[int], damping: Any, side: Any
 ) -> None:
     tick = Tick(wall=STIFF | {"damping": damping}, wall_side=side)
-    ran(tick, counts[:1])
+    run_counts(tick, counts[:1])
     effort, position, given = tick.effort_sent, tick.position, 0.0
     for count in counts[1:]:
         tick(count)
@@ -46,10 +46,10 @@ def test_energy_is_effort_times_travel_reset_in_free_space(
 
 def test_dissipated_energy_is_not_carried_to_the_next_contact() -> None:
     tick = Tick(wall={"stiffness": 0.0, "damping": 50.0})
-    ran(tick, [0, 10, 20, 30, 30, 30])
+    run_counts(tick, [0, 10, 20, 30, 30, 30])
     assert tick.energy < 0.0
     assert tick.effort_sent == 0.0
-    ran(tick, [-1])
+    run_counts(tick, [-1])
     assert tick.energy == 0.0
 
 
@@ -76,10 +76,10 @@ def test_neither_homing_nor_a_wall_that_stands_still_gives_energy() -> None:
     homing = Tick(
         skip_homing=False, home_stiffness=100.0, home_effort=50.0, home_tolerance=0.0, energy_limit=1e-12
     )
-    ran(homing, list(range(0, 2000, 7)))
+    run_counts(homing, list(range(0, 2000, 7)))
     assert (homing.phase, homing.energy) == (Phase.HOMING, 0.0)
     still = Tick(wall=STIFF, energy_limit=1e-12)
-    ran(still, [100] * 50)
+    run_counts(still, [100] * 50)
     assert still.energy == 0.0
 
 
@@ -135,7 +135,7 @@ def test_motion_that_is_no_violent_oscillation_continues(
 def test_a_pause_begins_a_new_row() -> None:
     tick = Tick(**OSCILLATES)
     assert oscillate(tick, 6, 3) is None
-    ran(tick, [-4] * 10)
+    run_counts(tick, [-4] * 10)
     assert oscillate(tick, 6, 3) is None
     assert tick.oscillations == 3
     assert oscillate(tick, 6, 1) == 1

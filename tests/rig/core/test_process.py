@@ -86,7 +86,7 @@ def test_a_process_ends_with_a_killed_parent() -> None:
             os.kill(forked, signal.SIGKILL)
 
 
-def looks() -> tuple[Any, ...]:
+def process_state() -> tuple[Any, ...]:
     """Return the state of this process that starting a child must not change, even for a moment."""
     main = sys.modules["__main__"]
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
@@ -95,11 +95,11 @@ def looks() -> tuple[Any, ...]:
 
 @pytest.mark.exhaustive("::test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context")
 def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes() -> None:
-    before, over = looks(), threading.Event()
+    before, over = process_state(), threading.Event()
 
     def looked() -> bool:
         while not over.is_set():
-            if looks() != before:
+            if process_state() != before:
                 return False
         return True
 
@@ -114,7 +114,7 @@ def test_several_threads_start_some_at_a_time_and_nothing_of_the_program_changes
         finally:
             over.set()
         assert same.result()
-    assert looks() == before
+    assert process_state() == before
 
 
 def test_an_error_in_the_process_is_raised_here_and_an_early_end_is_named() -> None:

@@ -44,21 +44,21 @@ def link(line: Any) -> Iterator[Any]:
 
 
 @pytest.fixture(params=[open_link, threaded_serial.open_link], ids=["descriptor", "threads"])
-def either(line: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
+def serial_link(line: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
     """Yield a serial link for Linux, or the one for other systems."""
     made = request.param(DeviceUrl.parse(f"serial://{line.path}"))
     yield made
     made.close()
 
 
-def test_bytes_pass_both_ways_unchanged(line: Any, either: Any) -> None:
+def test_bytes_pass_both_ways_unchanged(line: Any, serial_link: Any) -> None:
     every = bytes(range(256))
-    either.write(every)
+    serial_link.write(every)
     assert os.read(line.device, 1000) == every
     os.write(line.device, every)
-    got = either.read(SLACK_S)
+    got = serial_link.read(SLACK_S)
     while len(got) < len(every):
-        got += either.read(SLACK_S)
+        got += serial_link.read(SLACK_S)
     assert got == every
 
 
@@ -354,11 +354,11 @@ def test_a_setting_that_the_port_refuses_is_a_message_with_its_remedy(
 # ---------------------------------------------------------------------- full lines
 
 
-def test_writing_to_a_line_without_a_reader_ends_in_bounded_time(line: Any, either: Any) -> None:
+def test_writing_to_a_line_without_a_reader_ends_in_bounded_time(line: Any, serial_link: Any) -> None:
     before = time.monotonic()
     with pytest.raises(LinkLostError, match="accepts no more bytes"):
-        either.write(b"x" * 4_000_000)
-    if isinstance(either, SerialLink):
+        serial_link.write(b"x" * 4_000_000)
+    if isinstance(serial_link, SerialLink):
         assert time.monotonic() - before >= WRITE_TIMEOUT_S
 
 
@@ -382,13 +382,13 @@ def test_a_line_that_is_read_late_takes_everything(line: Any, link: Any) -> None
 # ---------------------------------------------------------------------- a pulled plug
 
 
-def test_a_pulled_plug_is_a_lost_link_in_both_directions(line: Any, either: Any) -> None:
+def test_a_pulled_plug_is_a_lost_link_in_both_directions(line: Any, serial_link: Any) -> None:
     line.unplug()
     with pytest.raises(LinkLostError, match=f"{line.path} is gone") as caught:
-        either.read(SLACK_S)
+        serial_link.read(SLACK_S)
     assert "cable" in caught.value.remedy
     with pytest.raises(LinkLostError):
-        either.write(b"x")
+        serial_link.write(b"x")
 
 
 def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) -> None:

@@ -50,7 +50,7 @@ SERVED = {  # `rig serve rig`, with and without --firmware, over a fast and a sl
 }
 
 
-def served(
+def board_behind_link(
     experiment: config.Experiment, firmware: bool | None, maximum: int, capacity: float | None
 ) -> FramedDevice:
     """Return a simulated board behind a link whose time counts as real."""
@@ -66,7 +66,7 @@ def served(
 
 
 @pytest.fixture
-def made_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def fake_link(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Replace the measured link by one of 0.1 ms without waiting, and stop before a trial begins."""
 
     def measured(device: FramedDevice, *_: Any, **__: Any) -> Any:
@@ -115,13 +115,13 @@ def by_hit(x: config.Experiment, changes: dict[str, Any], device: FramedDevice, 
 @pytest.mark.parametrize("claims", first_by_default(["simulated", "real"]))
 @pytest.mark.parametrize("board", first_by_default(SERVED))
 def test_doctor_gate_and_hit_agree(
-    board: str, claims: str, made_up: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    board: str, claims: str, fake_link: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if claims == "real":
         claim_to_be_real(monkeypatch)
     x = config.override(presets.load("koul-compliant"), MOTOR)
     answers = {}
-    with served(x, *SERVED[board]) as device:
+    with board_behind_link(x, *SERVED[board]) as device:
         assert device.dictionary.simulated is (claims == "simulated")
         for loop, rate, wall in product(LOOPS, RATES, WALLS):
             stiffness, damping = WALLS[wall]
@@ -146,13 +146,13 @@ def test_doctor_gate_and_hit_agree(
         assert {found[0] for found in answers.values()} == {True, False}, "the cases hold both answers"
 
 
-def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(made_up: None) -> None:
+def test_a_rate_that_a_served_board_does_not_run_is_refused_by_doctor_too(fake_link: None) -> None:
     """`rig doctor` once printed `may be armed` for a rate that `rig hit` rejected."""
     x = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
     changes = {
         "controller.loop": "device", "controller.position_rate": 10_000, "controller.velocity_rate": 1000,
     }  # fmt: skip
-    with served(x, False, 4000, None) as framed:
+    with board_behind_link(x, False, 4000, None) as framed:
         asked = ExaminationRequest(experiment=x, changes=changes, url="serial:///dev/rig")
         found = examining._with_device(asked, framed, Examination(checks=(), ports=()), lambda *_: None)
     assert found.armable is False

@@ -56,7 +56,7 @@ def board(**options: Any) -> tuple[FramedDevice, Watched]:
     return FramedDevice(MemoryLink(device, Faults())), device
 
 
-def supervised(host: FramedDevice, way: Any, seconds: float) -> None:
+def push_without_stop(host: FramedDevice, way: Any, seconds: float) -> None:
     """Begin a push and then only renew its lifetime: the host never sends STOP."""
     at = board_pushes._at_rest(host, X, 0)
     host.configure(board_pushes._prepare_push(host, X, at, way, verified=True, zero=0).parameters)
@@ -70,7 +70,7 @@ def test_the_board_cuts_in_the_tick_that_left_the_way_of_a_push(way: int, drive:
     """After a sample beyond the allowed travel the effort is zero, even if the host continues or leads are swapped."""
     host, device = board()
     device.hardware.drive = drive
-    supervised(host, way, REST_S + 2.0 * PUSH_S)
+    push_without_stop(host, way, REST_S + 2.0 * PUSH_S)
     count, current = np.transpose(device.log)
     left = int(np.flatnonzero(np.abs(count - count[0]) > PUSH_COUNTS)[0])
     assert 0 < np.max(way * current) <= MOST
@@ -83,7 +83,7 @@ def test_a_push_that_moves_nothing_is_over_by_itself() -> None:
     """The effort rises, is released and falls again, unless the board's own stall check ends the push first."""
     host, device = board()
     device.hardware.drive = 0.0
-    supervised(host, 1, REST_S + PUSH_S + X.trial.release_s + PUSH_S + 0.1)
+    push_without_stop(host, 1, REST_S + PUSH_S + X.trial.release_s + PUSH_S + 0.1)
     _, current = np.transpose(device.log)
     assert 0 < current.max() <= MOST
     assert device.current == 0
@@ -92,7 +92,7 @@ def test_a_push_that_moves_nothing_is_over_by_itself() -> None:
 def test_a_host_that_falls_silent_leaves_zero_effort_behind() -> None:
     host, device = board()
     device.hardware.drive = 0.0
-    supervised(host, 1, REST_S + 0.3 * PUSH_S)
+    push_without_stop(host, 1, REST_S + 0.3 * PUSH_S)
     assert (device.state, device.current > 0) == (State.RUNNING, True)
     begun = len(device.log)
     host.link.elapse(LIFETIME_S + RAMP_S + 0.02)  # type: ignore[attr-defined]

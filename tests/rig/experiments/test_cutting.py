@@ -46,7 +46,7 @@ def place(recording: Recording) -> Path:
     return recording.path
 
 
-def stretches(whole: Recording) -> list[tuple[str, float, float]]:
+def parts_to_cut(whole: Recording) -> list[tuple[str, float, float]]:
     """Return name, start and end (s) of the parts to cut: homing, contact, beginning, end, and everything."""
     times, phases = whole.time_s, whole.rows["phase"]
     contact = float(times[np.argmax(whole.rows["penetration"] > 0.0)])
@@ -64,7 +64,7 @@ def stretches(whole: Recording) -> list[tuple[str, float, float]]:
 def test_a_cut_has_the_rows_between_and_replays_as_the_whole_does(
     which: int, whole: Recording, tmp_path: Path
 ) -> None:
-    _, first_s, last_s = stretches(whole)[which]
+    _, first_s, last_s = parts_to_cut(whole)[which]
     result = cut_recording(place(whole), first_s, last_s, output=tmp_path)
     made = open_recording(result.path)
     inside = (whole.time_s >= first_s) & (whole.time_s <= last_s)
@@ -104,7 +104,7 @@ def test_seconds_may_count_from_another_sample(whole: Recording, tmp_path: Path)
 
 
 def test_a_cut_of_a_cut_replays_too(whole: Recording, tmp_path: Path) -> None:
-    _, first_s, last_s = stretches(whole)[1]
+    _, first_s, last_s = parts_to_cut(whole)[1]
     outer = cut_recording(place(whole), first_s, last_s, output=tmp_path)
     inner = cut_recording(outer.path, 0.0, 0.01)
     made = open_recording(inner.path)
@@ -153,7 +153,7 @@ def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(whole: Recordin
 
 
 def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Recording, tmp_path: Path) -> None:
-    for _, first_s, last_s in stretches(whole):
+    for _, first_s, last_s in parts_to_cut(whole):
         path = cut_recording(place(whole), first_s, last_s, output=tmp_path).path
         made = open_recording(path)
         found = judge(made, experiment_of(made)).verdict

@@ -202,7 +202,7 @@ RATE = EXPERIMENT.controller.position_rate
 TRUE_ROW = np.dtype([*ROW.descr, ("position_true", "<f8"), ("velocity_true", "<f8")])
 
 
-def recorded(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: bool = True) -> Recording:
+def record_signal(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: bool = True) -> Recording:
     """Return a recording of a signal (rad) on the experiment's rig; its first 0.1 s precede the trial."""
     delta, times = controller.resolution(EXPERIMENT), np.arange(round(signal.end_s * RATE)) / RATE
     rows = np.zeros(len(times), TRUE_ROW if truth else ROW)
@@ -219,19 +219,19 @@ def recorded(signal: Any = SIGNALS["sine"], *, keep: Any = slice(None), truth: b
 
 
 def test_a_recording_is_judged_over_its_trial_against_the_simulations_truth() -> None:
-    case = recording_case(recorded(SWING), 2000)
+    case = recording_case(record_signal(SWING), 2000)
     assert (case.reference, case.motion) == ("the simulation's truth", "rotary")
     assert case.dt == pytest.approx(1 / 2000)
     assert case.judged_time_s[0] == pytest.approx(0.1)
     found = score(case, Variant("fdm-butterworth"))
     assert found.delay_s == pytest.approx(0.00025 + 0.001088, rel=0.01)
     assert found.rms_without_delay < 0.05 * case.speed_rms
-    assert recording_case(recorded()).rate_hz == EXPERIMENT.controller.velocity_rate
+    assert recording_case(record_signal()).rate_hz == EXPERIMENT.controller.velocity_rate
 
 
 def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
     signal, delta = SIGNALS["sine"], controller.resolution(EXPERIMENT)
-    case = recording_case(recorded(), 2000)
+    case = recording_case(record_signal(), 2000)
     assert case.effort is not None
     # A mean over the ten ticks of a velocity period, of an effort that rises by one a tick.
     assert np.diff(case.effort[1:]) == pytest.approx(10.0)
@@ -245,7 +245,7 @@ def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
 
 
 def test_a_real_recording_is_judged_against_a_named_zero_phase_reference() -> None:
-    case = recording_case(recorded(SWING, truth=False), 2000)
+    case = recording_case(record_signal(SWING, truth=False), 2000)
     assert case.reference == "zero-phase Butterworth of order 4 at 200 Hz"
     assert case.judged_time_s[-1] < 0.58, "the ends of the reference are guesses"
     assert case.true_velocity == pytest.approx(SWING(case.judged_time_s).velocity, abs=0.05)
@@ -255,7 +255,7 @@ def test_a_real_recording_is_judged_against_a_named_zero_phase_reference() -> No
 def test_lost_samples_become_elapsed_periods() -> None:
     keep = np.ones(round(SIGNALS["sine"].end_s * RATE), dtype=bool)
     keep[6005:6047] = False
-    case = recording_case(recorded(keep=keep), RATE // 10)
+    case = recording_case(record_signal(keep=keep), RATE // 10)
     assert case.elapsed.max() == 4
     assert case.elapsed.sum() == math.ceil(len(keep) / 10)
     assert (np.diff(case.time_s) > 0).all()
@@ -265,9 +265,9 @@ def test_lost_samples_become_elapsed_periods() -> None:
 
 def test_a_rate_that_does_not_divide_the_recordings_is_refused_with_one_that_does() -> None:
     with pytest.raises(ConfigError, match=rf"3000 Hz is not a whole fraction.*{RATE} Hz.*choose"):
-        recording_case(recorded(), 3000)
+        recording_case(record_signal(), 3000)
     with pytest.raises(ConfigError, match="has 0 samples"):
-        recording_case(recorded(keep=slice(0)), 2000)
+        recording_case(record_signal(keep=slice(0)), 2000)
 
 
 # --- tuning -----------------------------------------------------------------------------------------------
@@ -317,7 +317,7 @@ def test_given_settings_are_kept_and_only_free_ones_move() -> None:
 
 
 def test_a_property_of_the_rig_is_tuned_only_if_it_is_named_and_around_its_value() -> None:
-    case = recording_case(recorded(SWING), 2000)
+    case = recording_case(record_signal(SWING), 2000)
     usual = tune_estimator("disturbance", case)
     assert [one.setting for one in usual.ranges] == ["frequency_hz"]
     (within,) = tune_estimator("disturbance", case, free=["inertia"]).ranges

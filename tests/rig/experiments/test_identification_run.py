@@ -125,7 +125,7 @@ def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     assert found.dynamics.mode is None
 
 
-def coarse(counts: int, **changes: Any) -> dict[str, Any]:
+def coarse_encoder(counts: int, **changes: Any) -> dict[str, Any]:
     """Return settings of an encoder with few counts, and a wall and push whose rest it can still resolve."""
     return {
         "rig.encoder.counts_per_revolution": counts, "wall.stiffness": 10.0, "trial.effort": 0.3, **changes,
@@ -150,11 +150,11 @@ ELASTIC = {
     first_by_default(
         [
             ("hapkit", {}, False),
-            ("koul-rigid", {**PADDLE, **ELASTIC, **coarse(100)}, True),
+            ("koul-rigid", {**PADDLE, **ELASTIC, **coarse_encoder(100)}, True),
             ("koul-rigid", PADDLE, False),
-            ("koul-rigid", {**PADDLE, **coarse(100)}, True),
+            ("koul-rigid", {**PADDLE, **coarse_encoder(100)}, True),
             ("koul-rigid", {"rig.mechanics.link_inertia": 0.01}, True),
-            ("koul-compliant", coarse(180), True),
+            ("koul-compliant", coarse_encoder(180), True),
             ("koul-compliant", {"rig.mechanics.link_inertia": 0.01}, False),
             ("chawda-linear", {"rig.mechanics.link_inertia": 3.0}, False),
         ],

@@ -52,7 +52,7 @@ FAST = {"excitation.settle_periods": 1, "excitation.periods": 2, "excitation.rea
 OWN_MOTOR = FAST | {"excitation.channel": "motor"}
 
 
-def linear(scheme: Any, **changes: Any) -> Any:
+def linear_rig(scheme: Any, **changes: Any) -> Any:
     """Return the experiment of the rig of Chawda et al. without friction and quantisation, under a scheme."""
     experiment = config.override(CHAWDA, LINEAR | changes)
     return Scheme.parse(scheme).applied(experiment)
@@ -83,7 +83,7 @@ def off(measured: Any, exact: Any) -> Any:
 )
 def test_the_measured_impedance_is_the_closed_form(scheme: str, walls: list[tuple[float, ...]]) -> None:
     """Within 0.3 % and 0.1° up to 400 Hz; the closed form includes wall, hold, estimator and sampling images."""
-    x = linear(scheme)
+    x = linear_rig(scheme)
     bench = ExcitedRig(x)
     for wall in walls:
         run = bench.excite(*wall)
@@ -149,7 +149,7 @@ def test_on_a_rigid_rig_the_own_motor_measures_what_a_second_actuator_measures(
 ) -> None:
     """Each result equals its own closed form; they differ by under 0.4 %, from the sampling images of the hold."""
     scheme = "fdm" if any(wall) else "fdm-butterworth,cutoff_hz=100"
-    x = linear(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
+    x = linear_rig(f"uniform:1k,estimator={scheme}", **{"excitation.channel": "motor"})
     own = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(*wall).record])
     magnitude, phase = off(own.z, rendered_impedance(x, *wall, own.lines_hz, channel="motor"))
     assert magnitude < 0.1
@@ -166,7 +166,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
         "rig.simulation.computation_delay_ticks": 2,
         "excitation.channel": "motor",
     }
-    x = linear("uniform:1k,estimator=fdm", **late)
+    x = linear_rig("uniform:1k,estimator=fdm", **late)
     measured = periodic([ExcitedRig(x, acquisition_hz=1e6).excite(0.0, 0.0).record])
     magnitude, phase = off(measured.z, bare(x, measured.lines_hz))
     assert magnitude < 0.1
@@ -175,7 +175,7 @@ def test_lag_and_delay_of_the_own_motor_are_taken_out() -> None:
 
 def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
     """For a free mass the factor is cos x/(sin x/x)³ with x = π·f·T: 3 % at a quarter of the rate."""
-    x = linear("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
+    x = linear_rig("uniform:1k,estimator=fdm", **{"rig.mechanics.motor_damping": 0.0})
     f = np.array([1.0, 100.0, 250.0, 400.0])
     half = np.pi * f * 1e-3
     assert seen_at_ticks(config.rig_model(x), 1e-3, f) == pytest.approx(

@@ -41,7 +41,7 @@ def numbers_of(experiment: Any) -> list[float]:
     return [float(made.control["wall_position"][0]), *made.law.parameters.tolist()]
 
 
-def taken(ring: Ring) -> tuple[int, list[float]]:
+def take_set(ring: Ring) -> tuple[int, list[float]]:
     into = np.full(SET_FLOATS, np.nan)
     number = take(ring.mailbox, into.view(np.uint8))
     return number, into[~np.isnan(into)].tolist()
@@ -63,7 +63,7 @@ def test_a_change_arrives_as_the_numbers_of_an_experiment_begun_with_it(ring: Ri
     assert done.changes == {"wall.stiffness": 400.0, "wall.damping": 1.5}
     assert done.wall["stiffness"] == 400.0
     expected = override(EXPERIMENT, {"wall.stiffness": 400.0, "wall.damping": 1.5})
-    assert taken(ring) == (1, numbers_of(expected))
+    assert take_set(ring) == (1, numbers_of(expected))
 
 
 def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring: Ring) -> None:
@@ -71,7 +71,7 @@ def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring:
     live.change_wall({"pull": "allow"}, patience_s=0)
     done = live.change_wall({"position": 0.01}, patience_s=0)
     both = {"wall.stiffness": 400.0, "wall.pull": "allow", "wall.position": 0.01}
-    assert taken(ring) == (3, numbers_of(override(EXPERIMENT, both)))
+    assert take_set(ring) == (3, numbers_of(override(EXPERIMENT, both)))
     assert done.number == 3
     assert ring.info["parameter_sets"] == [
         {"number": 1, "changes": {"wall.stiffness": 400.0}},
@@ -82,7 +82,7 @@ def test_a_second_change_keeps_the_first_also_before_the_loop_has_taken_it(ring:
     assert ring.info["url"] == "serial:///dev/ttyTEST"
 
 
-def armed(**changes: Any) -> dict[str, Any]:
+def gate_info(**changes: Any) -> dict[str, Any]:
     """Return the "gate" entry of a loop's info: an armed real device with a delay of twenty ticks."""
     return {"gate": {"delay_ticks": 20, "simulated": False, "forced": False, **changes}}
 
@@ -90,10 +90,10 @@ def armed(**changes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("gate", "refused"),
     [
-        (armed(), True),
-        (armed(delay_ticks=1), False),
-        (armed(simulated=True), False),
-        (armed(forced=True), False),
+        (gate_info(), True),
+        (gate_info(delay_ticks=1), False),
+        (gate_info(simulated=True), False),
+        (gate_info(forced=True), False),
         ({"gate": None}, False),
     ],
 )
@@ -106,7 +106,7 @@ def test_a_wall_that_the_gate_would_not_have_armed_does_not_become_active_later_
         return
     with pytest.raises(PlanError, match="unstable at 20000 Hz with 20 ticks"):
         live._post(ring, {"wall.stiffness": 400.0})
-    assert taken(ring)[0] == 0
+    assert take_set(ring)[0] == 0
 
 
 CHANGES = st.one_of(
@@ -125,7 +125,7 @@ def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(
     for name, value in changes:
         live._post(ring, {f"wall.{name}": value})
     at_once = override(EXPERIMENT, {f"wall.{name}": value for name, value in changes})
-    assert taken(ring) == (len(changes), numbers_of(at_once))
+    assert take_set(ring) == (len(changes), numbers_of(at_once))
 
 
 @pytest.mark.parametrize(
@@ -230,7 +230,7 @@ def test_two_terminals_at_once_lose_no_change() -> None:
         thread.join(60)
     assert failures == []
     last = override(EXPERIMENT, {"wall.stiffness": 330.0, "wall.damping": 1.2})
-    assert taken(ring) == (6, numbers_of(last))
+    assert take_set(ring) == (6, numbers_of(last))
 
 
 def test_the_command_changes_the_wall_of_another_process(capsys: pytest.CaptureFixture[str]) -> None:

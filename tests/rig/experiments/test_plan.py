@@ -38,7 +38,7 @@ def changed(changes: Any, experiment: Any = COMPLIANT) -> Any:
 # ---------------------------------------------------------------------- predictions
 
 
-def simulated(experiment: Any) -> Any:
+def simulate_hit(experiment: Any) -> Any:
     """Simulate a hit without a link; return the largest speed before the wall and the depth of the first contact."""
     law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
@@ -61,7 +61,7 @@ def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
     zeros = ["wall.damping", "rig.amplifier.lag_s", *(f"rig.mechanics.{name}" for name in mechanics)]
     experiment = changed(dict.fromkeys(zeros, 0.0), RIGID)
     impact = predict_impact(experiment)
-    speed, depth = simulated(experiment)
+    speed, depth = simulate_hit(experiment)
     assert speed == pytest.approx(impact.velocity, rel=0.01)
     assert depth == pytest.approx(impact.peak_penetration, rel=0.04)
     assert impact.peak_effort == pytest.approx(impact.peak_penetration * experiment.wall.stiffness)
@@ -75,7 +75,7 @@ def test_the_prediction_errs_on_the_hard_side(name: Any, realtime: bool) -> None
     if realtime:
         experiment = config.with_realtime(experiment)
     impact = predict_impact(experiment)
-    speed, depth = simulated(experiment)
+    speed, depth = simulate_hit(experiment)
     assert speed <= 1.01 * impact.velocity
     assert depth <= 1.02 * impact.peak_penetration + experiment.rig.encoder.resolution
     assert speed > 0.3 * impact.velocity, "and it is no idle bound"
@@ -118,13 +118,13 @@ def test_without_a_wall_the_handle_goes_anywhere() -> None:
 # ---------------------------------------------------------------------- checks, both sides
 
 
-def around(value: Any) -> Any:
+def values_around(value: Any) -> Any:
     return value * 0.99, value * 1.01
 
 
 def test_impact_velocity_against_the_speed_limit() -> None:
     velocity = highest_reading(COMPLIANT, predict_impact(COMPLIANT).velocity)
-    low, high = around(velocity)
+    low, high = values_around(velocity)
     assert check(changed({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
     refused = check(changed({"rig.limits.speed": low}), "impact velocity")
     assert refused.outcome == Outcome.REFUSED
@@ -135,7 +135,7 @@ def test_impact_velocity_against_the_speed_limit() -> None:
 @pytest.mark.parametrize("side", [1, -1])
 def test_peak_penetration_against_the_window(side: int) -> None:
     peak = predict_impact(COMPLIANT).peak_penetration
-    low, high = around(peak)
+    low, high = values_around(peak)
     mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
     edge = "rig.limits.position_maximum" if side > 0 else "rig.limits.position_minimum"
     assert check(changed({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
@@ -147,7 +147,7 @@ def test_peak_penetration_against_the_window(side: int) -> None:
 def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
     """A hit that saturates spoils its measurement but is not dangerous."""
     base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
-    low, high = around(predict_impact(changed(base)).peak_effort)
+    low, high = values_around(predict_impact(changed(base)).peak_effort)
     assert check(changed({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
     warned = changed({**base, "rig.limits.effort": low})
     assert check(warned, "peak effort").outcome == Outcome.WARNING
@@ -156,7 +156,7 @@ def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
 
 def test_resting_penetration_against_the_least_counts() -> None:
     counts = COMPLIANT.trial.effort / COMPLIANT.wall.stiffness / COMPLIANT.rig.encoder.resolution
-    low, high = around(counts)
+    low, high = values_around(counts)
     name = "resting penetration"
     assert check(changed({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
     asked = replace(

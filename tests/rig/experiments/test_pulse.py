@@ -173,7 +173,7 @@ def person_request(device: FramedDevice, output: Path, **others: Any) -> HitRequ
     )
 
 
-class Failing(FirmwareDevice):
+class FaultingDevice(FirmwareDevice):
     """A simulated device that reports an over-current fault once it runs, if `fails` is set."""
 
     fails = False
@@ -185,9 +185,9 @@ class Failing(FirmwareDevice):
         return super().compiled()
 
 
-def framed(**hardware: float) -> FramedDevice:
+def free_rig(**hardware: float) -> FramedDevice:
     """Return the rig of the person's experiment with a free handle."""
-    device = Failing(config.rig_model(config.override(PERSON, BARE)), law_maximum=0)
+    device = FaultingDevice(config.rig_model(config.override(PERSON, BARE)), law_maximum=0)
     for name, value in hardware.items():
         setattr(device.hardware, name, value)
     return FramedDevice(MemoryLink(device))
@@ -198,7 +198,7 @@ BARE = {"trial.kind": "constant-effort", "rig.mechanics.end_mass": 0.0}
 
 def test_a_real_rig_is_pushed_before_a_person_is_armed_and_once(real: None, tmp_path: Path) -> None:
     prompts: list[str] = []
-    with framed() as device:
+    with free_rig() as device:
         request = person_request(device, tmp_path, hands_off=prompts.append)
         for _ in range(2):
             tuple(hit(request, admit))
@@ -226,13 +226,13 @@ def test_a_real_board_that_runs_the_law_pushes_before_a_person_is_armed(real: No
 def test_the_public_function_asks_the_person_on_standard_error_to_let_go(
     real: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with framed() as device:
+    with free_rig() as device:
         rig.hit(PERSON, device=device, verified=True, output=tmp_path)
     assert capsys.readouterr().err == f"rig: {NO_HANDS}\n"
 
 
 def test_a_real_rig_whose_motor_is_dead_is_not_armed_for_a_person(real: None, tmp_path: Path) -> None:
-    with framed(drive=0.0) as device:
+    with free_rig(drive=0.0) as device:
         # The device's own check of a large effort without an edge may come first.
         with pytest.raises((IdentificationError, DeviceFaultError), match=r"encoder is dead|no encoder edge"):
             tuple(hit(person_request(device, tmp_path), admit))
@@ -247,7 +247,7 @@ def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed
     real: None, tmp_path: Path
 ) -> None:
     prompts: list[str] = []
-    with framed() as device:
+    with free_rig() as device:
         person = person_request(device, tmp_path, hands_off=prompts.append)
         tuple(hit(person, admit))
         device.link.device.fails = True  # type: ignore[attr-defined]
@@ -260,19 +260,19 @@ def test_a_rig_that_a_run_left_in_doubt_is_pushed_again_before_a_person_is_armed
 def test_a_map_with_a_person_asks_to_let_go_before_its_pulse(real: None, tmp_path: Path) -> None:
     prompts: list[str] = []
     where = OnDevice(url="serial://none", verified=True, recordings=tmp_path, hands_off=prompts.append)
-    with framed() as device:
+    with free_rig() as device:
         Trials(where, device, 0).run(PERSON, {})
     assert prompts == [NO_HANDS]
 
 
 def test_an_automated_trial_needs_no_pulse(real: None, tmp_path: Path) -> None:
-    with framed() as device:
+    with free_rig() as device:
         tuple(hit(person_request(device, tmp_path, experiment=config.override(PERSON, BARE)), admit))
     assert not list(tmp_path.glob("*pulse*"))
 
 
 def test_a_real_rig_of_unverified_polarity_gets_no_pulse(real: None, tmp_path: Path) -> None:
-    with framed() as device, pytest.raises(ConfigError, match="not verified"):
+    with free_rig() as device, pytest.raises(ConfigError, match="not verified"):
         pulse(device, RIGID, recording=tmp_path / "pulse.rigcap", verified=False, reference_count=0)
     assert not list(tmp_path.iterdir())
 

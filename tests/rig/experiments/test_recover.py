@@ -37,14 +37,14 @@ def write(path: Path, *, whole: bool = False, kind: str = "monotonic") -> Record
     return recording
 
 
-def one(path: Path) -> Recovered:
+def recover_one(path: Path) -> Recovered:
     (result,) = recover([path])
     return result
 
 
 def test_a_capture_cut_off_is_sealed_and_at_most_a_second_is_missing(tmp_path: Path) -> None:
     written = write(tmp_path / "trial.rigcap")
-    found = one(tmp_path)
+    found = recover_one(tmp_path)
     assert (found.outcome, found.complete, found.rows_lost) == (CaptureState.SEALED, False, 0)
     assert (found.rows, found.duration_s) == (ROWS, pytest.approx(ROWS / RATE))
     assert found.lost_at_most_s == pytest.approx(AT_RISK_S) == 1.0
@@ -61,7 +61,7 @@ def test_a_torn_tail_costs_its_block(tmp_path: Path, cut: int) -> None:
     capture = tmp_path / "trial.rigcap"
     written = write(capture)
     capture.write_bytes(capture.read_bytes()[:-cut])
-    found = one(capture)
+    found = recover_one(capture)
     assert (found.outcome, found.rows, found.rows_lost) == (CaptureState.SEALED, ROWS - BLOCK, BLOCK)
     assert found.lost_at_most_s == pytest.approx(1.0 + BLOCK / RATE)
     assert found.recording is not None
@@ -75,7 +75,7 @@ def test_damage_in_the_middle_is_counted(tmp_path: Path) -> None:
     data[len(data) // 2] ^= 1
     capture.write_bytes(data)
     os.utime(capture, (1e9, 1e9))
-    found = one(capture)
+    found = recover_one(capture)
     assert (found.outcome, found.rows, found.rows_lost) == (CaptureState.SEALED, ROWS - BLOCK, BLOCK)
     assert (found.complete, found.lost_at_most_s) == (True, pytest.approx(BLOCK / RATE))
 
@@ -91,7 +91,7 @@ def test_the_time_that_a_crash_cost_depends_on_end_and_clock(
     tmp_path: Path, whole: bool, kind: str, lost_s: float | None
 ) -> None:
     write(tmp_path / "trial.rigcap", whole=whole, kind=kind)
-    found = one(tmp_path)
+    found = recover_one(tmp_path)
     assert (found.outcome, found.complete, found.lost_at_most_s) == (CaptureState.SEALED, whole, lost_s)
 
 
@@ -116,7 +116,7 @@ def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None
     capture = tmp_path / "trial.rigcap"
     write(capture)
     (tmp_path / "trial.parquet").write_text("precious")
-    found = one(capture)
+    found = recover_one(capture)
     assert found.outcome == CaptureState.FAILED
     assert (tmp_path / "trial.parquet").read_text() == "precious"
     assert capture.exists()
@@ -127,9 +127,9 @@ def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
     capture = tmp_path / "trial.rigcap"
     write(capture)
     kept = capture.read_bytes()
-    one(capture)
+    recover_one(capture)
     capture.write_bytes(kept)
-    assert one(capture).outcome == CaptureState.SEALED
+    assert recover_one(capture).outcome == CaptureState.SEALED
     assert not capture.exists()
 
 
@@ -138,7 +138,7 @@ def test_a_draft_of_a_sealing_that_was_killed_goes_with_the_capture(tmp_path: Pa
     mine, other = tmp_path / ".trial.parquet.4711.draft", tmp_path / ".trial-2.parquet.4711.draft"
     for draft in (mine, other):
         draft.write_text("half")
-    assert one(tmp_path).outcome == CaptureState.SEALED
+    assert recover_one(tmp_path).outcome == CaptureState.SEALED
     assert not mine.exists()
     assert other.exists()
 
@@ -161,14 +161,14 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     header = example_header(experiment=EXPERIMENT, clocks={"kind": "monotonic"})
     with Recorder(path, header, Ring.allocate(4)):
         before = path.read_bytes()
-        found = one(tmp_path)
+        found = recover_one(tmp_path)
         assert (found.outcome, path.read_bytes()) == (CaptureState.IN_USE, before)
         assert "another process is writing it" in found.reason
-    found = one(tmp_path)  # whole, but so young that its run may be about to seal it
+    found = recover_one(tmp_path)  # whole, but so young that its run may be about to seal it
     assert (found.outcome, path.exists()) == (CaptureState.IN_USE, True)
     assert "has just ended" in found.reason
     os.utime(path, (1e9, 1e9))
-    assert one(tmp_path).outcome == CaptureState.SEALED
+    assert recover_one(tmp_path).outcome == CaptureState.SEALED
 
 
 def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
@@ -183,7 +183,7 @@ def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
         other, trial = recover(["."])
         assert (other.outcome, trial.outcome) == (CaptureState.SEALED, CaptureState.IN_USE)
         assert f"process {os.getpid()} is writing it" in trial.reason
-    assert one(tmp_path).outcome == CaptureState.SEALED
+    assert recover_one(tmp_path).outcome == CaptureState.SEALED
 
 
 def test_the_command_prints_the_loss_and_fails_for_a_destroyed_capture(

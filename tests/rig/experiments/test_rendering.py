@@ -22,13 +22,13 @@ RIG = config.override(presets.load("koul-rigid"), COARSE)
 DELTA, LIMIT = RIG.rig.encoder.resolution, 0.6
 
 
-def under(scheme: str) -> Any:
+def rig_under(scheme: str) -> Any:
     return Scheme.parse(scheme).applied(RIG)
 
 
 @pytest.mark.parametrize("rate", [1000, 20_000])
 def test_of_an_unfiltered_difference_limit_times_period_over_count_is_rendered(rate: int) -> None:
-    experiment, most = under(f"uniform:{rate},estimator=fdm"), LIMIT / rate / DELTA
+    experiment, most = rig_under(f"uniform:{rate},estimator=fdm"), LIMIT / rate / DELTA
     for damping in (0.5 * most, most, 3.0 * most, 100.0 * most):
         assert rendered_share(experiment, damping) * damping == pytest.approx(min(damping, most), rel=1e-12)
 
@@ -40,7 +40,7 @@ def test_of_a_filtered_difference_the_pulse_of_the_filter_is_cut_off() -> None:
     velocity = signal.lfilter(*signal.butter(2, 200.0, fs=2000.0), pulse)
     for damping in (0.1, 1.0, 10.0):
         expected = np.clip(damping * velocity, -LIMIT, LIMIT).sum() / (damping * velocity).sum()
-        assert rendered_share(under("dual:20k/2k"), damping) == pytest.approx(expected, rel=1e-9)
+        assert rendered_share(rig_under("dual:20k/2k"), damping) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("estimator", sorted(set(names()) - {"fdm-butterworth-fixed"}))
@@ -53,7 +53,7 @@ def test_no_damping_is_rendered_whole_and_a_small_one_is(estimator: str) -> None
 @settings(max_examples=30)
 @given(st.lists(st.floats(1e-6, 1e3), min_size=2, max_size=6))
 def test_more_damping_is_rendered_by_a_smaller_share(dampings: list[float]) -> None:
-    shares = [rendered_share(under("uniform:20k"), damping) for damping in sorted(dampings)]
+    shares = [rendered_share(rig_under("uniform:20k"), damping) for damping in sorted(dampings)]
     assert shares == sorted(shares, reverse=True)
     assert all(0.0 < share <= 1.0 + 1e-12 for share in shares)
 

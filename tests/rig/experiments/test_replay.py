@@ -40,7 +40,7 @@ def new_link(experiment: Any = SHORT, faults: Any = None) -> Any:
     return MemoryLink(make_device(config.rig_model(experiment), None, initial_position=START)[0], faults)
 
 
-def recorded(
+def record_trial(
     directory: Any, experiment: Any = SHORT, *, faults: Any = None, law: Any = None, error: Any = None
 ) -> Any:
     """Run one trial in virtual time and return its recording."""
@@ -57,12 +57,12 @@ def recorded(
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return recorded(tmp_path_factory.mktemp("finished"))
+    return record_trial(tmp_path_factory.mktemp("finished"))
 
 
 @pytest.fixture(scope="module")
 def armed(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    recorded(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
+    record_trial(tmp_path_factory.mktemp("first"))  # reads the dictionary: all others know it
     counted, link = [], new_link(faults=Faults())
     with FramedDevice(link) as device:
 
@@ -100,7 +100,7 @@ def test_a_run_whose_estimator_knows_the_effort_replays_exactly_over_gaps(armed:
         FrameFault(kind=FaultKind.DROP, direction=Direction.TO_HOST, frame=frame)
         for frame in range(armed + 5, armed + 95, 7)
     )
-    recording = recorded(
+    recording = record_trial(
         tmp_path,
         config.override(SHORT, {"controller.estimator": "disturbance"}),
         faults=Faults(frames=faults),
@@ -115,12 +115,12 @@ def test_every_preset_replays_exactly(name: Any, tmp_path: Path) -> None:
         presets.load(name),
         {"trial.duration_s": 0.1, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.05},
     )
-    assert_exact(replay(recorded(tmp_path, experiment)))
+    assert_exact(replay(record_trial(tmp_path, experiment)))
 
 
 def test_an_encoder_that_counts_down_replays_exactly(tmp_path: Path) -> None:
     down = config.override(SHORT, {"rig.encoder.sign": -1})
-    recording = recorded(tmp_path, down)
+    recording = record_trial(tmp_path, down)
     assert recording.rows["count"].max() > 0
     assert_exact(replay(recording))
 
@@ -140,7 +140,7 @@ def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path
         FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=3)
         for frame in range(armed + 5, armed + 95, 7)
     )
-    recording = recorded(tmp_path, faults=Faults(frames=faults))
+    recording = record_trial(tmp_path, faults=Faults(frames=faults))
     assert recording.trailer["counters"][counter] >= len(faults)
     gaps = (recording.rows["flags"] & int(RowFlag.GAP)) != 0
     assert gaps.any() or kind is FaultKind.DUPLICATE
@@ -149,7 +149,7 @@ def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path
 
 def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path: Path) -> None:
     faults = Faults(device=(DeviceFault(120, Fault.ENCODER),))
-    recording = recorded(tmp_path, faults=faults, error=DeviceFaultError)
+    recording = record_trial(tmp_path, faults=faults, error=DeviceFaultError)
     assert recording.rows["fault"][-1] == Fault.ENCODER
     assert recording.rows["effort_sent"][-2] != 0.0
     assert_exact(replay(recording))
@@ -168,7 +168,7 @@ def test_a_fault_state_without_a_code_counts_as_an_end_too(finished: Any) -> Non
 def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_exactly(tmp_path: Path) -> None:
     """The loop sets zero in the last tick, where the guard alone would still be lowering the effort."""
     slow = config.override(SHORT, {"homing.slew": 4.0, "trial.duration_s": 0.02, "verdict.tail_s": 0.01})
-    recording = recorded(tmp_path, slow)
+    recording = record_trial(tmp_path, slow)
     assert recording.rows["phase"][-1] == Phase.DONE
     assert abs(recording.rows["current_sent"][-2]) > 5
     assert recording.rows["current_sent"][-1] == 0
@@ -180,7 +180,7 @@ def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed: Any, tmp_path: Pa
         place = tmp_path / kind.name
         place.mkdir()
         fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=armed + 55)
-        assert_exact(replay(recorded(place, faults=Faults(frames=(fault,)), error=LinkLostError)))
+        assert_exact(replay(record_trial(place, faults=Faults(frames=(fault,)), error=LinkLostError)))
 
 
 @kernel(LAW_SIGNATURE, cache=False)
@@ -204,7 +204,7 @@ ALWAYS_RAISING_LAW = Law("raising", "for this test", raises, 2, lambda wall: [-1
 
 @pytest.mark.parametrize("law", [NAN_LAW, RAISING_LAW])
 def test_a_run_that_its_law_ended_replays_exactly(law: Law, tmp_path: Path) -> None:
-    recording = recorded(tmp_path, law=law, error=LawError)
+    recording = record_trial(tmp_path, law=law, error=LawError)
     assert len(recording) > 15
     assert np.isnan(recording.rows["effort_wanted"][-1]) == (law is NAN_LAW)
     assert_exact(replay(recording, law=law))
@@ -224,7 +224,7 @@ def test_the_recording_of_a_killed_writer_replays_exactly(tmp_path: Path) -> Non
         presets.load("koul-compliant"),
         {"trial.duration_s": 0.5, "trial.release_s": 0.02, "homing.settle_s": 0.01, "verdict.tail_s": 0.1},
     )
-    whole = recorded(tmp_path, long)
+    whole = record_trial(tmp_path, long)
     assert len(whole) > 2 * BLOCK_ROWS
     path = tmp_path / "trial.rigcap"
     torn = tmp_path / "torn.rigcap"
@@ -253,7 +253,7 @@ def test_a_lost_beginning_or_middle_is_refused(finished: Any) -> None:
 
 
 def test_the_law_of_the_recording_must_be_installed(tmp_path: Path) -> None:
-    recording = recorded(tmp_path, law=NAN_LAW, error=LawError)
+    recording = record_trial(tmp_path, law=NAN_LAW, error=LawError)
     with pytest.raises(ConfigError, match="unknown law 'nan'"):
         replay(recording)
 
@@ -318,7 +318,7 @@ def test_a_wall_that_changed_during_the_run_changes_in_the_replay_at_the_same_ti
         return lambda device: rings[0].post(values)
 
     happenings = Faults(device=(Happening(60, posting(0.5)), Happening(64, posting(0.25))))
-    recording = recorded(tmp_path, faults=happenings)
+    recording = record_trial(tmp_path, faults=happenings)
     sets = recording.trailer["parameter_sets"]
     assert [one["number"] for one in sets] == [1, 2]
     active = recording.rows["parameter_set"]

@@ -13,7 +13,7 @@ from rig.experiments.mapping._searches import StiffnessSearch, limit_of
 RANGE = {"lowest": 10.0, "highest": 1000.0, "ratio": 1.06}
 
 
-def walked(search: Any, passes: Any) -> Any:
+def walk_search(search: Any, passes: Any) -> Any:
     """Return the walls that a search tries, given `passes(stiffness)[criterion]`: True, False or None."""
     tried = {}
     criteria = list(passes(1.0))
@@ -29,10 +29,10 @@ def walked(search: Any, passes: Any) -> Any:
 
 
 def limit(search: Any, passes: Any, criterion: str = "felt") -> Any:
-    return limit_of({k: outcome[criterion] for k, outcome in walked(search, passes).items()})
+    return limit_of({k: outcome[criterion] for k, outcome in walk_search(search, passes).items()})
 
 
-def below(bound: Any) -> Any:
+def passes_below(bound: Any) -> Any:
     return lambda stiffness: {"felt": stiffness < bound}
 
 
@@ -41,7 +41,7 @@ def below(bound: Any) -> Any:
 @given(bound=st.floats(1.0, 2000.0))
 def test_every_way_finds_the_last_rung_below_a_single_limit(way: str, bound: float) -> None:
     search = StiffnessSearch(way=way, **RANGE)
-    found = limit(search, below(bound))
+    found = limit(search, passes_below(bound))
     expected = max((k for k in search.rungs if k < bound), default=0.0)
     assert found.stiffness == expected
     assert found.capped == (search.rungs[-1] < bound)
@@ -58,7 +58,7 @@ def test_rungs_keep_their_ratio_and_stay_in_the_range() -> None:
 def test_a_bisection_of_a_hundred_rungs_needs_few_trials() -> None:
     search = StiffnessSearch(way="bisection", lowest=1.0, highest=1000.0, ratio=1.06)
     assert len(search.rungs) > 100
-    assert len(walked(search, below(77.0))) <= 9
+    assert len(walk_search(search, passes_below(77.0))) <= 9
 
 
 def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never() -> None:
@@ -66,9 +66,9 @@ def test_the_ladder_ends_when_every_criterion_has_failed_and_the_grid_never() ->
         return {"felt": k < 100.0, "heard": k < 300.0}
 
     ladder = StiffnessSearch(**RANGE)
-    assert 300.0 <= max(walked(ladder, passes)) < 300.0 * 1.06
+    assert 300.0 <= max(walk_search(ladder, passes)) < 300.0 * 1.06
     grid = StiffnessSearch(way="grid", **RANGE)
-    assert list(walked(grid, passes)) == grid.rungs
+    assert list(walk_search(grid, passes)) == grid.rungs
 
 
 def test_an_island_is_shown_by_the_grid_and_unseen_by_the_ladder() -> None:

@@ -55,7 +55,7 @@ def marks(number: Any, log: Any, **payload: Any) -> Any:
     return [Task(f"{name}", work, {"name": f"{name}", "log": str(log), **payload}) for name in range(number)]
 
 
-def numbers(number: int, *payloads: dict[str, Any]) -> list[Task]:
+def numbered_tasks(number: int, *payloads: dict[str, Any]) -> list[Task]:
     """Return tasks of `raise_as_given`; `payloads` are added to the payloads of the first ones."""
     more = [*payloads, *({} for _ in range(number - len(payloads)))]
     work = sweep_work.raise_as_given
@@ -448,7 +448,7 @@ def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path
 def test_a_task_that_raises_is_named_and_the_others_are_kept(
     raises: str, message: str, remedy: str, tmp_path: Path
 ) -> None:
-    tasks = numbers(20)
+    tasks = numbered_tasks(20)
     tasks[7] = replace(tasks[7], payload={"number": 7, "raises": raises})
     with pytest.raises(TaskError, match=f"task number 7 failed: .*{message}") as caught:
         sweep.run(tasks, journal=tmp_path / "j", workers=1)
@@ -461,7 +461,7 @@ def test_a_task_that_raises_is_named_and_the_others_are_kept(
 
 
 def test_the_task_that_runs_beside_a_failing_one_is_kept() -> None:
-    tasks = numbers(2, {"raises": "theirs"}, {"wait_s": 0.05})
+    tasks = numbered_tasks(2, {"raises": "theirs"}, {"wait_s": 0.05})
     with pytest.raises(TaskError, match="1 of 2 tasks are done") as caught:
         sweep.run(tasks, workers=2)
     assert list(caught.value.results) == [1]
@@ -469,7 +469,7 @@ def test_the_task_that_runs_beside_a_failing_one_is_kept() -> None:
 
 def test_of_two_failures_the_first_in_order_is_reported() -> None:
     # The later one fails at once, the earlier one while it is being waited for.
-    tasks = numbers(2, {"wait_s": 0.05, "raises": "ours"}, {"raises": "theirs"})
+    tasks = numbered_tasks(2, {"wait_s": 0.05, "raises": "ours"}, {"raises": "theirs"})
     with pytest.raises(TaskError, match="task number 0 failed"):
         sweep.run(tasks, workers=2)
 

@@ -28,7 +28,7 @@ def ask_no_person(text: str) -> None:
     pytest.fail(f"a simulated rig asks no person: {text}")
 
 
-def weighed(output: Path, **changes: Any) -> Weighing:
+def weigh_rig(output: Path, **changes: Any) -> Weighing:
     wanted: dict[str, Any] = {"experiment": RIGID, "mass_kg": MASS, "arm_m": ARM, **changes}
     return weigh(WeighRequest(output=output, **wanted), ask_no_person)
 
@@ -45,7 +45,7 @@ def disturbed(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice],
 
 
 def test_a_described_rig_agrees_with_its_weight(tmp_path: Path) -> None:
-    found = weighed(tmp_path)
+    found = weigh_rig(tmp_path)
     assert found.weight == pytest.approx(WEIGHT)
     assert found.measured.holds(WEIGHT)
     assert found.agrees
@@ -64,7 +64,7 @@ def test_a_wrong_constant_is_measured_beside_a_bent_cable(
         hardware.drive, hardware.gain, hardware.external_effort = true, 1.0 / true, 0.015
 
     disturbed(monkeypatch, disturb)
-    found = weighed(tmp_path)
+    found = weigh_rig(tmp_path)
     assert found.effort_per_ampere.value == pytest.approx(true * found.described, rel=2e-3)
     assert not found.agrees
     assert abs(found.bare.bias.value) == pytest.approx(0.015 / true, rel=0.02)
@@ -106,13 +106,13 @@ def test_a_load_that_the_motor_cannot_hold_is_refused(
     changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises((PlanError, ConfigError), match=message):
-        weighed(tmp_path, **changes)
+        weigh_rig(tmp_path, **changes)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_weight_that_friction_hides_is_no_calibration(tmp_path: Path) -> None:
     with pytest.raises(IdentificationError, match="cannot be distinguished from friction"):
-        weighed(tmp_path, mass_kg=1e-6)
+        weigh_rig(tmp_path, mass_kg=1e-6)
 
 
 def test_the_command_weighs_and_refuses_what_does_not_belong_to_it(

@@ -62,26 +62,26 @@ def plan(experiment: Any, schemes: Any, stiffnesses: Any, dampings: Any, **other
 
 
 @pytest.fixture(scope="module")
-def undamped() -> Any:
+def undamped_map() -> Any:
     """Map three linear estimators at B = 0, where the velocity estimate has no effect."""
     return zwidth(plan(LINEAR, [FDM, FILTERED, KALMAN], [0.0, *range(20_000, 33_000, 2000)], [0.0]))
 
 
-def test_without_damping_every_estimator_ends_at_2b_over_t(undamped: Any) -> None:
+def test_without_damping_every_estimator_ends_at_2b_over_t(undamped_map: Any) -> None:
     """The limit 2·b/T is 26.4 kN/m at 1 kHz, and is found within a step of the grid."""
-    for row in table_one(undamped).rows:
+    for row in table_one(undamped_map).rows:
         width = row.widths.together
         assert width.stiffness_undamped == width.stiffness
         assert abs(width.stiffness - 2.0 * DAMPING / 1e-3) <= 2000.0
         assert not width.stiffness_capped
 
 
-def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped: Any) -> None:
+def test_fidelity_of_no_wall_is_the_rigs_own_impedance(undamped_map: Any) -> None:
     """It is √mean(b² + (2πmf)²) over the lines, the same for every estimator."""
     f = np.arange(1.0, 251.0)
     exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f) ** 2))
-    assert undamped.fidelity[:, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
-    assert undamped.plan.band_hz == (1.0, 250.0)
+    assert undamped_map.fidelity[:, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
+    assert undamped_map.plan.band_hz == (1.0, 250.0)
     halved = plan(LINEAR, [FDM], [0.0], [0.0], judging=Judging(band_hz=(1.0, 50.0)))
     exact = math.sqrt(np.mean(DAMPING**2 + (2.0 * np.pi * MASS * f[:50]) ** 2))
     assert zwidth(halved).fidelity[0, -1, 0, 0] == pytest.approx(exact, rel=1e-3)
@@ -115,33 +115,33 @@ def test_a_kalman_filter_holds_more_than_a_difference_in_linear_theory() -> None
 
 
 @pytest.fixture(scope="module")
-def rough() -> Any:
+def map_with_friction() -> Any:
     """Map the rig with its friction and 1 µm resolution: four estimators on a coarse grid."""
     schemes = [scheme.text for scheme in default_schemes(CHAWDA)]
     return zwidth(plan(SHORT, schemes, [5e3, 40e3, 60e3, 400e3], [60.0, 240.0]))
 
 
-def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(rough: Any) -> None:
+def test_friction_widens_what_is_passive_and_adds_damping_and_stiffness(map_with_friction: Any) -> None:
     """Friction damps: a difference is passive at 40 kN/m, where linear theory ends at 32; sticking adds stiffness."""
-    _, _, passive = linear_curves(rough.plan, 2)[0]
+    _, _, passive = linear_curves(map_with_friction.plan, 2)[0]
     assert max(passive) < 35e3
-    assert rough.passive[0, -1, 1, :3].all()
-    soft = next(row for row in rough.columns[0] if row["realisation"] == TOGETHER)
+    assert map_with_friction.passive[0, -1, 1, :3].all()
+    soft = next(row for row in map_with_friction.columns[0] if row["realisation"] == TOGETHER)
     assert soft["damping_percent"] > 110.0
     assert 101.0 < soft["stiffness_percent"] < 120.0
 
 
-def test_levant_with_the_printed_gains_holds_least(rough: Any) -> None:
-    cells = connected(rough.passive[:, -1]).sum(axis=(1, 2))
+def test_levant_with_the_printed_gains_holds_least(map_with_friction: Any) -> None:
+    cells = connected(map_with_friction.passive[:, -1]).sum(axis=(1, 2))
     assert cells[3] < cells[:3].min()
-    table = table_one(rough)
+    table = table_one(map_with_friction)
     assert 3 not in table.comparable
     assert table.common_walls > 0
     assert math.isnan(table.rows[3].widths.together.damping)
 
 
-def test_table_one_stands_beside_the_papers(rough: Any) -> None:
-    table = table_one(rough)
+def test_table_one_stands_beside_the_papers(map_with_friction: Any) -> None:
+    table = table_one(map_with_friction)
     assert [row.estimator for row in table.rows] == list(PAPERS_ESTIMATORS)
     assert [len(row.tuned) for row in table.rows] == [1, 0, 1, 2]
     assert [PAPER[row.estimator].tunable for row in table.rows] == [1, 0, 1, 2]
@@ -150,8 +150,8 @@ def test_table_one_stands_beside_the_papers(rough: Any) -> None:
     assert first.widths.stiffness.count == len(first.widths.each) == 2
     assert len(first.common) == len(table.points)
     k, b = table.points[0]
-    at = rough.plan.dampings.index(b), rough.plan.stiffnesses.index(k)
-    assert first.common[0].mean == pytest.approx(rough.fidelity[(0, slice(0, 2), *at)].mean())
+    at = map_with_friction.plan.dampings.index(b), map_with_friction.plan.stiffnesses.index(k)
+    assert first.common[0].mean == pytest.approx(map_with_friction.fidelity[(0, slice(0, 2), *at)].mean())
     json.dumps(plain(table), allow_nan=False)
 
 
@@ -226,8 +226,8 @@ def test_an_excitation_beyond_the_limits_is_refused_before_anything_runs() -> No
         zwidth(plan(loud, [FDM], [1e3], [0.0]))
 
 
-def test_pictures_of_any_number_of_schemes(rough: Any) -> None:
-    check_axes(frequency_figure(rough, theory=linear_curves(rough.plan, 2)))
+def test_pictures_of_any_number_of_schemes(map_with_friction: Any) -> None:
+    check_axes(frequency_figure(map_with_friction, theory=linear_curves(map_with_friction.plan, 2)))
     shape = (1, 2, 1, 2)
     asked = plan(SHORT, [FDM], [1e3, 2e3], [0.0])
     nothing = FrequencyMap(asked, [], np.zeros(shape, bool), np.full(shape, math.nan))
@@ -244,13 +244,13 @@ def test_tuned_numbers_are_counted_as_in_the_paper() -> None:
 # ---------------------------------------------------------------------- widths of made-up regions
 
 
-def region(text: Any) -> Any:
+def parse_region(text: Any) -> Any:
     """Parse a drawn region: rows are dampings, # is passive, stiffness rises to the right."""
     return np.array([[mark == "#" for mark in row] for row in text.split()])
 
 
 def test_widths_count_what_is_connected_and_list_the_rest() -> None:
-    passive = region("##..#. .###.. ###### ...#.. ##.#.#")
+    passive = parse_region("##..#. .###.. ###### ...#.. ##.#.#")
     fidelity = np.arange(30.0).reshape(5, 6)
     k, b = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [0.0, 10.0, 20.0, 30.0, 40.0]
     width = FrequencyWidth.of(passive, fidelity, k, b)
@@ -267,7 +267,7 @@ def test_widths_count_what_is_connected_and_list_the_rest() -> None:
 
 def test_a_map_without_a_passive_wall_has_no_widths() -> None:
     fidelity = np.full((2, 4), math.nan)
-    width = FrequencyWidth.of(region("..#. ...."), fidelity, [1.0, 2.0, 3.0, 4.0], [5.0, 6.0])
+    width = FrequencyWidth.of(parse_region("..#. ...."), fidelity, [1.0, 2.0, 3.0, 4.0], [5.0, 6.0])
     assert (width.stiffness, width.cells, width.stiffness_undamped) == (0.0, 0, None)
     assert math.isnan(width.damping)
     assert math.isnan(width.worst_fidelity)
@@ -327,7 +327,7 @@ def test_on_any_region_the_search_ends_and_requests_no_wall_twice(rows: Any, loo
 
 def test_the_search_moves_up_to_an_island_and_stays() -> None:
     """From the first edge at 2 the search meets an island above the next edge, and stays on the island."""
-    passive = region("###..... ##.###.. ##..##.. ##......")
+    passive = parse_region("###..... ##.###.. ##..##.. ##......")
     found = trace_grid(passive)
     assert dict(found.edge) == {0: 2, 1: 5, 2: 5, 3: 1}
     assert found.connected == (2, 1, 1, 1)
@@ -336,15 +336,15 @@ def test_the_search_moves_up_to_an_island_and_stays() -> None:
 
 
 def test_the_search_ends_at_a_start_or_a_damping_without_a_passive_wall() -> None:
-    passive = region(".### .##. ###. ##..")
+    passive = parse_region(".### .##. ###. ##..")
     blind = trace_grid(passive, looks=False)
     assert (len(blind.path), blind.ending, blind.highest) == (1, "start not passive", -1)
     assert blind.unseen == 2
     found = trace_grid(passive)
     assert found.edge == ((0, -1), (1, -1), (2, 2), (3, 1))
     assert found.path[:3] == ((0, 0), (1, 0), (2, 0))
-    assert trace_grid(region("... ...")).ending == "start not passive"
-    beyond = trace_grid(region("###. .... ####"))
+    assert trace_grid(parse_region("... ...")).ending == "start not passive"
+    beyond = trace_grid(parse_region("###. .... ####"))
     assert (beyond.ending, beyond.unseen) == ("no stiffness left", 1)
 
 
@@ -366,5 +366,5 @@ def test_the_search_requests_one_wall_at_a_time() -> None:
 
     drive(boundary_search(2, 4, (0, 1)), passive)
     assert asked == [(0, 1), (0, 2), (1, 2), (1, 1)]
-    document = plain(trace_grid(region("##.. ##.."), [0.0, 5.0], [1.0, 2.0, 3.0, 4.0]))
+    document = plain(trace_grid(parse_region("##.. ##.."), [0.0, 5.0], [1.0, 2.0, 3.0, 4.0]))
     assert document["edge"] == document["grid"] == [[0.0, 2.0], [5.0, 2.0]]

@@ -638,7 +638,7 @@ def busy(link: Any, duration_ns: Any) -> Any:
     return lambda: link.clock.sleep_until(link.clock.now_ns() + duration_ns)
 
 
-def delayed(duration_ns: Any) -> Any:
+def link_with_pause(duration_ns: Any) -> Any:
     """Return a far end with thirty samples whose host pauses for a while after the tenth tick."""
     link = Script()
     link.events = sorted(
@@ -650,7 +650,7 @@ def delayed(duration_ns: Any) -> Any:
 
 
 def test_missed_grid_points_are_counted_and_not_repeated() -> None:
-    link = delayed(4_500_000)
+    link = link_with_pause(4_500_000)
     thread, end = ran(link, host_paced=True)
     seen = thread.ring.rows[: end.counters["ticks"]]
     assert end.counters["overruns"] == 3
@@ -663,7 +663,7 @@ def test_missed_grid_points_are_counted_and_not_repeated() -> None:
 @pytest.mark.parametrize("host_paced", [False, True])
 def test_a_late_tick_ends_the_run_with_zero_where_that_is_set(host_paced: bool) -> None:
     late = Script(*ticks(1, 20), (22 * PERIOD_NS, state_frame(20)), *ticks(22, 40))
-    link = delayed(2_500_000) if host_paced else late
+    link = link_with_pause(2_500_000) if host_paced else late
     thread, end = ran(link, host_paced=host_paced, stop_when_late=True)
     assert end.reason == EndReason.OVERRUN
     assert end.counters["late"] == 1

@@ -78,7 +78,7 @@ def taps(ticks: int, depth: int = 12, seed: int = 1) -> list[int]:
     return (np.rint(depth * np.sin(np.arange(ticks) / 15.0)).astype(int) + noise).tolist()
 
 
-def by_the_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
+def rows_on_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
     """Return the rows of the loop with the law on the host for the same samples."""
     memory = Ring.allocate(8192)
     link = Script(*((PERIOD_NS * (k + 1), state_frame(100 + k, count=c)) for k, c in enumerate(counts)))
@@ -89,7 +89,7 @@ def by_the_host(counts: Sequence[int], bundle: Any) -> np.ndarray:
     return rows_of(thread)
 
 
-def replayed(rows: np.ndarray, bundle: Any) -> np.ndarray:
+def replay_again(rows: np.ndarray, bundle: Any) -> np.ndarray:
     """Return the rows that `rig.control.step` computes again from recorded samples."""
     again = rows.copy()
     bundle.memory[0] = new_memory()[0]
@@ -99,7 +99,7 @@ def replayed(rows: np.ndarray, bundle: Any) -> np.ndarray:
 
 def assert_replays(rows: np.ndarray, bundle: Any) -> None:
     """Check every computed column to the last bit, except in the last row, which the loop ended."""
-    again = replayed(rows.copy(), bundle)
+    again = replay_again(rows.copy(), bundle)
     for name in (*COMPUTED, "flags"):
         assert again[name][:-1].tobytes() == rows[name][:-1].tobytes(), name
 
@@ -117,7 +117,7 @@ def assert_ends_with_stops(device: BatchDevice) -> None:
 def test_the_rows_are_those_of_a_loop_on_the_host(layout: int) -> None:
     counts = taps(400)
     bundle = controlled()
-    expected = by_the_host(counts, controlled())
+    expected = rows_on_host(counts, controlled())
     device = silent_behind(counts, expected["current_sent"].tolist(), layout=layout)
     thread, end = ran(device, bundle)
     rows = rows_of(thread)[:400]
@@ -380,10 +380,10 @@ def test_a_device_whose_law_ended_is_not_followed_for_ever(control: Any, reason:
 # ---------------------------------------------------------------------- agreement of device and law
 
 
-def apart(changes: dict[int, int]) -> SupervisedThread:
+def run_with_current_errors(changes: dict[int, int]) -> SupervisedThread:
     """Run a device whose current differs from the law's by these amounts (tick → quanta)."""
     counts = taps(400)
-    currents = by_the_host(counts, controlled())["current_sent"]
+    currents = rows_on_host(counts, controlled())["current_sent"]
     for tick, amount in changes.items():
         currents[tick] += amount
     device = silent_behind(counts, currents.tolist())
@@ -391,20 +391,20 @@ def apart(changes: dict[int, int]) -> SupervisedThread:
 
 
 def test_a_device_that_rounds_otherwise_agrees_and_the_difference_is_counted() -> None:
-    found = apart(dict.fromkeys(range(0, 380, 3), 1)).agreement()
+    found = run_with_current_errors(dict.fromkeys(range(0, 380, 3), 1)).agreement()
     assert (found.greatest_quanta, found.beyond, found.holds) == (1, 0, True)
     assert 120 <= found.differing <= 127
 
 
 def test_a_device_with_another_current_disagrees() -> None:
-    found = apart(dict.fromkeys(range(100, 120), -40)).agreement()
+    found = run_with_current_errors(dict.fromkeys(range(100, 120), -40)).agreement()
     assert (found.greatest_quanta, found.beyond, found.holds) == (40, 20, False)
     assert plain(found)["bound_quanta"] == 1
 
 
 def test_an_active_limit_excludes_a_sample_from_the_comparison() -> None:
     counts = taps(400)
-    currents = by_the_host(counts, controlled())["current_sent"]
+    currents = rows_on_host(counts, controlled())["current_sent"]
     currents[200:220] = 0
     device = silent_behind(counts, currents.tolist())
     for tick in range(199, 222):
@@ -418,7 +418,7 @@ def test_an_active_limit_excludes_a_sample_from_the_comparison() -> None:
 def test_after_a_gap_nothing_is_compared_until_the_estimators_have_forgotten_it() -> None:
     """The device used samples that the host lost, so their velocities differ for a while."""
     counts = taps(2000)
-    currents = by_the_host(counts, controlled())["current_sent"].tolist()
+    currents = rows_on_host(counts, controlled())["current_sent"].tolist()
     device = silent_behind(
         counts, currents, mangle=lambda number, frame: [] if 20 <= number < 24 else [frame]
     )

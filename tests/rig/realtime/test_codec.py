@@ -201,7 +201,7 @@ def test_the_delimiter_is_found(data: bytes, a: int, b: int) -> None:
     assert codec.find_delimiter(buffer_of(data), start, end) == data.find(0, start, end)
 
 
-def wrapped(count: int) -> int:
+def wrap_count(count: int) -> int:
     """Return a count as the 32-bit counter of an encoder shows it."""
     return (count + (1 << 31)) % (1 << 32) - (1 << 31)
 
@@ -234,7 +234,7 @@ def test_a_batch_is_read_sample_by_sample(batch: Batch, session: int, sequence: 
     expected, count = [], batch.base_count
     for difference, commanded, *measured in unpack_batch_samples(batch):
         count += difference
-        expected.append([wrapped(count), commanded, *(measured or [0])])
+        expected.append([wrap_count(count), commanded, *(measured or [0])])
     assert (found, samples) == (len(expected), expected)
     assert values == (batch.first_index, batch.device_time, batch.base_count, batch.layout)
 

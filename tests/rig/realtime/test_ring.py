@@ -63,7 +63,7 @@ def spin_until_stopped(control: Any) -> Any:
 
 
 @kernel(types.int64(types.uintp, types.int64, types.int64))
-def trade(mailbox: Any, token: Any, times: Any) -> Any:
+def trade_tokens(mailbox: Any, token: Any, times: Any) -> Any:
     """Swap a token with the one in the mailbox `times` times, and return the last."""
     for _ in range(times):
         token = exchange_word(mailbox, token)
@@ -317,7 +317,7 @@ def test_a_store_into_the_stop_word_ends_a_loop_that_never_takes_the_gil() -> No
 
 def test_exchanged_words_are_neither_lost_nor_doubled() -> None:
     mailbox, times = np.array([100], np.int64), 200_000
-    traders = [in_thread(trade, mailbox.ctypes.data, token, times) for token in (1, 2, 3)]
+    traders = [in_thread(trade_tokens, mailbox.ctypes.data, token, times) for token in (1, 2, 3)]
     for thread, _ in traders:
         thread.join(JOIN_S)
     held = [result[0] for _, result in traders]

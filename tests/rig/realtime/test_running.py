@@ -22,14 +22,14 @@ from tests.conformance.running_loop import loop_process
 INFO = {"url": "serial:///dev/ttyTEST", "recording": "here.rigcap"}
 
 
-def mine(*pids: int) -> list[running.RunningLoop]:
+def loops_of(*pids: int) -> list[running.RunningLoop]:
     """Return the loops of these processes; other tests may run loops too."""
     return [loop for loop in running.running() if loop.pid in pids]
 
 
 def test_a_loop_of_another_process_is_found_and_stopped() -> None:
     with loop_process(INFO) as process:
-        (loop,) = mine(process.pid)
+        (loop,) = loops_of(process.pid)
         assert loop.info == INFO
         assert (loop.phase, loop.stopping, loop.done) == ("trial", False, False)
         assert abs(loop.since - time.time()) < 60
@@ -37,7 +37,7 @@ def test_a_loop_of_another_process_is_found_and_stopped() -> None:
         (stopped,) = running.stop(process.pid, patience_s=20)
         assert stopped.ended
         assert stopped.loop.pid == process.pid
-        assert mine(process.pid) == []  # it is done, though its process lives
+        assert loops_of(process.pid) == []  # it is done, though its process lives
         assert process.poll() is None
         (again,) = [one for one in running.running(done=True) if one.pid == process.pid]
         assert again.done
@@ -47,10 +47,10 @@ def test_a_loop_of_another_process_is_found_and_stopped() -> None:
 
 def test_a_dead_process_leaves_nothing_to_find() -> None:
     with loop_process(INFO) as process:
-        (loop,) = mine(process.pid)
+        (loop,) = loops_of(process.pid)
         process.send_signal(signal.SIGKILL)
         process.wait()
-        assert mine(process.pid) == []
+        assert loops_of(process.pid) == []
         with pytest.raises(ConfigError, match="there is no process"):
             running.stop(process.pid)
         with pytest.raises(RigError, match="has ended"), running.open_loop(loop):
@@ -60,28 +60,28 @@ def test_a_dead_process_leaves_nothing_to_find() -> None:
 def test_reader_of_a_loop_is_not_listed_as_a_loop() -> None:
     """This process opens the loop's memory, and its `fork` inherits it; neither runs the loop."""
     with loop_process(INFO) as process:
-        (loop,) = mine(process.pid)
+        (loop,) = loops_of(process.pid)
         with running.open_loop(loop) as ring:
             assert ring.get(control_words.VERSION) == control_words.LAYOUT_VERSION
-            assert mine(os.getpid()) == []
-            (again,) = mine(process.pid)
+            assert loops_of(os.getpid()) == []
+            (again,) = loops_of(process.pid)
             assert again.path != f"/proc/{os.getpid()}/fd/{ring.descriptor}"
 
 
 def test_a_loop_of_this_process_is_found_once_though_it_is_mapped_too() -> None:
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        (loop,) = mine(os.getpid())
+        (loop,) = loops_of(os.getpid())
         assert loop.info == INFO
         assert running.ask_to_stop(os.getpid()) == 1
         assert ring.get(control_words.STOP) == -os.getpid()
         ring.put(control_words.LOOP_DONE, 1)
-        assert mine(os.getpid()) == []
+        assert loops_of(os.getpid()) == []
 
 
 def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened() -> None:
     with Ring.allocate(1, info=INFO, shared=True) as ring:
         ring.put(control_words.VERSION, 99)
-        (loop,) = mine(os.getpid())
+        (loop,) = loops_of(os.getpid())
         assert (loop.version, loop.info, loop.phase) == (99, {}, "unknown")
         with pytest.raises(RigError, match="another version"), running.open_loop(loop):
             pass
@@ -93,7 +93,7 @@ def test_a_loop_of_another_version_is_listed_and_can_be_stopped_but_not_opened()
 
 def test_only_one_of_several_loops_must_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
     with Ring.allocate(1, info=INFO, shared=True):
-        (one,) = mine(os.getpid())
+        (one,) = loops_of(os.getpid())
     two = replace(one, pid=one.pid + 1)
     for loops, message in (
         ([], "no loop runs in real time"),
@@ -162,7 +162,7 @@ def test_a_rig_is_known_by_its_command_line(command: str, meant: bool) -> None:
 def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> None:
     pid = os.getpid()
     with Ring.allocate(1, info=INFO, shared=True) as ring:
-        loop = threading.Thread(target=obey, args=(ring,))
+        loop = threading.Thread(target=wait_for_stop, args=(ring,))
         loop.start()
         assert rig.cli.run(["stop", "--list"]) == 0
         assert f"process {pid}: runs," in capsys.readouterr().out
@@ -175,7 +175,7 @@ def test_command_stops_and_names_a_loop(capsys: pytest.CaptureFixture[str]) -> N
         assert "runs no loop" in json.loads(capsys.readouterr().out)["error"]["error"]
 
 
-def obey(ring: Ring) -> None:
+def wait_for_stop(ring: Ring) -> None:
     """Wait for the stop word as a loop does, then end."""
     deadline = time.monotonic() + 60
     while ring.get(control_words.STOP) == 0 and time.monotonic() < deadline:

@@ -70,7 +70,7 @@ def state() -> tuple[object, ...]:
     return locked(), latency_requests(), ThreadState.here(), os.sched_getaffinity(os.getpid())
 
 
-def is_as(before: object, now: Any) -> bool:
+def wait_for_state(before: object, now: Any) -> bool:
     """Wait until the state equals `before`: a joined thread stays in /proc for a moment."""
     deadline = time.monotonic() + PATIENCE_S
     while now() != before and time.monotonic() < deadline:
@@ -349,7 +349,7 @@ found = {}
 """
 
 
-def child(
+def run_in_child(
     body: str, *, group: str = "", rtprio: int | None = 0, memlock: int | None = 0, user: int = 65534
 ) -> dict[str, Any]:
     """Run lines that fill `found` in a process with these limits; its state must be restored at the end."""
@@ -393,7 +393,7 @@ except RealtimeError as error:
 
 @pytest.fixture(scope="module")
 def ordinary_user() -> dict[str, Any]:
-    return child(TRY + ENFORCE)
+    return run_in_child(TRY + ENFORCE)
 
 
 def test_ordinary_user_runs_with_every_refusal_reported(ordinary_user: dict[str, Any]) -> None:
@@ -422,7 +422,7 @@ def test_enforce_names_all_that_is_missing_and_changes_nothing(ordinary_user: di
 
 @pytest.mark.exhaustive("::test_ordinary_user_runs_with_every_refusal_reported")
 def test_limits_are_enough_without_root() -> None:
-    found = child(
+    found = run_in_child(
         """
         def body():
             with obtained(Asked("try")) as realtime:
@@ -440,7 +440,7 @@ def test_limits_are_enough_without_root() -> None:
 
 def test_rights_that_went_meanwhile_leave_an_ordinary_thread() -> None:
     """Without rights the kernel keeps the flag "children do not inherit", which has no effect on such a thread."""
-    found = child(
+    found = run_in_child(
         """
         def body():
             with obtained(Asked("try")) as realtime:
@@ -477,7 +477,7 @@ def test_a_control_group_without_a_share_of_real_time_refuses_even_root() -> Non
     group = parent / f"rig-test-{os.getpid()}"
     group.mkdir()
     try:
-        found = child(TRY, group=str(group), user=0, memlock=None)
+        found = run_in_child(TRY, group=str(group), user=0, memlock=None)
     finally:
         group.rmdir()
     assert found["entered"]["policy"] == "SCHED_OTHER"

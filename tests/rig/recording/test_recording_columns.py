@@ -92,7 +92,7 @@ def test_a_long_line_is_drawn_by_its_extremes() -> None:
     assert len(short[visible(short)]) == len(short)
 
 
-def long(recording: Recording, rows: int) -> Recording:
+def lengthen(recording: Recording, rows: int) -> Recording:
     """Return the recording with its trial repeated up to this number of rows."""
     (trial,) = np.nonzero(recording.rows["phase"] == 3)
     places = np.concatenate((np.arange(trial[0]), np.resize(trial, rows)))
@@ -124,7 +124,7 @@ def test_long_recording_is_judged_and_drawn_within_bytes_a_row(
     for rows in (20_000, ROWS):
         paths.append(tmp_path / f"{rows}.{kind}")
         with open(paths[-1], "wb") as file:
-            (write_parquet if kind == "parquet" else write_capture)(file, long(whole, rows))
+            (write_parquet if kind == "parquet" else write_capture)(file, lengthen(whole, rows))
     done = subprocess.run(
         [sys.executable, "-c", SHOW, *map(str, paths)],
         capture_output=True, text=True, check=True, env={**os.environ, "ARROW_DEFAULT_MEMORY_POOL": "system"},

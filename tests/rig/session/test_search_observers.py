@@ -20,7 +20,7 @@ AGAIN = 40  # sessions
 
 
 @cache
-def again(case: tuple[str, float, float], sessions: int = AGAIN) -> observers.Row:
+def simulate_again(case: tuple[str, float, float], sessions: int = AGAIN) -> observers.Row:
     return observers.row_of(case, sessions)
 
 
@@ -37,7 +37,7 @@ def test_the_guide_shows_the_committed_table_in_sections_that_exist_once() -> No
 @pytest.mark.parametrize("rule", first_by_default(observers.RULES, 3))
 def test_a_few_sessions_again_agree_with_the_table(rule: Any) -> None:
     """Agreement within the scatter of so few sessions shows that the table belongs to the current code."""
-    row, now = ROWS[rule, 0.02, 15.0], again((rule, 0.02, 15.0))
+    row, now = ROWS[rule, 0.02, 15.0], simulate_again((rule, 0.02, 15.0))
     assert abs(now["bias"] - row["bias"]) < 4.0 * row["scatter"] / math.sqrt(AGAIN)
     assert now["scatter"] == pytest.approx(row["scatter"], rel=0.5)
     assert now["hits"] == pytest.approx(row["hits"], rel=0.15)
@@ -45,14 +45,14 @@ def test_a_few_sessions_again_agree_with_the_table(rule: Any) -> None:
 
 
 def test_one_slip_in_fifty_makes_the_ascending_rule_read_low_and_no_other() -> None:
-    ascended = again(("ascending × 5", 0.02, 15.0))
+    ascended = simulate_again(("ascending × 5", 0.02, 15.0))
     assert ascended["bias"] < -40.0
     assert ascended["bias"] < -ascended["scatter"]
     for name in OTHERS:
-        found = again((name, 0.02, 15.0))
+        found = simulate_again((name, 0.02, 15.0))
         assert abs(found["bias"]) < 5.0, name
         assert found["covered"] >= 0.9, name  # the table's are checked below
-    assert again(("psi", 0.02, 15.0))["hits"] < ascended["hits"] / 2
+    assert simulate_again(("psi", 0.02, 15.0))["hits"] < ascended["hits"] / 2
 
 
 def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
@@ -71,7 +71,7 @@ def test_intervals_hold_what_they_promise_except_the_ascending_rules() -> None:
 )
 def test_intervals_of_psi_hold_the_limit_of_gradual_observers_too() -> None:
     """With a prior that ended at a quarter of the range, only 91 to 93 % of intervals contained the limit."""
-    assert again(("psi", 0.0, 120.0), sessions=600)["covered"] >= 0.935
+    assert simulate_again(("psi", 0.0, 120.0), sessions=600)["covered"] >= 0.935
     for (name, lapse_rate, spread), row in GRADUAL.items():
         if name in OTHERS:
             assert row["covered"] >= (0.94 if name == "psi" else 0.92), (name, lapse_rate, spread)

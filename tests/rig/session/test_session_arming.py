@@ -168,7 +168,7 @@ def test_the_quick_answer_is_that_of_the_gate(scheme: int, travel_s: float) -> N
 
 
 @pytest.fixture
-def real(monkeypatch: pytest.MonkeyPatch) -> None:
+def real_device(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make a simulated device claim to be real, on a link that takes 30 µs each way."""
     open_simulated = devices.open_device
 
@@ -182,7 +182,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gates, "measured_once", lambda *arguments: link(30e-6))
 
 
-def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real: None) -> None:
+def test_a_real_rig_says_what_the_gate_would_say_of_each_wall(real_device: None) -> None:
     protocol = protocol_of(study=study(changes={**study()["changes"], "verdict.lowpass_hz": 400.0}))
     runner = DeviceRunner(url="serial:///dev/rig", verified=True)
     found = runner.refusals(tuple(walls_of(Walls(protocol, KOUL))))
@@ -200,12 +200,12 @@ def _first(protocol: Protocol) -> tuple[Experiment, Any]:
     return wall.experiment, wall.changes
 
 
-def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real: None) -> None:
+def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real_device: None) -> None:
     with pytest.raises(ConfigError, match="is not verified"):
         DeviceRunner(url="serial:///dev/rig").refusals(tuple(walls_of(Walls(protocol_of(), KOUL))))
 
 
-def test_the_check_of_a_study_asks_the_device(real: None, tmp_path: Path) -> None:
+def test_the_check_of_a_study_asks_the_device(real_device: None, tmp_path: Path) -> None:
     plan = check(protocol_of(), tmp_path, of_device=partial(device_checks, "serial:///dev/rig"))
     (found,) = (one for one in plan.checks if one.name == "arming")
     assert found.outcome is Outcome.WARNING

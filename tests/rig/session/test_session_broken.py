@@ -115,7 +115,7 @@ class Attends(ScriptedDesk):
         assert view.trial in (self.session.state.newest, self.session.state.newest + 1)
 
 
-class Slow(WallClock):
+class RecordingClock(WallClock):
     """A clock that records its calls."""
 
     def __init__(self) -> None:
@@ -131,7 +131,7 @@ class Slow(WallClock):
 def test_a_desk_follows_the_session_and_its_clock_receives_the_duration_of_hits(tmp_path: Path) -> None:
     desk = Attends()
     with started(tmp_path / "P01", protocol_of(stop={"trials": 2})) as session:
-        session.clock = clock = Slow()
+        session.clock = clock = RecordingClock()
         conduct(session, FakeRunner(), desk)
         assert desk.session is session
     assert clock.calls == [1.5, 1.5]
@@ -142,7 +142,7 @@ def test_a_clock_continues_where_the_log_ends(tmp_path: Path) -> None:
     with started(tmp_path / "P01") as session:
         conduct(session, FakeRunner(), leaves)
     last = events_of(tmp_path / "P01")[-1].at
-    clock = Slow()
+    clock = RecordingClock()
     with resume(tmp_path / "P01", clock=clock):
         assert clock.calls == [last]
 

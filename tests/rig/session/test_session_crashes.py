@@ -26,7 +26,7 @@ from tests.rig.session.session_fuse import DeadError, FullDisk, Fuse, fused
 PERSON = Person(thresholds={"dual-hidden": 330.0, "uniform-hidden": 330.0}, lapse_rate=0.1)
 
 
-def short() -> Protocol:
+def short_protocol() -> Protocol:
     """Return a protocol with every kind of write in few events: two runs of one trial, a question, a rest."""
     return protocol_of(
         search=SHORT_SEARCH,
@@ -46,7 +46,7 @@ def continue_session(directory: Path) -> SessionState:
     except ConfigError as error:
         if "has ended" in str(error):
             return SessionState.of(read(directory / LOG))
-        session = started(directory, short())
+        session = started(directory, short_protocol())
     return finish(session)
 
 
@@ -74,7 +74,7 @@ def check_equal(directory: Path, calm: Path) -> None:
 @pytest.fixture(scope="module")
 def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("calm") / "P01"
-    finish(started(directory, short()))
+    finish(started(directory, short_protocol()))
     return directory
 
 
@@ -84,13 +84,13 @@ def test_death_at_every_write_flush_and_rename(
 ) -> None:
     whole = Fuse()
     with fused(monkeypatch, whole):
-        finish(started(tmp_path / "counted" / "P01", short()))
+        finish(started(tmp_path / "counted" / "P01", short_protocol()))
     assert whole.calls > 35
     for place in range(whole.calls):
         directory = tmp_path / str(place) / "P01"
         fuse = Fuse(place, after=after)
         with fused(monkeypatch, fuse), suppress(DeadError):
-            finish(started(directory, short()))
+            finish(started(directory, short_protocol()))
         assert fuse.dead
         continue_session(directory)
         check_equal(directory, calm)
@@ -102,11 +102,11 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
     """The session reports the full disk, ends, and can be resumed once there is space again."""
     whole = Fuse()
     with fused(monkeypatch, whole):
-        finish(started(tmp_path / "counted" / "P01", short()))
+        finish(started(tmp_path / "counted" / "P01", short_protocol()))
     for place in range(0, whole.calls - 1, 3):  # the very last call is a flush
         directory = tmp_path / str(place) / "P01"
         with fused(monkeypatch, FullDisk(place)), pytest.raises(RecordingError, match="No space left"):
-            finish(started(directory, short()))
+            finish(started(directory, short_protocol()))
         continue_session(directory)
         check_equal(directory, calm)
 
@@ -118,7 +118,7 @@ def test_death_in_the_middle_of_coming_back(
     for place in range(12):
         directory = tmp_path / str(place) / "P01"
         with fused(monkeypatch, Fuse(28)), suppress(DeadError):  # at the write of the second recording
-            finish(started(directory, short()))
+            finish(started(directory, short_protocol()))
         with fused(monkeypatch, Fuse(place)), suppress(DeadError):
             continue_session(directory)
         continue_session(directory)

@@ -157,7 +157,7 @@ def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
         assert secret not in place.all_shown, secret
 
 
-def wished(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
+def wait_for_wish(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
     """Wait until the request to the hand fulfils a condition, and return it."""
     found: list[Wish] = []
 
@@ -183,12 +183,12 @@ def test_the_hand_follows(sit: Sit, hand: SharedHand) -> None:
     place.desk.show(DeskView(state="hold", scale={"start": 0.1, "wall": 0.5}))
     place.sees("hold", "hand:")
     place.press("end")
-    assert wished(hand, lambda one: one.position > 0.7).position == pytest.approx(0.8)
-    assert wished(hand, lambda one: one.press > 3.9).press == pytest.approx(4.0)
+    assert wait_for_wish(hand, lambda one: one.position > 0.7).position == pytest.approx(0.8)
+    assert wait_for_wish(hand, lambda one: one.press > 3.9).press == pytest.approx(4.0)
     place.press("home")
-    again = wished(hand, lambda one: one.position < 0.1)
+    again = wait_for_wish(hand, lambda one: one.position < 0.1)
     assert (again.position, again.press) == (pytest.approx(0.0), 0.0)
-    wished(hand, lambda one: one.sequence > again.sequence + 2)  # repeated: else the hand would rest
+    wait_for_wish(hand, lambda one: one.sequence > again.sequence + 2)  # repeated: else the hand would rest
 
 
 def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_move_it(
@@ -198,17 +198,17 @@ def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_m
     place.desk.show(DeskView(state="hit", scale={"start": 0.1, "wall": 0.5}))
     place.sees("hit")
     place.press("end")
-    wished(hand, lambda one: one.press == 4.0)
+    wait_for_wish(hand, lambda one: one.press == 4.0)
     reply = asker.submit(place.desk.ask, READY_QUESTION)
     place.sees("ready?")
-    wished(hand, lambda one: one.press == 0.0)
+    wait_for_wish(hand, lambda one: one.press == 0.0)
     place.press("n")
     place.sees("note, then enter:")
     for key in ("end", "left"):  # they belong to the line that is typed
         place.press(key)
     place.line("abc")
     assert answered(reply) == ("note", "abc")
-    found = wished(hand, lambda one: True)
+    found = wait_for_wish(hand, lambda one: True)
     assert (found.position, found.press) == (pytest.approx(0.1), 0.0)
 
 

@@ -25,7 +25,7 @@ from tests.rig.session.session_fakes import FakeRunner, protocol_of
 LIMITS = VerdictLimits(longest_gap=2, lost_fraction=0.01)
 
 
-def measured(stalls_s: Mapping[int, float], usual_s: float = 0.3e-3) -> LinkMeasurement:
+def link_of(stalls_s: Mapping[int, float], usual_s: float = 0.3e-3) -> LinkMeasurement:
     """Return a link measured for two seconds at 1 kHz: replies in 0.3 ms, except those with a stall (s)."""
     travel_s = np.full(2000, usual_s)
     for place, stall in stalls_s.items():
@@ -42,47 +42,47 @@ def measured(stalls_s: Mapping[int, float], usual_s: float = 0.3e-3) -> LinkMeas
 
 
 def test_a_stall_loses_the_samples_of_its_periods() -> None:
-    found = pace_of(measured({700: 11.2e-3}), 1000, LIMITS)
+    found = pace_of(link_of({700: 11.2e-3}), 1000, LIMITS)
     assert (found.lost_share, found.longest_gap_s) == (10 / 2000, 0.010)
     assert not found.hopeless  # a bad moment is not a bad machine
-    assert pace_of(measured({}), 1000, LIMITS).text == ""
+    assert pace_of(link_of({}), 1000, LIMITS).text == ""
 
 
 def test_a_link_that_always_takes_long_loses_nothing() -> None:
-    assert pace_of(measured({}, usual_s=4.2e-3), 1000, LIMITS).lost_share == 0.0
+    assert pace_of(link_of({}, usual_s=4.2e-3), 1000, LIMITS).lost_share == 0.0
 
 
 def test_a_thread_that_is_woken_late_loses_samples_too() -> None:
-    link = measured({})
+    link = link_of({})
     link.exchanges[900:] += 5_400_000  # asked late, and answered at once
     assert pace_of(link, 1000, LIMITS).lost_share == 5 / 2000
 
 
 def test_an_answer_that_never_came_is_one_lost_sample() -> None:
-    link = replace(measured({}), lost=1, exchanges=np.delete(measured({}).exchanges, slice(500, 551), axis=0))
+    link = replace(link_of({}), lost=1, exchanges=np.delete(link_of({}).exchanges, slice(500, 551), axis=0))
     assert pace_of(link, 1000, LIMITS).lost_share == 1 / 2000
     assert pace_of(replace(link, late=1), 1000, LIMITS).lost_share == 51 / 2000  # it came: the host slept
 
 
 def test_the_rate_that_is_proposed_is_the_highest_that_these_answers_keep() -> None:
     often = dict.fromkeys(range(10, 2000, 50), 2.1e-3)
-    found = pace_of(measured(often), 1000, LIMITS)
+    found = pace_of(link_of(often), 1000, LIMITS)
     assert found.kept_hz == 500
-    assert pace_of(measured(often), 500, LIMITS).lost_share == 0.0
+    assert pace_of(link_of(often), 500, LIMITS).lost_share == 0.0
     assert sentence(found, simulated=True) == (
         "this computer or the link loses 2 % of the samples at 1000 Hz, or is late with them, for up to 1 ms "
         "at a time; run at 500 Hz, or rehearse, or close other programs and run `rig doctor`"
     )
-    assert pace_of(measured({1: 0.1, 900: 0.1}), 1000, LIMITS).kept_hz is None
+    assert pace_of(link_of({1: 0.1, 900: 0.1}), 1000, LIMITS).kept_hz is None
 
 
 def test_where_every_quarter_would_spoil_a_trial_it_is_hopeless() -> None:
     gaps = dict.fromkeys((100, 600, 1100, 1600), 4.5e-3)
-    assert pace_of(measured(gaps), 1000, LIMITS).hopeless
-    assert not pace_of(measured(dict(list(gaps.items())[1:])), 1000, LIMITS).hopeless
+    assert pace_of(link_of(gaps), 1000, LIMITS).hopeless
+    assert not pace_of(link_of(dict(list(gaps.items())[1:])), 1000, LIMITS).hopeless
     single = dict.fromkeys(range(1, 2000, 60), 1.5e-3)  # 1.7 % of the samples, one at a time
-    assert pace_of(measured(single), 1000, LIMITS).hopeless
-    assert not pace_of(measured(dict(list(single.items())[::2])), 1000, LIMITS).hopeless
+    assert pace_of(link_of(single), 1000, LIMITS).hopeless
+    assert not pace_of(link_of(dict(list(single.items())[::2])), 1000, LIMITS).hopeless
 
 
 class SlowRunner(FakeRunner):
@@ -99,7 +99,7 @@ class SlowRunner(FakeRunner):
 
 
 def test_a_hopeless_session_is_refused_unless_the_operator_accepts_it() -> None:
-    bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
+    bad = pace_of(link_of(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
     walls = Walls(protocol_of(), preset("koul-rigid"))
     with pytest.raises(PlanError, match="nearly every trial would be invalid") as refused:
         refuse_lossy(walls, SlowRunner(bad))
@@ -111,7 +111,7 @@ def test_a_hopeless_session_is_refused_unless_the_operator_accepts_it() -> None:
 
 
 def test_the_measured_loss_is_in_the_log_and_its_line() -> None:
-    bad = pace_of(measured(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
+    bad = pace_of(link_of(dict.fromkeys(range(0, 2000, 100), 4.5e-3)), 1000, LIMITS)
     opened = Event(
         1,
         0.0,

@@ -89,13 +89,13 @@ class Disk:
             os.close(descriptor)
 
 
-def put(tree: Tree, place: Path) -> Path:
+def write_tree(tree: Tree, place: Path) -> Path:
     place.mkdir(parents=True)
     for name, content in tree.items():
         if isinstance(content, bytes):
             (place / name).write_bytes(content)
         else:
-            put(content, place / name)
+            write_tree(content, place / name)
     return place
 
 
@@ -181,7 +181,7 @@ def test_a_first_participant_survives_a_power_cut_at_any_time(
     for number, (acknowledged, chance, tree) in enumerate(cuts):
         if acknowledged == 0:
             continue
-        directory = put(tree, tmp_path / str(number)) / DIRECTORY
+        directory = write_tree(tree, tmp_path / str(number)) / DIRECTORY
         check_kept(directory, acknowledged)
         if chance == 0.0 and read(directory / LOG)[-1].kind != "ended":
             conduct_session(resume(directory, clock=Day()))
@@ -208,6 +208,6 @@ def test_a_recording_without_a_log_entry_survives_a_power_cut_while_it_is_set_as
     for number, (acknowledged, chance, tree) in enumerate(cuts):
         if chance:
             continue  # which half of a rename comes first is the file system's; with a journal they come as one
-        found = put(tree, tmp_path / str(number)) / DIRECTORY
+        found = write_tree(tree, tmp_path / str(number)) / DIRECTORY
         check_kept(found, acknowledged)
         assert content in [path.read_bytes() for path in (found / TRIALS).rglob("*") if path.is_file()]

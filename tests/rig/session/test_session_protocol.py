@@ -410,7 +410,7 @@ def test_the_schema_for_editors_knows_every_key_with_meaning_and_unit() -> None:
     json.dumps(schema)
 
 
-def as_an_editor(table: dict[str, Any]) -> list[str]:
+def editor_errors(table: dict[str, Any]) -> list[str]:
     """Return place and reason of each error that an editor with the JSON schema underlines."""
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator.check_schema(json_schema())
@@ -429,7 +429,7 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     schema = json.loads(beside.read_text())
     assert schema == json.loads(json.dumps(json_schema()))
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    assert as_an_editor(tomllib.loads(path.read_text())) == []
+    assert editor_errors(tomllib.loads(path.read_text())) == []
 
 
 @pytest.mark.parametrize(
@@ -446,7 +446,7 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     ),
 )
 def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], words: str) -> None:
-    (fault,) = as_an_editor(changed(changes))
+    (fault,) = editor_errors(changed(changes))
     assert words in fault
 
 

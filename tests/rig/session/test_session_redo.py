@@ -23,7 +23,7 @@ def run(
         return conduct(session, runner, ScriptedDesk(answer))
 
 
-def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
+def end_with_redos(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
     """Return the state of a session at whose end the operator answers redo `redos` times in succession."""
     answered = 0
 
@@ -45,7 +45,7 @@ def ended(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> S
 @pytest.mark.parametrize("order", [{"kind": "fixed"}, {"kind": "fixed", "interleave": True}])
 def test_a_trial_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
     runner = FakeRunner()
-    state = ended(tmp_path, runner, redos, stop={"trials": 3}, order=order)
+    state = end_with_redos(tmp_path, runner, redos, stop={"trials": 3}, order=order)
     assert state.ended == "3 trials"
     assert [trial.void for trial in state.trials] == [""] * (3 - redos) + ["redone"] * redos + [""] * redos
     walls = [(trial.run, trial.stiffness) for trial in state.trials]
@@ -81,7 +81,7 @@ def test_only_a_trial_of_the_block_that_runs_can_be_redone(tmp_path: Path) -> No
 def test_every_end_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
     cut = {"automatic": "unstable", "aborted": "energy"}
     runner = FakeRunner(dict.fromkeys((1, 2), (cut, None)) if "aborts" in stop else {})
-    state = ended(tmp_path, runner, 1, stop=stop)
+    state = end_with_redos(tmp_path, runner, 1, stop=stop)
     void = [trial for trial in state.trials if trial.void]
     assert len(void) == 1
     after = state.trials[void[0].trial]

@@ -224,7 +224,7 @@ def test_a_rig_behind_a_port_is_locked_hit_and_left_at_rest(
 
 
 @contextmanager
-def a_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[None]:
+def acting_person(sees: Callable[[], bool], does: Callable[[], object]) -> Iterator[None]:
     """Call `does` once as soon as `sees` returns True, as a watching person would act."""
 
     def watch() -> None:
@@ -250,7 +250,7 @@ def test_rig_stop_ends_all_tests(port: SerialRig, pytester: pytest.Pytester) -> 
     def runs() -> bool:
         return any(loop.pid == os.getpid() and loop.ticks > 50 for loop in running.running())
 
-    with a_person(runs, lambda: running.ask_to_stop(os.getpid())):
+    with acting_person(runs, lambda: running.ask_to_stop(os.getpid())):
         result = pytester.runpytest_inprocess("--rig-url", port.url, "--rig-verified", "-n0")
     assert result.ret == 130
     result.stdout.fnmatch_lines([f"*Exit: stopped by process {os.getpid()} *; the effort is zero*"])
@@ -270,7 +270,7 @@ def test_ctrl_c_in_a_hit_ends_all_tests(bench: Bench, suite: pytest.Pytester) ->
         def test_of_the_next(rig_hit): rig_hit()
         """
     )
-    with a_person(lambda: bench.device.sample_index > 100, lambda: os.kill(os.getpid(), signal.SIGINT)):
+    with acting_person(lambda: bench.device.sample_index > 100, lambda: os.kill(os.getpid(), signal.SIGINT)):
         result = suite.runpytest_inprocess(*TYPED)
     assert result.ret == 130
     result.stdout.fnmatch_lines(["*Exit: stopped by SIGINT; the effort is zero*"])

@@ -31,7 +31,7 @@ def limit(
     return StiffnessLimit(stiffness, failed_at, islands, 0)
 
 
-def a_peak(scheme: int, damping: float, criterion: str) -> Sequence[StiffnessLimit]:
+def peak_limits(scheme: int, damping: float, criterion: str) -> Sequence[StiffnessLimit]:
     """Return limits that are highest in the corner in which a legend used to be."""
     heard = 0.9 if criterion == "heard" else 1.0
     return [limit(heard * (300.0 + 100.0 * scheme + 200.0 * damping + 10.0 * offset)) for offset in (0, 1)]
@@ -48,7 +48,7 @@ def mapped(plan: MapPlan, limits: Limits) -> ZWidth:
 
 
 def a_map(
-    dampings: Sequence[float] = FIVE, limits: Limits = a_peak, schemes: Sequence[str] = SCHEMES
+    dampings: Sequence[float] = FIVE, limits: Limits = peak_limits, schemes: Sequence[str] = SCHEMES
 ) -> ZWidth:
     plan = MapPlan(
         experiment=presets.load("koul-compliant"),
