@@ -297,13 +297,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def stocked(made: Path, tmp_path: Path) -> None:
+def copied_files(made: Path, tmp_path: Path) -> None:
     """Copy the files of `made` to the working directory."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.fixture
-def loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def accepting_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the running real-time loop by one that accepts each change of its wall."""
     done = live.LiveChange(7, 3, {"wall.stiffness": 1.0}, {}, active=True, ended=False)
     monkeypatch.setattr(live, "change_wall", lambda *_, **__: done)
@@ -315,7 +315,7 @@ def test_every_command_has_a_row_with_a_good_run() -> None:
         assert f"\ndef {name}(" in (ROOT / path).read_text(encoding="utf-8"), name
 
 
-@pytest.mark.usefixtures("stocked", "undrawn", "loop")
+@pytest.mark.usefixtures("copied_files", "undrawn", "accepting_loop")
 @pytest.mark.parametrize("row", [row for row in ROWS if "::" not in row.good], ids=lambda row: row.name)
 def test_a_good_run_ends_with_0_as_json_and_as_text(row: Row, run: Any, tmp_path: Path) -> None:
     words = shlex.split(f"{row.name} {row.good}")
@@ -336,7 +336,7 @@ def test_a_good_run_ends_with_0_as_json_and_as_text(row: Row, run: Any, tmp_path
 REFUSALS = [(row.name, *refused) for row in ROWS for refused in row.refused]
 
 
-@pytest.mark.usefixtures("stocked")
+@pytest.mark.usefixtures("copied_files")
 @pytest.mark.parametrize(
     ("name", "given", "code", "words"), REFUSALS, ids=[f"{n} {g}" for n, g, *_ in REFUSALS]
 )

@@ -248,7 +248,7 @@ def test_every_figure_of_a_page_is_made_by_a_script() -> None:
 
 
 @pytest.fixture
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def one_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Replace the documentation by a site of one page."""
     pytest.importorskip("sphinx")
     sources = tmp_path / "small"
@@ -259,7 +259,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return sources
 
 
-def test_a_site_is_built(small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_site_is_built(one_page: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert rig.cli.run(["serve", "docs", "--no-open", "--strict", "-o", str(out)]) == 0
     assert "One page" in (out / "html" / "index.html").read_text()
@@ -267,8 +267,8 @@ def test_a_site_is_built(small: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.exhaustive("::test_a_site_is_built")
-def test_a_warning_is_an_error_where_that_is_asked_for(small: Path, tmp_path: Path) -> None:
-    (small / "index.md").write_text("# One page\n\n[nothing](nowhere.md)\n")
+def test_a_warning_is_an_error_where_that_is_asked_for(one_page: Path, tmp_path: Path) -> None:
+    (one_page / "index.md").write_text("# One page\n\n[nothing](nowhere.md)\n")
     assert site.build_site(tmp_path / "out").pages > 0
     with pytest.raises(RigError, match=r"nowhere\.md"):
         site.build_site(tmp_path / "out", strict=True)

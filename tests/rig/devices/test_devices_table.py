@@ -255,7 +255,7 @@ def test_a_device_process_has_its_group_before_it_loads_its_arguments() -> None:
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch) -> Any:
+def served_options(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Replace device processes by simulations in this process; return the options requested for each."""
     asked = []
 
@@ -270,14 +270,14 @@ def served(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.mark.parametrize(("wanted", "asked"), [("off", "off"), ("try", "try"), ("enforce", "try")])
 def test_a_simulated_device_in_real_time_asks_for_the_scheduling_of_the_experiment(
-    served: Any, wanted: str, asked: str
+    served_options: Any, wanted: str, asked: str
 ) -> None:
     with local.open_for_run("sim://", rotary_rig(), in_real_time=True, seed=3, realtime=wanted) as device:
         assert device.dictionary.device == "koul-compliant"
-    assert served == [{"url": "sim://", "seed": 3, "realtime": asked}]
+    assert served_options == [{"url": "sim://", "seed": 3, "realtime": asked}]
 
 
-def test_no_process_serves_virtual_time_or_a_real_device(served: Any) -> None:
+def test_no_process_serves_virtual_time_or_a_real_device(served_options: Any) -> None:
     with local.open_for_run("sim://chawda-linear", rotary_rig(), in_real_time=False) as device:
         assert device.dictionary.device == "chawda-linear"
     with (
@@ -285,16 +285,16 @@ def test_no_process_serves_virtual_time_or_a_real_device(served: Any) -> None:
         local.open_for_run("serial:///dev/none", None, in_real_time=True),
     ):
         pass
-    assert served == []
+    assert served_options == []
 
 
 def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_says_off(
-    served: Any, tmp_path: Path
+    served_options: Any, tmp_path: Path
 ) -> None:
     experiment = config.override(presets.load("koul-compliant"), {"host.realtime": "off"})
     with examined(OnDevice(url="sim://", recordings=tmp_path, realtime=True), experiment):
         pass
-    assert served[0]["realtime"] == "off"
+    assert served_options[0]["realtime"] == "off"
 
 
 def test_a_device_process_is_the_firmware_when_the_url_says_so() -> None:

@@ -84,7 +84,7 @@ def in_thread(function: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def granted() -> None:
+def realtime_rights() -> None:
     """Skip the test unless the machine grants real-time scheduling to this process."""
     with obtained(Asked()) as realtime:
         refused = realtime.refusals
@@ -99,7 +99,7 @@ def as_before() -> Iterator[Any]:
     assert state() == before
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_do_not() -> None:
     cpu = max(os.sched_getaffinity(0))
     with obtained(Asked("enforce", priority=42, cpu=cpu)) as realtime:
@@ -113,7 +113,7 @@ def test_the_loop_s_thread_gets_policy_priority_and_processor_and_its_children_d
         assert childs.name == "SCHED_OTHER"
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_a_thread_that_lives_on_gets_back_what_it_had() -> None:
     def body() -> tuple[ThreadState, ThreadState | None, ThreadState]:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -130,7 +130,7 @@ def test_a_thread_that_lives_on_gets_back_what_it_had() -> None:
     assert after.timer_slack_ns == 12_345
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_contexts_within_each_other_give_back_in_turn() -> None:
     def body() -> list[tuple[str, int]]:
         seen = []
@@ -145,7 +145,7 @@ def test_contexts_within_each_other_give_back_in_turn() -> None:
     assert in_thread(body) == [(fifo, 30), (fifo, 40), (fifo, 30), ("SCHED_OTHER", 0)]
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_leaving_twice_or_elsewhere_changes_nothing() -> None:
     with obtained(Asked()) as realtime:
         realtime.leave_thread()
@@ -165,7 +165,7 @@ def test_leaving_twice_or_elsewhere_changes_nothing() -> None:
             assert other.result(CHILD_S).is_fifo
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_an_exception_and_a_refusal_undo_everything() -> None:
     before = state()
     with pytest.raises(ZeroDivisionError), obtained(Asked("enforce")):
@@ -176,7 +176,7 @@ def test_an_exception_and_a_refusal_undo_everything() -> None:
     assert state() == before
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
     """Only the number of open contexts counts: try each change between none and three, in both directions."""
     held: list[ExitStack] = []
@@ -194,7 +194,7 @@ def test_contexts_in_any_order_hold_until_the_last_one_ends() -> None:
     assert locked() == 0
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
     together = threading.Barrier(4)
 
@@ -211,7 +211,7 @@ def test_contexts_of_several_threads_do_not_undo_each_other() -> None:
     assert locked() == 0
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_pages_locked_by_other_code_stay_locked() -> None:
     with mmap.mmap(-1, 4 * mmap.PAGESIZE) as region:
         word = np.frombuffer(region, np.uint8)
@@ -226,7 +226,7 @@ def test_pages_locked_by_other_code_stay_locked() -> None:
         del word
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_a_program_that_had_locked_everything_keeps_it() -> None:
     try:
         assert calls.lock_all() == 0
@@ -238,7 +238,7 @@ def test_a_program_that_had_locked_everything_keeps_it() -> None:
         calls.unlock_all()
 
 
-@pytest.mark.usefixtures("granted")
+@pytest.mark.usefixtures("realtime_rights")
 def test_a_thread_that_comes_after_the_end_stays_as_it_is() -> None:
     with obtained(Asked()) as realtime:
         pass

@@ -50,10 +50,10 @@ def continue_session(directory: Path) -> SessionState:
     return finish(session)
 
 
-def check_equal(directory: Path, calm: Path) -> None:
+def check_equal(directory: Path, undisturbed: Path) -> None:
     """Check that decisions and results equal an uninterrupted session's, and each recording exists once, unchanged."""
     events = read(directory / LOG)
-    assert decisions(events) == decisions(read(calm / LOG))
+    assert decisions(events) == decisions(read(undisturbed / LOG))
     state = SessionState.of(events)
     assert state.ended == "complete"
     for trial in state.trials:
@@ -72,7 +72,7 @@ def check_equal(directory: Path, calm: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("calm") / "P01"
     finish(started(directory, short_protocol()))
     return directory
@@ -80,7 +80,7 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("after", first_by_default([False, True]))
 def test_death_at_every_write_flush_and_rename(
-    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch, after: bool
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch, after: bool
 ) -> None:
     whole = Fuse()
     with fused(monkeypatch, whole):
@@ -93,11 +93,11 @@ def test_death_at_every_write_flush_and_rename(
             finish(started(directory, short_protocol()))
         assert fuse.dead
         continue_session(directory)
-        check_equal(directory, calm)
+        check_equal(directory, undisturbed)
 
 
 def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
-    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The session reports the full disk, ends, and can be resumed once there is space again."""
     whole = Fuse()
@@ -108,11 +108,11 @@ def test_a_disk_that_is_full_at_any_write_ends_the_session_in_order(
         with fused(monkeypatch, FullDisk(place)), pytest.raises(RecordingError, match="No space left"):
             finish(started(directory, short_protocol()))
         continue_session(directory)
-        check_equal(directory, calm)
+        check_equal(directory, undisturbed)
 
 
 def test_death_in_the_middle_of_coming_back(
-    tmp_path: Path, calm: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On resuming, recordings are moved aside, listed and logged; the process may die after any of these steps."""
     for place in range(12):
@@ -122,4 +122,4 @@ def test_death_in_the_middle_of_coming_back(
         with fused(monkeypatch, Fuse(place)), suppress(DeadError):
             continue_session(directory)
         continue_session(directory)
-        check_equal(directory, calm)
+        check_equal(directory, undisturbed)
