@@ -430,7 +430,7 @@ def test_stick_slip_under_a_slow_push_is_that_of_an_event_driven_solver() -> Non
 def test_at_constant_velocity_the_last_edge_is_dated_exactly(
     velocity: float, direction: int, offset: float
 ) -> None:
-    """From one edge in more than five ticks to ten edges per tick, in both directions."""
+    """Speeds range from less than one edge in five ticks to ten edges per tick, in both directions."""
     rig = replace(LINEAR, encoder=Encoder(quantum=1e-6, offset=offset))
     plant = DiscretePlant.build(rig, TICK_S)
     state = plant.at_rest(0.2e-6)

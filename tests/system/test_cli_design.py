@@ -26,7 +26,7 @@ FEW = [*BRIEF, "--scheme", "uniform:10k,estimator=fdm-butterworth,cutoff_hz=400"
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(margin, "SAMPLES", 1)
     monkeypatch.setattr(margin, "RATIO", 1.7)
     monkeypatch.setattr(margin, "OFFSETS", (0.1,))

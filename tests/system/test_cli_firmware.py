@@ -49,7 +49,7 @@ def test_without_a_compiler_the_command_names_the_package_to_install(
 
 
 @pytest.fixture
-def built(run: Any, tmp_path: Path) -> Any:
+def built_image(run: Any, tmp_path: Path) -> Any:
     cross.need_compiler()
     code, out, err = run(
         "firmware", "build", "--rig", "koul-rigid", "--board", "mps2", "--json", "-o", tmp_path / "made"
@@ -58,13 +58,13 @@ def built(run: Any, tmp_path: Path) -> Any:
     return json.loads(out)
 
 
-def test_an_image_is_built_and_inspected(run: Any, built: Any) -> None:
-    assert built["rig"] == "koul-rigid"
-    assert {Path(built[kind]).exists() for kind in ("elf", "bin", "facts")} == {True}
-    code, out, _ = run("firmware", "info", built["elf"])
+def test_an_image_is_built_and_inspected(run: Any, built_image: Any) -> None:
+    assert built_image["rig"] == "koul-rigid"
+    assert {Path(built_image[kind]).exists() for kind in ("elf", "bin", "facts")} == {True}
+    code, out, _ = run("firmware", "info", built_image["elf"])
     assert code == 0
     assert all(
-        words in out for words in ("mps2", "koul-rigid", built["dictionary_hash"], "compatible", "yes")
+        words in out for words in ("mps2", "koul-rigid", built_image["dictionary_hash"], "compatible", "yes")
     )
 
 

@@ -44,7 +44,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+def type_lines(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return lambda *lines, **more: monkeypatch.setattr(sys, "stdin", Terminal(*lines, **more))
 
 
@@ -72,23 +72,23 @@ def test_missing_values_are_named_as_options(run: Any) -> None:
     assert not list(Path().iterdir())
 
 
-def test_an_existing_file_is_replaced_only_on_agreement(run: Any, typed: Any) -> None:
+def test_an_existing_file_is_replaced_only_on_agreement(run: Any, type_lines: Any) -> None:
     Path("mine.toml").write_text("# mine\n")
     code, _, err = run("experiment", "new", *OPTIONS)
     assert code == 2
     assert "--overwrite" in err
-    typed("n", *ANSWERS)
+    type_lines("n", *ANSWERS)
     assert run("experiment", "new")[0] == 2
     assert Path("mine.toml").read_text() == "# mine\n"
-    typed("y", *ANSWERS)
+    type_lines("y", *ANSWERS)
     assert run("experiment", "new")[0] == 0
     assert rig.load("mine.toml").rig.motion == "linear"
     assert run("experiment", "new", *OPTIONS, "--overwrite")[0] == 0
     assert rig.load("mine.toml").rig.motion == "rotary"
 
 
-def test_after_a_wrong_answer_the_question_names_the_allowed_values(run: Any, typed: Any) -> None:
-    typed("belt", *ANSWERS[:1], "20 N·m/A", *ANSWERS[1:7], *ANSWERS[8:])
+def test_after_a_wrong_answer_the_question_names_the_allowed_values(run: Any, type_lines: Any) -> None:
+    type_lines("belt", *ANSWERS[:1], "20 N·m/A", *ANSWERS[1:7], *ANSWERS[8:])
     code, out, err = run("experiment", "new", "slide.toml", "--carriage-mass", "0.4")  # not asked for
     assert code == 0, out + err
     assert "one of lever, carriage, linear-motor" in out + err
@@ -100,8 +100,8 @@ def test_after_a_wrong_answer_the_question_names_the_allowed_values(run: Any, ty
 
 
 @pytest.mark.parametrize("answered", [0, 1, 5, len(ANSWERS) - 1])
-def test_ctrl_c_leaves_no_file(run: Any, typed: Any, answered: int) -> None:
-    typed(*ANSWERS[:answered], ends=KeyboardInterrupt)
+def test_ctrl_c_leaves_no_file(run: Any, type_lines: Any, answered: int) -> None:
+    type_lines(*ANSWERS[:answered], ends=KeyboardInterrupt)
     assert run("experiment", "new")[0] == 130
     assert not list(Path().iterdir())
 

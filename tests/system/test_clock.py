@@ -162,7 +162,7 @@ def test_a_capture_and_its_sealed_recording_have_the_same_timing(tmp_path: Path)
     assert plain(timing(hit(tmp_path / "sealed", 50.0))) == plain(before)
 
 
-def changed(sealed: Any, path: Any, **changes: Any) -> Any:
+def change(sealed: Any, path: Any, **changes: Any) -> Any:
     recording = dataclasses.replace(open_recording(sealed), **changes)
     with open(path, "wb") as file:
         write_capture(file, recording)
@@ -170,7 +170,7 @@ def changed(sealed: Any, path: Any, **changes: Any) -> Any:
 
 
 def test_a_run_cut_off_has_the_hosts_share_alone(run: Any, sealed: Any, tmp_path: Path) -> None:
-    path = changed(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
+    path = change(sealed, tmp_path / "cut.rigcap", trailer=None, complete=False)
     code, out, _ = run("recording", "timing", path)
     assert code == 0
     assert "unknown" in out
@@ -190,8 +190,8 @@ def test_a_picture_does_not_overwrite_the_recording(run: Any, sealed: Any) -> No
 def test_a_recording_without_rows_or_with_a_broken_clock_is_refused(
     run: Any, sealed: Any, tmp_path: Path
 ) -> None:
-    empty = changed(sealed, tmp_path / "empty.rigcap", rows=open_recording(sealed).rows[:0])
-    broken = changed(sealed, tmp_path / "broken.rigcap", trailer={"clock": {"drift_ppm": 1.0}})
+    empty = change(sealed, tmp_path / "empty.rigcap", rows=open_recording(sealed).rows[:0])
+    broken = change(sealed, tmp_path / "broken.rigcap", trailer={"clock": {"drift_ppm": 1.0}})
     for path, words in ((empty, "no rows"), (broken, "clock")):
         code, _, err = run("recording", "timing", path)
         assert (code, words in err) == (9, True)

@@ -110,7 +110,7 @@ def test_a_servo_below_the_check_of_the_device_is_stopped_by_the_host(loop: str,
 def test_a_torque_pulse_without_an_encoder_ends_before_the_handle_is_fast(
     name: str, loop: str, dead: str, tmp_path: Path
 ) -> None:
-    """The device's own check is for large efforts: the pulse must end without it, and no second push follows."""
+    """The device's own check is for large efforts only; the pulse must end without it, and no second push follows."""
     changes = {"rig.amplifier.current_monitor": False, "controller.loop": loop}
     x = config.override(presets.load(name), changes)
     model = config.rig_model(still(x))

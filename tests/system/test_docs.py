@@ -229,7 +229,7 @@ AT_REST = {"bump", "grating", "mass"}  # may pull a handle at rest: a shape or a
 def test_a_law_of_the_gallery_does_what_its_page_claims_and_replays(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each script asserts its claim; this test adds: finite, bounded memory, passive in slow and fast cycles."""
+    """Each script asserts its claim; this test adds that the law is finite, bounded in memory and passive."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = runpy.run_path(str(script))

@@ -31,7 +31,7 @@ SHORT = {
 }
 
 
-def held(preset: str, **changes: Any) -> config.Experiment:
+def held_rig(preset: str, **changes: Any) -> config.Experiment:
     return config.override(presets.load(preset), {**SHORT, **HELD, **changes})
 
 
@@ -76,9 +76,9 @@ def test_a_persons_trial_on_a_preset_for_automated_trials_has_the_limits_for_peo
 
 def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() -> None:
     with pytest.raises(ConfigError, match=r"must be at most rig\.limits\.nominal_effort, 0\.286"):
-        held("koul-rigid", **{"rig.limits.effort": 1.0})
+        held_rig("koul-rigid", **{"rig.limits.effort": 1.0})
     with pytest.raises(ConfigError, match=r"must be at most rig\.limits\.nominal_effort, 0\.286"):
-        config.override(held("koul-rigid"), {"rig.limits.effort": 1.0})
+        config.override(held_rig("koul-rigid"), {"rig.limits.effort": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
 def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a_real_one(
     changes: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    experiment = held("koul-rigid", **{"wall.damping": 0.05, **changes})
+    experiment = held_rig("koul-rigid", **{"wall.damping": 0.05, **changes})
     check = human_limits(experiment)
     assert (check.outcome, says in check.text) == (Outcome.WARNING, True), check.text
     (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
@@ -118,7 +118,7 @@ def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a
 
 
 def test_an_override_for_stall_is_allowed_and_seen(tmp_path: Path) -> None:
-    experiment = held("koul-rigid", **{"rig.limits.override_stall": True, "rig.limits.effort": 1.3})
+    experiment = held_rig("koul-rigid", **{"rig.limits.override_stall": True, "rig.limits.effort": 1.3})
     assert limits_of(experiment) == (True, pytest.approx(1.3 / 0.286), OSCILLATIONS)
     assert "4.55 times the nominal effort" in human_limits(experiment).text
     assert human_limits(experiment).outcome is Outcome.WARNING
@@ -132,7 +132,7 @@ def test_swapped_leads_in_a_persons_trial_give_no_more_than_the_nominal_effort(
     preset: str, tmp_path: Path
 ) -> None:
     """A bug once allowed 1.3 N·m on koul-rigid, 4.5 times nominal: a person got the limits of automated trials."""
-    experiment = held(preset, **{"operator.press": 1.0, "wall.damping": 0.05})
+    experiment = held_rig(preset, **{"operator.press": 1.0, "wall.damping": 0.05})
     tick = round(0.5 * experiment.controller.position_rate)
 
     def swap(device: Any) -> None:

@@ -113,7 +113,7 @@ def assert_stopped(ending: str, number: int, codes: set[int], output: Path, *, r
 
 
 def test_rig_stop_stops_every_run_and_its_repeats(tmp_path: Path) -> None:
-    """Also the second repeat in one thread and a map between two trials; afterwards new runs may begin."""
+    """It also stops the second repeat in one thread and a map between two trials; later runs may begin again."""
     ready = threading.Barrier(3)
 
     def begun(number: int, experiment: Any) -> Any:

@@ -51,7 +51,7 @@ def test_a_motor_that_only_cogs_has_no_ripple_worth_the_name() -> None:
 
 
 def test_interval_holds_the_truth_as_often_as_stated() -> None:
-    """For 95 % intervals in white noise, within four standard deviations of the binomial count."""
+    """95 % intervals in white noise contain it within four standard deviations of the binomial count."""
     rng, runs = np.random.default_rng(3), [swept(RIPPLES, load=hung) for hung in (0.0, LOAD)]
     held, trials = 0, 0
     for _ in range(25):

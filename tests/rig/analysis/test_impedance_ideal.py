@@ -177,7 +177,7 @@ def test_without_a_wall_it_is_the_rig() -> None:
 
 
 def test_two_masses_resonate_where_their_masses_and_the_capstan_say() -> None:
-    """With little damping: stiff where only the motor swings against the capstan, soft where both masses do."""
+    """The rig is stiff where only the motor swings against the capstan, soft where both masses do; damping is low."""
     model = linear_loop("koul-compliant", "dual:20k/2k").subject.model
     quiet = {"transmission_damping_ratio": 1e-4, "motor_damping": 1e-5, "link_damping": 1e-5}
     loop = linear_loop(replace(model, mechanics=replace(model.mechanics, **quiet)), "dual:20k/2k")

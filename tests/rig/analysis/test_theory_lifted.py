@@ -287,7 +287,7 @@ def test_a_model_without_an_experiment_has_the_usual_filter() -> None:
     ("rig", "operator"), [("koul-compliant", "normal"), ("koul-rigid", "none"), ("cogged", "none")]
 )
 def test_powers_of_the_period_agree_with_its_eigenvalues(rig: str, scheme: str, operator: str) -> None:
-    """From a free handle (an eigenvalue of 1) to walls whose powers overflow, and densely near the limits."""
+    """Walls range from none (an eigenvalue of 1) to those whose powers overflow, and are dense near the limits."""
     cogged = config.override(CHAWDA, COGS)
     lifted = theory.Lifted.of(
         theory.linear_loop(cogged if rig == "cogged" else rig, scheme, operator=operator)

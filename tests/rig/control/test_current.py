@@ -21,7 +21,7 @@ RATES = (100, 1_000, 4_000, 20_000, 50_000)
 LAGS_S = (0.0, 1.0e-4, 1.09e-4, 1e-3)
 
 
-def watched(
+def new_check(
     rate: int,
     *,
     noise: float = 1.0,
@@ -87,7 +87,7 @@ def test_sound_amplifier_never_disagrees(
     random = np.random.default_rng(seed + 1)
     measured = lagged(active, rate, share * lag_s) + np.round(random.normal(0.0, noise, len(active)))
     total = float(np.hypot(noise, np.sqrt(2 / 12)))
-    assert DISAGREES not in answers(watched(rate, noise=total, lag_s=lag_s), active, measured)
+    assert DISAGREES not in answers(new_check(rate, noise=total, lag_s=lag_s), active, measured)
 
 
 @pytest.mark.parametrize("share", [0.75, 1.5])
@@ -96,7 +96,7 @@ def test_lag_between_those_of_the_check_rarely_disagrees(share: float) -> None:
     rate, lag_s, found = 1_000, 1e-3, 0
     for seed in range(200):
         active = commands(rate, seed)
-        words = watched(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s)
+        words = new_check(rate, noise=float(np.sqrt(2 / 12)), lag_s=lag_s)
         found += DISAGREES in answers(words, active, lagged(active, rate, share * lag_s))
     assert found <= 4
 
@@ -128,16 +128,16 @@ def test_late_set_point_never_disagrees_and_a_dead_motor_does(
     sensor = {"noise": ROUNDED, "lag_s": lag_s, "delay_s": delay_s}
     active = commands(rate, seed)
     flowing = delayed(active, rate, late_s, lag_s)
-    assert DISAGREES not in answers(watched(rate, **sensor), active, flowing)
+    assert DISAGREES not in answers(new_check(rate, **sensor), active, flowing)
     steady = np.full(max(200, rate // 10), 500)
-    assert set(answers(watched(rate, **sensor), steady, delayed(steady, rate, late_s, lag_s))) <= {AGREES}
-    assert DISAGREES in answers(watched(rate, **sensor), steady, 0 * steady)
-    assert DISAGREES in answers(watched(rate, **sensor), steady, -steady)
+    assert set(answers(new_check(rate, **sensor), steady, delayed(steady, rate, late_s, lag_s))) <= {AGREES}
+    assert DISAGREES in answers(new_check(rate, **sensor), steady, 0 * steady)
+    assert DISAGREES in answers(new_check(rate, **sensor), steady, -steady)
 
 
 def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None:
     """At 1 kHz with a delay of 3 ms, currents set before the gap flow for up to 6 ms after it."""
-    words = watched(1_000, delay_s=3e-3)
+    words = new_check(1_000, delay_s=3e-3)
     current.resume(words, 0)
     active, before = np.full(200, 900), np.full(3, -800)
     flowing = np.concatenate([before, active])[: len(active)]
@@ -156,7 +156,7 @@ def test_other_current_disagrees_in_each_clear_window(
 ) -> None:
     active = commands(rate, seed)
     flowing = lagged(active, rate, lag_s)
-    words = watched(rate, noise=1.0, lag_s=lag_s)
+    words = new_check(rate, noise=1.0, lag_s=lag_s)
     ticks, noise = words[CURRENT.ticks], words[CURRENT.noise]
     whole = len(active) // ticks * ticks
     windows = np.abs(flowing)[:whole].reshape(-1, ticks).sum(axis=1)
@@ -187,14 +187,14 @@ SLACK = 1.0  # quantum a tick: both are rounded
 def test_one_spike_in_a_window_is_no_disagreement(rate: int, lag_s: float, seed: int, spike: int) -> None:
     active = commands(rate, seed)
     measured = lagged(active, rate, lag_s)
-    words = watched(rate, lag_s=lag_s)
+    words = new_check(rate, lag_s=lag_s)
     ticks, random = words[CURRENT.ticks], np.random.default_rng(seed)
     measured[[begin + random.integers(ticks) for begin in range(0, len(active) - ticks + 1, ticks)]] = spike
     assert DISAGREES not in answers(words, active, measured)
 
 
 def test_current_below_the_noise_gives_no_answer() -> None:
-    words = watched(1_000, noise=10.0)  # 400 in a window; nine of its ten count
+    words = new_check(1_000, noise=10.0)  # 400 in a window; nine of its ten count
     assert answers(words, [44] * 100, [44] * 100) == []
     assert answers(words, [44] * 100, [0] * 100) == []
     assert set(answers(words, [45] * 100, [45] * 100)) == {AGREES}
@@ -202,16 +202,16 @@ def test_current_below_the_noise_gives_no_answer() -> None:
 
 
 def test_board_without_a_sensor_gives_no_answer() -> None:
-    words = watched(1_000, noise=-1.0)
+    words = new_check(1_000, noise=-1.0)
     assert answers(words, [5_000] * 100, [0] * 100) == []
 
 
 def test_an_offset_without_a_current_is_no_agreement() -> None:
-    assert set(answers(watched(1_000), [0] * 100, [500] * 100)) == {DISAGREES}
+    assert set(answers(new_check(1_000), [0] * 100, [500] * 100)) == {DISAGREES}
 
 
 def test_after_a_gap_a_window_begins_anew() -> None:
-    words = watched(1_000, lag_s=5e-3)
+    words = new_check(1_000, lag_s=5e-3)
     assert answers(words, [1_000] * 9, [0] * 9) == []
     current.resume(words, 1_000)
     assert set(answers(words, [1_000] * 10, [1_000] * 10)) == {AGREES}
@@ -226,10 +226,10 @@ def test_under_voltage_drive_the_motion_takes_its_part(rate: int, sign: int) -> 
     active = np.full(len(counts), 1_000)
     flowing = active - back_emf * counts_a_second
     skip = 5 * max(FEWEST_TICKS, rate // 100)  # while the speed settles
-    words = watched(rate, back_emf=back_emf, sign=sign)
+    words = new_check(rate, back_emf=back_emf, sign=sign)
     answers(words, active[:skip], flowing[:skip], counts[:skip])
     assert set(answers(words, active[skip:], flowing[skip:], counts[skip:])) == {AGREES}
-    words = watched(rate, back_emf=back_emf, sign=-sign)
+    words = new_check(rate, back_emf=back_emf, sign=-sign)
     answers(words, active[:skip], flowing[:skip], counts[:skip])
     assert set(answers(words, active[skip:], flowing[skip:], counts[skip:])) == {DISAGREES}
 
@@ -264,7 +264,7 @@ VOLTAGE = given(
 
 def voltage_drive_check(rate: int, lag_s: float, back_emf: float, sign: int) -> Any:
     noise = float(np.hypot(ROUNDED, ROUNDED * back_emf / SPEED_LAG_S))
-    return watched(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
+    return new_check(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
 
 
 @settings(max_examples=40)

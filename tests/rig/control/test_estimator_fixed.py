@@ -77,7 +77,7 @@ def test_gap_of_days_reads_one_count() -> None:
 @settings(max_examples=40)
 @given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), cutoff_hz=st.sampled_from((100.0, 200.0, 500.0)))
 def test_wide_words_give_the_float_filter(motion: Any, rounding: Any, cutoff_hz: Any) -> None:
-    """With 28 and 18 bits: |error| ≤ e·Σ|g|·LSB by rounding outputs, plus max|x|·Σ|h − h'| by coefficients."""
+    """28 and 18 bits err by at most e·Σ|g|·LSB by rounding outputs, plus max|x|·Σ|h − h'| by coefficients."""
     given = {"cutoff_hz": cutoff_hz, "coefficient_bits": 28, "state_bits": 18, "rounding": rounding}
     f = design(**given)
     counts = [0, *np.cumsum(motion).tolist()]

@@ -25,7 +25,7 @@ def bounce(period_s: Any = PERIOD, resolution: Any = RESOLUTION) -> Any:
     return arrays.quantise(position, resolution), velocity
 
 
-def both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, **given: Any) -> Any:
+def run_both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, **given: Any) -> Any:
     levant = {k: v for k, v in given.items() if k not in ("fast_window", "slow_window")}
     return (
         *arrays.estimate_with_window("foaw-end", counts, period_s, resolution=resolution),
@@ -36,7 +36,7 @@ def both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, **gi
 
 def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents() -> None:
     counts, _ = bounce()
-    foaw, window, levant, hybrid = both(counts, lipschitz=BOUND, fast_window=2.0, slow_window=8.0)
+    foaw, window, levant, hybrid = run_both(counts, lipschitz=BOUND, fast_window=2.0, slow_window=8.0)
     straight = np.clip((window - 2.0) / 6.0, 0.0, 1.0)
     levant_bound = 2 * np.sqrt(BOUND * RESOLUTION)
     with np.errstate(divide="ignore"):

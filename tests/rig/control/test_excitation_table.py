@@ -16,7 +16,7 @@ RATE, QUANTUM = 20_000, 2.5e-4  # N·m for one quantum
 BAND = (1.0, 250.0)
 
 
-def usual(**changes: Any) -> Any:
+def new_table(**changes: Any) -> Any:
     shape = Multisine.schroeder(BAND, 1.0, rms=0.05)
     return ExcitationTable.of(shape, RATE, QUANTUM, **changes)
 
@@ -35,7 +35,7 @@ def test_hashed_phases_are_even_on_the_circle() -> None:
 
 @pytest.mark.parametrize("phases", PHASES)
 def test_the_table_is_the_multisine_within_the_stated_error(phases: Any) -> None:
-    excitation = usual(phases=phases, seed=3)
+    excitation = new_table(phases=phases, seed=3)
     ideal = excitation.multisine(RATE, QUANTUM).period(RATE)
     off = np.abs(excitation.efforts(QUANTUM) - ideal)
     assert off.max() <= excitation.error * QUANTUM
@@ -46,7 +46,7 @@ def test_the_table_is_the_multisine_within_the_stated_error(phases: Any) -> None
 
 
 def test_schroeders_phases_are_those_of_the_host() -> None:
-    mine, shape = usual().multisine(RATE, QUANTUM), Multisine.schroeder(BAND, 1.0, rms=0.05)
+    mine, shape = new_table().multisine(RATE, QUANTUM), Multisine.schroeder(BAND, 1.0, rms=0.05)
     assert np.abs(np.exp(1j * mine.phases) - np.exp(1j * shape.phases)).max() < 1e-4
     assert mine.lines_hz == pytest.approx(shape.lines_hz)
     assert mine.amplitudes == pytest.approx(shape.amplitudes, rel=1e-5)
@@ -54,7 +54,7 @@ def test_schroeders_phases_are_those_of_the_host() -> None:
 
 
 def test_the_format_leaves_room_for_the_peak_and_no_more() -> None:
-    excitation = usual()
+    excitation = new_table()
     assert 2**14 <= np.abs(excitation.table.astype(int)).max() < 2**15
     small = ExcitationTable(1, 1, 1, 100, 2**10).with_most_bits()
     assert small.bits == 15
@@ -63,7 +63,7 @@ def test_the_format_leaves_room_for_the_peak_and_no_more() -> None:
 
 
 def test_excitation_rises_along_a_raised_cosine_and_repeats() -> None:
-    excitation = usual(ramp=5000)
+    excitation = new_table(ramp=5000)
     ticks = np.arange(30_000)
     played = excitation.played(ticks) / 2**16
     wanted = np.tile(excitation.values, 2)[:30_000] * ramp(ticks, 5000)
@@ -72,7 +72,7 @@ def test_excitation_rises_along_a_raised_cosine_and_repeats() -> None:
 
 
 def test_parameters_are_those_of_the_device() -> None:
-    excitation = usual(phases="hashed", seed=2**32 - 1, ramp=7)
+    excitation = new_table(phases="hashed", seed=2**32 - 1, ramp=7)
     values = excitation.parameters()
     assert set(values) == {p.name for p in PARAMETERS if p.name.startswith("excitation_")}
     encode_block(values)  # every one is in its range

@@ -116,7 +116,7 @@ def bench(law: Any, external: Any, velocity: float = 0.0, seconds: float = 1.5, 
         states.append(state[:2].copy())
         efforts.append(float(control.memory["effort_sent"][0]))
         pushes.append(push)
-        count = moved(plant_memory.ctypes.data, efforts[-1], push)
+        count = move(plant_memory.ctypes.data, efforts[-1], push)
     return np.array(states), np.array(efforts), np.array(pushes)
 
 
@@ -137,7 +137,7 @@ def run(law: Any, count: Any) -> Any:
 
 
 @kernel(types.int64(types.int64, types.float64, types.float64), no_refcount=True)
-def moved(plant: Any, effort: Any, push: Any) -> Any:
+def move(plant: Any, effort: Any, push: Any) -> Any:
     return advance(plant_at(plant), effort, push)
 
 

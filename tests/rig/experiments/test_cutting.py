@@ -33,7 +33,7 @@ SHORT = {"trial.duration_s": 0.2, "trial.release_s": 0.02, "homing.settle_s": 0.
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def uncut(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     experiment = config.override(presets.load("koul-compliant"), SHORT)
     (done,) = hit(
         HitRequest(experiment=experiment, output=tmp_path_factory.mktemp("whole"), name="one"), admit
@@ -46,10 +46,10 @@ def place(recording: Recording) -> Path:
     return recording.path
 
 
-def parts_to_cut(whole: Recording) -> list[tuple[str, float, float]]:
+def parts_to_cut(uncut: Recording) -> list[tuple[str, float, float]]:
     """Return name, start and end (s) of the parts to cut: homing, contact, beginning, end, and everything."""
-    times, phases = whole.time_s, whole.rows["phase"]
-    contact = float(times[np.argmax(whole.rows["penetration"] > 0.0)])
+    times, phases = uncut.time_s, uncut.rows["phase"]
+    contact = float(times[np.argmax(uncut.rows["penetration"] > 0.0)])
     trial = float(times[np.argmax(phases == Phase.TRIAL)])
     return [
         ("homing", 0.2 * trial, 0.7 * trial),
@@ -62,50 +62,50 @@ def parts_to_cut(whole: Recording) -> list[tuple[str, float, float]]:
 
 @pytest.mark.parametrize("which", range(5), ids=["homing", "contact", "beginning", "end", "all"])
 def test_a_cut_has_the_rows_between_and_replays_as_the_whole_does(
-    which: int, whole: Recording, tmp_path: Path
+    which: int, uncut: Recording, tmp_path: Path
 ) -> None:
-    _, first_s, last_s = parts_to_cut(whole)[which]
-    result = cut_recording(place(whole), first_s, last_s, output=tmp_path)
+    _, first_s, last_s = parts_to_cut(uncut)[which]
+    result = cut_recording(place(uncut), first_s, last_s, output=tmp_path)
     made = open_recording(result.path)
-    inside = (whole.time_s >= first_s) & (whole.time_s <= last_s)
-    assert made.names == whole.names
+    inside = (uncut.time_s >= first_s) & (uncut.time_s <= last_s)
+    assert made.names == uncut.names
     for name in made.names:
-        assert made.column(name).tobytes() == whole.rows[name][inside].tobytes(), name
+        assert made.column(name).tobytes() == uncut.rows[name][inside].tobytes(), name
     assert (made.complete, made.lost, len(made)) == (True, (), result.rows)
     assert result.no_replay == ""
     again = replay(made)
     assert again.exact
-    np.testing.assert_array_equal(again.rows["effort_wanted"], replay(whole).rows["effort_wanted"][inside])
+    np.testing.assert_array_equal(again.rows["effort_wanted"], replay(uncut).rows["effort_wanted"][inside])
 
 
-def test_the_header_of_a_cut_names_recording_place_and_time(whole: Recording, tmp_path: Path) -> None:
-    result = cut_recording(place(whole), 0.05, 0.15, output=tmp_path)
+def test_the_header_of_a_cut_names_recording_place_and_time(uncut: Recording, tmp_path: Path) -> None:
+    result = cut_recording(place(uncut), 0.05, 0.15, output=tmp_path)
     assert result.path.name == "one-cut.parquet"
     facts = cut_facts(open_facts(result.path))
     assert facts is not None
-    assert facts["recording"] == place(whole).name
-    assert facts["sha256"] == hashlib.sha256(place(whole).read_bytes()).hexdigest(), (
+    assert facts["recording"] == place(uncut).name
+    assert facts["sha256"] == hashlib.sha256(place(uncut).read_bytes()).hexdigest(), (
         "as a session's log has it"
     )
     assert facts["first_tick"] == facts["rows_before"] > 0
-    assert facts["rows_before"] + result.rows + facts["rows_after"] == len(whole)
+    assert facts["rows_before"] + result.rows + facts["rows_after"] == len(uncut)
     assert 0.05 <= facts["first_s"] == result.first_s < result.last_s == facts["last_s"] <= 0.15
-    assert facts["cut_at"] > whole.header["created"]
-    assert open_facts(result.path).header["created"] == whole.header["created"], "when the trial took place"
-    assert cut_facts(whole) is None
-    assert cut_recording(place(whole), 0.05, 0.15, output=tmp_path).path.name == "one-cut-2.parquet"
+    assert facts["cut_at"] > uncut.header["created"]
+    assert open_facts(result.path).header["created"] == uncut.header["created"], "when the trial took place"
+    assert cut_facts(uncut) is None
+    assert cut_recording(place(uncut), 0.05, 0.15, output=tmp_path).path.name == "one-cut-2.parquet"
     assert rig.cut_recording is cut_recording
 
 
-def test_seconds_may_count_from_another_sample(whole: Recording, tmp_path: Path) -> None:
-    zero_ns = int(whole.rows["device_time"][40])
-    shifted = cut_recording(place(whole), 0.01, 0.02, output=tmp_path, zero_ns=zero_ns)
-    assert shifted.first_s == pytest.approx(whole.time_s[40] + 0.01, abs=1e-9)
+def test_seconds_may_count_from_another_sample(uncut: Recording, tmp_path: Path) -> None:
+    zero_ns = int(uncut.rows["device_time"][40])
+    shifted = cut_recording(place(uncut), 0.01, 0.02, output=tmp_path, zero_ns=zero_ns)
+    assert shifted.first_s == pytest.approx(uncut.time_s[40] + 0.01, abs=1e-9)
 
 
-def test_a_cut_of_a_cut_replays_too(whole: Recording, tmp_path: Path) -> None:
-    _, first_s, last_s = parts_to_cut(whole)[1]
-    outer = cut_recording(place(whole), first_s, last_s, output=tmp_path)
+def test_a_cut_of_a_cut_replays_too(uncut: Recording, tmp_path: Path) -> None:
+    _, first_s, last_s = parts_to_cut(uncut)[1]
+    outer = cut_recording(place(uncut), first_s, last_s, output=tmp_path)
     inner = cut_recording(outer.path, 0.0, 0.01)
     made = open_recording(inner.path)
     assert inner.path.parent == tmp_path
@@ -116,33 +116,33 @@ def test_a_cut_of_a_cut_replays_too(whole: Recording, tmp_path: Path) -> None:
 
 
 def test_another_law_is_refused_in_the_middle_and_not_from_the_beginning(
-    whole: Recording, tmp_path: Path
+    uncut: Recording, tmp_path: Path
 ) -> None:
     changes = {"controller.estimator": "fdm"}
-    middle = open_recording(cut_recording(place(whole), 0.05, 0.15, output=tmp_path).path)
+    middle = open_recording(cut_recording(place(uncut), 0.05, 0.15, output=tmp_path).path)
     with pytest.raises(RecordingError, match="middle of a trial") as refused:
         replay(middle, changes)
-    assert place(whole).name in refused.value.remedy
-    beginning = open_recording(cut_recording(place(whole), 0.0, 0.15, output=tmp_path).path)
+    assert place(uncut).name in refused.value.remedy
+    beginning = open_recording(cut_recording(place(uncut), 0.0, 0.15, output=tmp_path).path)
     np.testing.assert_array_equal(
-        replay(beginning, changes).rows["velocity"], replay(whole, changes).rows["velocity"][: len(beginning)]
+        replay(beginning, changes).rows["velocity"], replay(uncut, changes).rows["velocity"][: len(beginning)]
     )
 
 
-def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(whole: Recording, tmp_path: Path) -> None:
-    tick = len(whole) // 2
-    law = whole.header["initial_state"]["law"]["parameters"]
+def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(uncut: Recording, tmp_path: Path) -> None:
+    tick = len(uncut) // 2
+    law = uncut.header["initial_state"]["law"]["parameters"]
     softer = {
         "tick": tick,
-        "wall_position": whole.header["initial_state"]["control"]["wall_position"],
+        "wall_position": uncut.header["initial_state"]["control"]["wall_position"],
         "parameters": [law[0], law[1] / 2, *law[2:]],
     }
-    trailer: dict[str, Any] = {**(whole.trailer or {}), "parameter_sets": [softer]}
-    rows = whole.rows.copy()
-    computed = replay(replace(whole, trailer=trailer)).rows
+    trailer: dict[str, Any] = {**(uncut.trailer or {}), "parameter_sets": [softer]}
+    rows = uncut.rows.copy()
+    computed = replay(replace(uncut, trailer=trailer)).rows
     for name in computed.dtype.names or ():
         rows[name] = computed[name]
-    changed = replace(whole, rows=rows, trailer=trailer)
+    changed = replace(uncut, rows=rows, trailer=trailer)
     assert replay(changed).exact
     path = write_cut(cut(changed, 0.0, float(changed.time_s[-1]), changed.header["initial_state"]), tmp_path)
     times = changed.time_s
@@ -152,9 +152,9 @@ def test_a_wall_that_changed_before_the_cut_or_in_it_is_replayed(whole: Recordin
         assert replay(made).exact
 
 
-def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Recording, tmp_path: Path) -> None:
-    for _, first_s, last_s in parts_to_cut(whole):
-        path = cut_recording(place(whole), first_s, last_s, output=tmp_path).path
+def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(uncut: Recording, tmp_path: Path) -> None:
+    for _, first_s, last_s in parts_to_cut(uncut):
+        path = cut_recording(place(uncut), first_s, last_s, output=tmp_path).path
         made = open_recording(path)
         found = judge(made, experiment_of(made)).verdict
         assert found.kind == Kind.INVALID
@@ -167,16 +167,16 @@ def test_a_cut_has_no_verdict_of_its_own_and_is_shown_and_exported(whole: Record
 
 
 def test_an_impossible_cut_is_refused_and_one_that_cannot_be_replayed_is_made(
-    whole: Recording, tmp_path: Path
+    uncut: Recording, tmp_path: Path
 ) -> None:
     for first_s, last_s in ((5.0, 6.0), (-2.0, -1.0), (0.1, 0.05), (0.1, 0.1)):
         with pytest.raises(RecordingError, match="fewer than 2 rows") as refused:
-            cut(whole, first_s, last_s)
+            cut(uncut, first_s, last_s)
         assert "rows from 0 to" in refused.value.remedy
-    holed = replace(whole, rows=np.delete(whole.rows, 100))
+    holed = replace(uncut, rows=np.delete(uncut.rows, 100))
     with pytest.raises(RecordingError, match="no rows for 1 control ticks"):
-        cut(holed, 0.0, float(whole.time_s[150]))
-    after = cut(holed, float(whole.time_s[101]), float(whole.time_s[200]))
+        cut(holed, 0.0, float(uncut.time_s[150]))
+    after = cut(holed, float(uncut.time_s[101]), float(uncut.time_s[200]))
     path = write_cut(after, tmp_path)
     with pytest.raises(RecordingError, match="cannot be replayed up to that place"):
         replay(open_recording(path))

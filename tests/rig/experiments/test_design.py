@@ -77,7 +77,7 @@ def few_samples() -> Any:
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def stored_design(tmp_path_factory: pytest.TempPathFactory) -> Any:
     place = directory_for(REQUEST, tmp_path_factory.mktemp("designs"))
     return place, design(REQUEST, place)
 
@@ -227,9 +227,9 @@ def test_the_theory_of_the_set_is_that_of_each_wall_by_itself() -> None:
 
 
 @pytest.mark.exhaustive("::test_the_public_function_finds_the_same")
-def test_the_search_finds_what_all_hits_find(kept: Any) -> None:
+def test_the_search_finds_what_all_hits_find(stored_design: Any) -> None:
     """Hits of all schemes on all walls of the last round find no larger area, within one step of stiffness."""
-    _, found = kept
+    _, found = stored_design
     dampings = tuple(b.damping for b in found.recommended.boundary)
     whole = MapPlan(
         experiment=X,
@@ -256,8 +256,8 @@ def test_the_limits_of_any_alone_are_those_of_a_whole_map(way: Any) -> None:
 
 
 @pytest.mark.exhaustive("::test_the_public_function_finds_the_same")
-def test_the_recommended_scheme_is_a_finalist_and_no_worse_on_held_out_hits(kept: Any) -> None:
-    _, found = kept
+def test_the_recommended_scheme_is_a_finalist_and_no_worse_on_held_out_hits(stored_design: Any) -> None:
+    _, found = stored_design
     assert found.recommended in found.finalists
     assert found.held_out is None or found.held_out.no_worse or found.recommended is found.own
     assert len(found.finalists) <= ROUNDS[-1].enter + 1
@@ -265,8 +265,8 @@ def test_the_recommended_scheme_is_a_finalist_and_no_worse_on_held_out_hits(kept
     assert found.margin.spoils_first.share == min(one.share for one in found.margin.alone)
 
 
-def test_the_section_to_paste_is_the_recommended_scheme(kept: Any, tmp_path: Path) -> None:
-    _, found = kept
+def test_the_section_to_paste_is_the_recommended_scheme(stored_design: Any, tmp_path: Path) -> None:
+    _, found = stored_design
     for one in found.finalists:
         section = replace(found, recommended=one).toml()
         path = tmp_path / "mine.toml"
@@ -329,8 +329,8 @@ def test_identified_parameters_are_those_that_a_rig_has() -> None:
     assert all(value > 0.0 for value in rigid.values())
 
 
-def test_the_public_function_finds_the_same(kept: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    place, whole = kept
+def test_the_public_function_finds_the_same(stored_design: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    place, whole = stored_design
     monkeypatch.setattr(searching, "ROUNDS", ROUNDS)
     found = rig.design(X, schemes=[scheme.text for scheme in SCHEMES], directory=place.parent)
     assert found.as_mapping() == whole.as_mapping(), "read from the same directory"

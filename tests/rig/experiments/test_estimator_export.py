@@ -51,18 +51,18 @@ def rig_of(**changes: Any) -> config.Experiment:
     return config.override(presets.load("koul-rigid"), changes)
 
 
-def written(variant: Variant, directory: Path, **more: Any) -> EstimatorExport:
+def write_export(variant: Variant, directory: Path, **more: Any) -> EstimatorExport:
     return export_estimator(variant, rig_of(), directory / "estimator.h", costs=False, **more)
 
 
-def tried(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
+def try_compile(export: EstimatorExport) -> subprocess.CompletedProcess[str]:
     program = compile_c(export.test.with_suffix(""), [export.test], [])
     return subprocess.run([program], capture_output=True, text=True, timeout=20, check=False)
 
 
 @pytest.mark.parametrize("variant", first_by_default(VARIANTS, 2), ids=lambda variant: variant.label)
 def test_the_compiled_estimator_gives_the_velocities_of_the_host(variant: Variant, tmp_path: Path) -> None:
-    done = tried(written(variant, tmp_path))
+    done = try_compile(write_export(variant, tmp_path))
     assert done.returncode == 0, done.stdout
 
 
@@ -71,7 +71,7 @@ def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path:
     assert exported | set(REFUSED) == set(estimators.BUILT_IN)
     for name, why in REFUSED.items():
         with pytest.raises(ConfigError, match=rf"{name} cannot be exported as C: .*{why}") as refused:
-            written(Variant(name), tmp_path)
+            write_export(Variant(name), tmp_path)
         assert "loop" not in str(refused.value)
         assert refused.value.remedy.startswith("choose ")
     assert list(tmp_path.iterdir()) == []
@@ -88,12 +88,12 @@ def test_every_estimator_can_be_exported_or_is_refused_with_the_reason(tmp_path:
 def test_the_test_finds_a_number_that_was_changed_by_a_tenth(
     variant: Variant, number: str, tmp_path: Path
 ) -> None:
-    export = written(variant, tmp_path)
+    export = write_export(variant, tmp_path)
     (found,) = re.finditer(rf"\.{number} = ([\d.e-]+)(f?),", export.text)
     changed = f"{1.1 * float(found[1]):{'.9g' if found[2] else '.0f'}}{found[2]}"
     text = f"{export.text[: found.start(1)]}{changed}{export.text[found.end() - 1 :]}"
     export.header.write_text(text)
-    done = tried(export)
+    done = try_compile(export)
     assert done.returncode == 1
     assert "allowed" in done.stdout
 
@@ -112,9 +112,9 @@ def test_samples_that_were_missed_and_a_counter_that_wraps_are_part_of_the_test(
             "judged": case.judged[kept],
         }
     )
-    export = written(Variant("kalman", {"gain": "steady"}), tmp_path, case=gaps)
+    export = write_export(Variant("kalman", {"gain": "steady"}), tmp_path, case=gaps)
     assert "{-2147483" in export.test_text
-    assert tried(export).returncode == 0
+    assert try_compile(export).returncode == 0
 
 
 def test_the_settings_of_the_experiment_are_those_of_its_own_estimator(tmp_path: Path) -> None:
@@ -143,15 +143,15 @@ def test_two_of_them_may_stand_in_one_file(tmp_path: Path) -> None:
 
 def test_a_case_of_another_rig_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="sine has a resolution of 1e-06 at 2000 Hz, but the rig has"):
-        written(Variant("fdm"), tmp_path, case=signal_case(SIGNALS["sine"], 2000.0, 1e-6))
+        write_export(Variant("fdm"), tmp_path, case=signal_case(SIGNALS["sine"], 2000.0, 1e-6))
 
 
 def test_nothing_is_overwritten_unless_asked(tmp_path: Path) -> None:
-    first = written(Variant("fdm"), tmp_path)
+    first = write_export(Variant("fdm"), tmp_path)
     with pytest.raises(RecordingError, match="cannot write"):
-        written(Variant("levant"), tmp_path)
+        write_export(Variant("levant"), tmp_path)
     assert first.header.read_text() == first.text
-    assert written(Variant("levant"), tmp_path, overwrite=True).header.read_text() != first.text
+    assert write_export(Variant("levant"), tmp_path, overwrite=True).header.read_text() != first.text
 
 
 def test_the_costs_are_counted_or_the_reason_is_given(
@@ -174,4 +174,4 @@ def test_the_costs_are_counted_or_the_reason_is_given(
 
 
 def test_integers_have_to_be_equal(tmp_path: Path) -> None:
-    assert written(Variant("fdm-butterworth-fixed"), tmp_path).tolerance == Tolerance(0.0, "LSB")
+    assert write_export(Variant("fdm-butterworth-fixed"), tmp_path).tolerance == Tolerance(0.0, "LSB")

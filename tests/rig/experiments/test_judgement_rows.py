@@ -112,7 +112,7 @@ def test_a_handle_that_friction_held_away_from_its_start_has_a_row(coulomb: floa
 def test_a_fault_of_missed_time_is_recognised_by_its_name(
     fault: str | None, expected: bool, result: HitResult
 ) -> None:
-    """Also the fault of a drive behind a bridge, if the installation has no bridge."""
+    """The fault of a drive behind a bridge counts too, even if the installation has no bridge."""
     trailer = {"reason": "device_fault", "fault": None if fault is None else {"name": fault}}
     assert out_of_time(replace(result.recorded.recording, trailer=trailer)) is expected
 

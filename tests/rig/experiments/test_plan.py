@@ -31,7 +31,7 @@ def check(experiment: Any, name: Any) -> Any:
     return {check.name: check for check in make_plan(experiment).checks}[name]
 
 
-def changed(changes: Any, experiment: Any = COMPLIANT) -> Any:
+def change(changes: Any, experiment: Any = COMPLIANT) -> Any:
     return config.override(experiment, changes)
 
 
@@ -59,7 +59,7 @@ def test_a_rigid_rig_without_friction_hits_as_predicted() -> None:
     """The energy balance is exact for one undamped mass; sampling and quantisation add a few per cent."""
     mechanics = ("motor_damping", "link_damping", "motor_coulomb", "link_coulomb")
     zeros = ["wall.damping", "rig.amplifier.lag_s", *(f"rig.mechanics.{name}" for name in mechanics)]
-    experiment = changed(dict.fromkeys(zeros, 0.0), RIGID)
+    experiment = change(dict.fromkeys(zeros, 0.0), RIGID)
     impact = predict_impact(experiment)
     speed, depth = simulate_hit(experiment)
     assert speed == pytest.approx(impact.velocity, rel=0.01)
@@ -96,18 +96,18 @@ def test_the_prediction_in_closed_form() -> None:
 
 def test_a_push_from_the_other_side_is_predicted_alike() -> None:
     trial = COMPLIANT.trial
-    mirrored = changed({"wall.side": -1, "trial.effort": -trial.effort, "trial.start": -trial.start})
+    mirrored = change({"wall.side": -1, "trial.effort": -trial.effort, "trial.start": -trial.start})
     assert predict_impact(mirrored) == predict_impact(COMPLIANT)
     assert [c.outcome for c in make_plan(mirrored).checks] == [c.outcome for c in make_plan(COMPLIANT).checks]
 
 
 def test_friction_that_no_push_overcomes_means_no_impact() -> None:
-    stuck = changed({"rig.mechanics.motor_coulomb": 10.0})
+    stuck = change({"rig.mechanics.motor_coulomb": 10.0})
     assert predict_impact(stuck).velocity == 0.0
 
 
 def test_without_a_wall_the_handle_goes_anywhere() -> None:
-    free = changed({"wall.stiffness": 0.0})
+    free = change({"wall.stiffness": 0.0})
     assert math.isinf(predict_impact(free).peak_penetration)
     plan = make_plan(free)
     assert not plan.ok
@@ -125,8 +125,8 @@ def values_around(value: Any) -> Any:
 def test_impact_velocity_against_the_speed_limit() -> None:
     velocity = highest_reading(COMPLIANT, predict_impact(COMPLIANT).velocity)
     low, high = values_around(velocity)
-    assert check(changed({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
-    refused = check(changed({"rig.limits.speed": low}), "impact velocity")
+    assert check(change({"rig.limits.speed": high}), "impact velocity").outcome == Outcome.OK
+    refused = check(change({"rig.limits.speed": low}), "impact velocity")
     assert refused.outcome == Outcome.REFUSED
     assert f"{velocity:.3g} rad/s" in refused.text
     assert refused.remedy
@@ -138,8 +138,8 @@ def test_peak_penetration_against_the_window(side: int) -> None:
     low, high = values_around(peak)
     mirror = {"wall.side": side, "trial.effort": side * 0.15, "trial.start": -0.015 * side}
     edge = "rig.limits.position_maximum" if side > 0 else "rig.limits.position_minimum"
-    assert check(changed({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
-    refused = check(changed({**mirror, edge: side * low}), "peak penetration")
+    assert check(change({**mirror, edge: side * high}), "peak penetration").outcome == Outcome.OK
+    refused = check(change({**mirror, edge: side * low}), "peak penetration")
     assert refused.outcome == Outcome.REFUSED
     assert f"{peak / COMPLIANT.rig.encoder.resolution:.1f} counts" in refused.text
 
@@ -147,9 +147,9 @@ def test_peak_penetration_against_the_window(side: int) -> None:
 def test_peak_effort_beyond_the_limit_is_a_warning() -> None:
     """A hit that saturates spoils its measurement but is not dangerous."""
     base = {"rig.limits.override_stall": True, "wall.stiffness": 200.0}
-    low, high = values_around(predict_impact(changed(base)).peak_effort)
-    assert check(changed({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
-    warned = changed({**base, "rig.limits.effort": low})
+    low, high = values_around(predict_impact(change(base)).peak_effort)
+    assert check(change({**base, "rig.limits.effort": high}), "peak effort").outcome == Outcome.OK
+    warned = change({**base, "rig.limits.effort": low})
     assert check(warned, "peak effort").outcome == Outcome.WARNING
     assert make_plan(warned).ok
 
@@ -158,21 +158,21 @@ def test_resting_penetration_against_the_least_counts() -> None:
     counts = COMPLIANT.trial.effort / COMPLIANT.wall.stiffness / COMPLIANT.rig.encoder.resolution
     low, high = values_around(counts)
     name = "resting penetration"
-    assert check(changed({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
+    assert check(change({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
     asked = replace(
         COMPLIANT.trial, minimum_rest_counts=high
     )  # a file that asks for it is refused even earlier
     refused = check(replace(COMPLIANT, trial=asked), name)
     assert refused.outcome == Outcome.REFUSED
     assert f"{counts:.2f} counts" in refused.text
-    assert check(changed({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
+    assert check(change({"trial.effort": 0.03, "trial.minimum_rest_counts": 0}), name).outcome == Outcome.OK
 
 
 def test_ripple_is_the_share_by_which_the_wall_varies() -> None:
     """At worst the crests of all harmonics coincide: 0.05 + 0.05 of 300 N·m/rad are 30."""
     zeros = {f"rig.cogging.{part}": [0.0, 0.0] for part in ("cosine", "sine")}
     ripples = {"rig.cogging.ripple_cosine": [0.03, 0.0], "rig.cogging.ripple_sine": [0.04, -0.05]}
-    given = changed({"rig.cogging.period": 0.6, "rig.cogging.orders": [1, 7], **zeros, **ripples})
+    given = change({"rig.cogging.period": 0.6, "rig.cogging.orders": [1, 7], **zeros, **ripples})
     assert "K·(1 ± 0.1) over position, 270 to 330 N·m/rad" in check(given, "ripple").text
     assert "ripple" not in {one.name for one in make_plan(COMPLIANT).checks}
 
@@ -185,29 +185,29 @@ def test_motor_heat_over_all_repeats() -> None:
     limit_s = -tau * math.log1p(-1 / 1.5**2)
     repeats = round(limit_s)
     assert repeats > 2
-    few = changed({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))})
+    few = change({**hot, "trial.repeats": max(1, math.floor(limit_s * 0.9))})
     assert check(few, "motor heat").outcome == Outcome.OK
-    refused = check(changed({**hot, "trial.repeats": math.ceil(limit_s * 1.1)}), "motor heat")
+    refused = check(change({**hot, "trial.repeats": math.ceil(limit_s * 1.1)}), "motor heat")
     assert refused.outcome == Outcome.REFUSED
     assert "1.5 of the nominal" in refused.text
-    assert check(changed({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
+    assert check(change({"trial.repeats": 100_000}), "motor heat").outcome == Outcome.OK
 
 
 def test_a_limit_that_does_not_fit_the_wire_is_a_plan_error() -> None:
     with pytest.raises(PlanError, match="speed_limit"):
-        make_plan(changed({"rig.limits.speed": 1e9}))
+        make_plan(change({"rig.limits.speed": 1e9}))
 
 
 def test_settings_that_an_estimator_does_not_have_are_a_config_error() -> None:
     with pytest.raises(ConfigError):
-        make_plan(changed({"controller.parameters.colour": 1.0}))
+        make_plan(change({"controller.parameters.colour": 1.0}))
 
 
 # ---------------------------------------------------------------------- steps
 
 
 def test_the_duration_is_the_longest_that_it_may_take() -> None:
-    x = changed({"trial.repeats": 3})
+    x = change({"trial.repeats": 3})
     plan = make_plan(x)
     assert plan.duration_s == pytest.approx(3 * (x.homing.timeout_s + x.trial.duration_s + x.trial.release_s))
     assert plan.repeats == 3
@@ -226,9 +226,9 @@ def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name: Any) -
 
 
 def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose() -> None:
-    (ok,) = link_checks(changed({"controller.position_rate": 4000}), 4000, None)
+    (ok,) = link_checks(change({"controller.position_rate": 4000}), 4000, None)
     assert ok.outcome == Outcome.OK
-    (refused,) = link_checks(changed({"controller.position_rate": 6000}), 4000, None)
+    (refused,) = link_checks(change({"controller.position_rate": 6000}), 4000, None)
     assert refused.outcome == Outcome.REFUSED
     assert "`rate` 4000" in refused.remedy
 
@@ -253,7 +253,7 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
     capacity = baud / 10
     rates = {"controller.position_rate": rate, "controller.velocity_rate": rate}
     filters = {"controller.parameters.cutoff_hz": rate / 10, "verdict.lowpass_hz": rate / 3}
-    experiment = changed({**rates, **filters})
+    experiment = change({**rates, **filters})
     checks = {c.name: c for c in link_checks(experiment, 50_000, capacity)}
     link = checks["link capacity"]
     assert link.outcome == outcome
@@ -266,7 +266,7 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
 # ---------------------------------------------------------------------- delay of a link
 
 
-def late(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:
+def checks_by_name(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:
     return {check.name: check for check in delay_checks(experiment, round_trip_s)}
 
 
@@ -284,7 +284,7 @@ def late(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:
 def test_a_plan_states_the_delay_that_counts_as_the_gate_counts_it(
     changes: dict[str, Any], round_trip_s: float | None, ticks: int, why: str
 ) -> None:
-    found = late(changed(changes, SLOW), round_trip_s)["delay"].text
+    found = checks_by_name(change(changes, SLOW), round_trip_s)["delay"].text
     assert found.startswith(f"{ticks} tick")
     assert f"{ticks * 1000} µs" in found
     assert why in found
@@ -293,8 +293,8 @@ def test_a_plan_states_the_delay_that_counts_as_the_gate_counts_it(
 def test_a_plan_warns_of_the_wall_that_the_gate_would_refuse_and_refuses_nothing() -> None:
     limit = min(LateLoops.of(SLOW, 2).k_max([0.0])[0].values())
     for factor, outcome in ((0.99, Outcome.OK), (1.01, Outcome.WARNING)):
-        wall = changed({"wall.stiffness": factor * limit, "wall.damping": 0.0}, SLOW)
-        assert late(wall, 1.5e-3)["stability"].outcome is outcome
+        wall = change({"wall.stiffness": factor * limit, "wall.damping": 0.0}, SLOW)
+        assert checks_by_name(wall, 1.5e-3)["stability"].outcome is outcome
 
 
 @pytest.mark.parametrize("round_trip_s", [0.0, -1.0, math.nan, math.inf])

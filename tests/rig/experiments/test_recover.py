@@ -174,7 +174,7 @@ def test_a_capture_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 def test_a_recording_that_a_loop_names_as_its_own_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also while the process judges after its loop is done, and on file systems without locks."""
+    """The process may still judge after its loop is done, and some file systems have no locks."""
     write(tmp_path / "trial.rigcap", whole=True)
     write(tmp_path / "other.rigcap", whole=True)
     monkeypatch.chdir(tmp_path)

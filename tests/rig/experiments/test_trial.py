@@ -81,14 +81,14 @@ def files(directory: Any) -> Any:
     return sorted(path.name for path in directory.iterdir())
 
 
-def judged(recording: Any) -> Any:
+def judge_trial(recording: Any) -> Any:
     return judge(recording, experiment_of(recording))
 
 
 def judged_while_interrupted(recording: Any) -> Any:
     """Judge the recording after a Ctrl-C that arrives while it is sealed."""
     signal.raise_signal(signal.SIGINT)
-    return judged(recording)
+    return judge_trial(recording)
 
 
 # ---------------------------------------------------------------------- refused before anything moves
@@ -120,7 +120,7 @@ def test_a_recording_that_cannot_be_made_is_refused_before_arming(tmp_path: Path
 
 def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    end = bench.run(judge=judged, extra={"study": "seven"})
+    end = bench.run(judge=judge_trial, extra={"study": "seven"})
     assert end.recording == tmp_path / "trial.parquet"
     assert files(tmp_path) == ["trial.parquet"]
     recording = open_recording(end.recording)
@@ -203,7 +203,7 @@ def test_an_early_end_leaves_a_sealed_judged_recording_that_the_error_names(
         faults = frame_fault(faults, frames_until_armed + 40)
     bench = Bench(tmp_path, faults)
     with pytest.raises(error) as caught:
-        bench.run(judge=judged, **options)
+        bench.run(judge=judge_trial, **options)
     recording = open_recording(caught.value.recording)
     assert recording.complete
     assert recording.trailer["reason"] == reason
@@ -221,7 +221,7 @@ def test_a_link_that_dies_before_the_first_sample_leaves_an_empty_recording(
 ) -> None:
     bench = Bench(tmp_path, frame_fault(FaultKind.SILENCE, frames_until_armed))
     with pytest.raises(LinkLostError) as caught:
-        bench.run(judge=judged)
+        bench.run(judge=judge_trial)
     recording = open_recording(caught.value.recording)
     assert len(recording) == 0
     assert recording.trailer["verdict"]["kind"] == "invalid"
@@ -288,7 +288,7 @@ def test_a_judge_that_fails_leaves_the_capture(tmp_path: Path) -> None:
 def test_an_exception_of_the_progress_brings_the_rig_to_rest(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     with pytest.raises(ZeroDivisionError) as caught, bench.device:
-        bench.run(LONG, progress=lambda ticks, phase: 1 // (ticks == 0), judge=judged)
+        bench.run(LONG, progress=lambda ticks, phase: 1 // (ticks == 0), judge=judge_trial)
     assert bench.at_rest()
     assert caught.value.recording == tmp_path / "trial.parquet"
     trailer = open_recording(caught.value.recording).trailer
@@ -513,7 +513,7 @@ def test_a_run_that_leaves_the_window_ends_with_zero_effort_and_an_error(tmp_pat
 # ---------------------------------------------------------------------- hit
 
 
-def requested(directory: Any, **options: Any) -> Any:
+def request_hit(directory: Any, **options: Any) -> Any:
     return HitRequest(**{"experiment": SHORT, "output": directory / "recordings", **options})
 
 
@@ -525,7 +525,7 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
 
     virtual = config.override(SHORT, {"trial.repeats": 2})
     results = list(
-        hit(requested(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), admit, watch)
+        hit(request_hit(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), admit, watch)
     )
     assert seen == [0, 1]
     assert len({result.path for result in results}) == 2
@@ -540,9 +540,9 @@ def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
 
 def test_a_hit_beyond_a_limit_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="peak penetration"):
-        list(hit(requested(tmp_path, changes={"rig.limits.position_maximum": 0.0001}), admit))
+        list(hit(request_hit(tmp_path, changes={"rig.limits.position_maximum": 0.0001}), admit))
     with pytest.raises(PlanError, match="device rate"):
-        list(hit(requested(tmp_path, url="sim://?position_rate_maximum=500&position_rate_default=400", changes={
+        list(hit(request_hit(tmp_path, url="sim://?position_rate_maximum=500&position_rate_default=400", changes={
             "rig.limits.slew": 1e5}), admit))  # fmt: skip
     assert files(tmp_path) == []
 
@@ -558,7 +558,7 @@ def test_a_consumer_that_stops_early_closes_the_device(
         return opened[-1]
 
     monkeypatch.setattr(rig.devices, "open_device", remember)
-    results = hit(requested(tmp_path, changes={"trial.repeats": 5}), admit)
+    results = hit(request_hit(tmp_path, changes={"trial.repeats": 5}), admit)
     next(results)
     results.close()
     with pytest.raises(LinkLostError):
@@ -568,10 +568,10 @@ def test_a_consumer_that_stops_early_closes_the_device(
 
 def test_a_real_device_moves_only_when_its_polarity_is_verified(tmp_path: Path, real: None) -> None:
     with pytest.raises(ConfigError, match="is not verified") as caught:
-        list(hit(requested(tmp_path), admit))
+        list(hit(request_hit(tmp_path), admit))
     assert "`verified`" in caught.value.remedy
     assert files(tmp_path) == []
-    (result,) = hit(requested(tmp_path, verified=True), admit)
+    (result,) = hit(request_hit(tmp_path, verified=True), admit)
     assert result.recording.header["identity"]["simulated"] is False
 
 

@@ -33,7 +33,7 @@ def weigh_rig(output: Path, **changes: Any) -> Weighing:
     return weigh(WeighRequest(output=output, **wanted), ask_no_person)
 
 
-def disturbed(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice], None]) -> None:
+def disturb_rig(monkeypatch: pytest.MonkeyPatch, disturb: Callable[[FramedDevice], None]) -> None:
     opened = devices.open_device
 
     def open_device(*args: Any, **named: Any) -> FramedDevice:
@@ -63,7 +63,7 @@ def test_a_wrong_constant_is_measured_beside_a_bent_cable(
         hardware = device.link.device.hardware  # type: ignore[attr-defined]
         hardware.drive, hardware.gain, hardware.external_effort = true, 1.0 / true, 0.015
 
-    disturbed(monkeypatch, disturb)
+    disturb_rig(monkeypatch, disturb)
     found = weigh_rig(tmp_path)
     assert found.effort_per_ampere.value == pytest.approx(true * found.described, rel=2e-3)
     assert not found.agrees

@@ -40,7 +40,7 @@ LINEAR = {
 }
 
 
-def planned(**changes: Any) -> Any:
+def plan_map(**changes: Any) -> Any:
     given = {
         "experiment": config.override(presets.load("koul-compliant"), SHORT),
         "schemes": (DUAL, UNIFORM),
@@ -57,11 +57,11 @@ def hits_of(found: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def small() -> Any:
-    return zwidth(planned(), workers=1)
+    return zwidth(plan_map(), workers=1)
 
 
 def test_two_workers_give_the_bits_of_one(small: Any) -> None:
-    assert hits_of(zwidth(planned(), workers=2)) == hits_of(small)
+    assert hits_of(zwidth(plan_map(), workers=2)) == hits_of(small)
 
 
 def test_repeats_differ_and_offsets_differ(small: Any) -> None:
@@ -100,7 +100,7 @@ def test_without_friction_and_quantum_the_limit_is_that_of_the_linear_theory(
 
 def test_without_damping_no_estimator_matters() -> None:
     schemes = [f"uniform:20k,estimator={name}" for name in ("fdm", "kalman", "levant", "foaw-best")]
-    found = zwidth(planned(schemes=tuple(map(Scheme.parse, schemes)), dampings=(0.0,), repeats=1))
+    found = zwidth(plan_map(schemes=tuple(map(Scheme.parse, schemes)), dampings=(0.0,), repeats=1))
     first = [row | {"scheme": ""} for row in found.table() if row["scheme"] == schemes[0]]
     for scheme in schemes[1:]:
         others = [row | {"scheme": ""} for row in found.table() if row["scheme"] == Scheme.parse(scheme).text]
@@ -120,7 +120,7 @@ def rows_of(outcomes: Any, **numbers: Any) -> Any:
 
 
 def one_scheme(dampings: Any) -> Any:
-    return planned(schemes=(DUAL,), dampings=dampings, offsets=(0.1,), repeats=1)
+    return plan_map(schemes=(DUAL,), dampings=dampings, offsets=(0.1,), repeats=1)
 
 
 def test_caps_islands_and_the_end_of_the_range_are_reported() -> None:
@@ -176,7 +176,7 @@ def test_invalid_hits_are_counted_by_their_reason() -> None:
 )
 def test_a_plan_without_sense_is_refused_with_option_value_and_range(changes: Any, text: str) -> None:
     with pytest.raises(PlanError, match=text):
-        planned(**changes)
+        plan_map(**changes)
 
 
 def test_a_handle_that_never_comes_home_passes_and_fails_no_criterion() -> None:

@@ -32,7 +32,7 @@ SHORT = {"trial.duration_s": 0.4, "verdict.tail_s": 0.1, "homing.settle_s": 0.02
 OFFSET = 0.25
 
 
-def planned(changes: Any = None, **others: Any) -> Any:
+def plan_map(changes: Any = None, **others: Any) -> Any:
     experiment = config.override(presets.load("koul-compliant"), {**SHORT, **(changes or {})})
     given = {
         "schemes": (Scheme.parse("dual:5k/1k"),),
@@ -73,7 +73,7 @@ def kinds(found: Any, suffix: str = "") -> Any:
 
 def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Path) -> None:
     # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
-    plan = planned(search=StiffnessSearch(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
+    plan = plan_map(search=StiffnessSearch(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
     person = Person()
     start = HitSimulator(plan.experiment).start
     found = zwidth_on_rig(plan, person.session(tmp_path, f"sim://?initial_position={start!r}"))
@@ -92,7 +92,7 @@ def test_a_simulated_hand_pushes_on_a_device_too(tmp_path: Path) -> None:
         "operator.begin_s": 0.0,
         "operator.reach_s": 0.2,
     }
-    found = zwidth_on_rig(planned(changes, dampings=(0.2,)), Person().session(tmp_path))
+    found = zwidth_on_rig(plan_map(changes, dampings=(0.2,)), Person().session(tmp_path))
     assert found.hits == len(list((tmp_path / "hits").glob("*.parquet"))) > 1
     assert 50.0 < found.curve(0, "any")[0].stiffness < 500.0
 
@@ -102,7 +102,7 @@ def test_a_simulated_hand_pushes_on_a_device_too(tmp_path: Path) -> None:
 
 def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path: Path) -> None:
     person = Person()
-    zwidth_on_rig(planned(), person.session(tmp_path))
+    zwidth_on_rig(plan_map(), person.session(tmp_path))
     first, second = person.asked[:2]
     assert first.scheme == "dual 5/1 kHz, fdm-butterworth 100 Hz"
     assert (first.stiffness, first.damping, first.number, first.series, first.total) == (20.0, 0.1, 1, 1, 2)
@@ -113,16 +113,16 @@ def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path: Path) 
 def test_a_person_who_declines_ends_the_session_and_the_same_plan_resumes(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     whole = Person()
-    uninterrupted = zwidth_on_rig(planned(), whole.session(tmp_path / "a"))
+    uninterrupted = zwidth_on_rig(plan_map(), whole.session(tmp_path / "a"))
     of_first_series = sum(asked.series == 1 for asked in whole.asked)
 
     person = Person(patience=of_first_series + 1)
     with pytest.raises(StoppedError, match=r"1 of 2 series are done .*journal.*resumes from there"):
-        zwidth_on_rig(planned(), person.session(tmp_path / "b"), journal=journal)
+        zwidth_on_rig(plan_map(), person.session(tmp_path / "b"), journal=journal)
     assert len(person.results) == of_first_series + 1, "nothing moves after the person has declined"
 
     again = Person()
-    found = zwidth_on_rig(planned(), again.session(tmp_path / "b"), journal=journal)
+    found = zwidth_on_rig(plan_map(), again.session(tmp_path / "b"), journal=journal)
     assert again.asked[0].series == 2
     assert kinds(found) == kinds(uninterrupted)
 
@@ -133,7 +133,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path: Path) -> None
 
     session = replace(Person().session(tmp_path), agrees=interrupted)
     with pytest.raises(StoppedError, match="0 of 2 series are done"):
-        zwidth_on_rig(planned(), session)
+        zwidth_on_rig(plan_map(), session)
 
 
 # --- hits that end otherwise ----------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def test_ctrl_c_at_the_question_is_a_stop_like_any_other(tmp_path: Path) -> None
 def test_a_wall_that_throws_the_handle_out_fails_and_the_session_continues(tmp_path: Path) -> None:
     narrow = {"rig.limits.position_minimum": -0.02, "rig.limits.position_maximum": 0.05, "trial.effort": 0.3}
     rungs = StiffnessSearch(lowest=38.0, highest=80.0, ratio=1.9)
-    plan = planned(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
+    plan = plan_map(narrow, schemes=(Scheme.parse("uniform:1k"),), dampings=(0.0, 0.01), search=rungs)
     person = Person()
     found = zwidth_on_rig(plan, person.session(tmp_path))
     recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
@@ -162,14 +162,14 @@ def test_an_error_that_the_wall_did_not_cause_ends_the_session(
 
     monkeypatch.setattr(on_device, "hit", failing)
     with pytest.raises(type(error), match=str(error)):
-        zwidth_on_rig(planned(), Person().session(tmp_path))
+        zwidth_on_rig(plan_map(), Person().session(tmp_path))
 
 
 def test_a_hit_that_ended_by_missed_ticks_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The device misses ticks in the middle of the push; the map still equals that of an undisturbed session."""
-    plan = planned(dampings=(0.1,), search=StiffnessSearch(lowest=100.0, highest=110.0, ratio=1.2))
+    plan = plan_map(dampings=(0.1,), search=StiffnessSearch(lowest=100.0, highest=110.0, ratio=1.2))
     undisturbed = zwidth_on_rig(plan, Person().session(tmp_path / "undisturbed"))
     (path,) = (tmp_path / "undisturbed" / "hits").glob("*.parquet")
     rows = open_recording(path).rows
@@ -198,7 +198,7 @@ def test_three_invalid_hits_of_one_wall_end_the_session_with_the_reason(tmp_path
     # A slew limit that binds in every hit makes another wall of it.
     person = Person()
     rungs = StiffnessSearch(lowest=400.0, highest=420.0, ratio=1.5)
-    plan = planned({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
+    plan = plan_map({"rig.limits.slew": 200.0}, dampings=(0.0,), search=rungs)
     with pytest.raises(RigError, match=r"3 hits at K = 400, B = 0 were invalid.*slew limit acted") as caught:
         zwidth_on_rig(plan, person.session(tmp_path))
     assert not isinstance(caught.value, StoppedError)
@@ -223,7 +223,7 @@ def test_the_mean_heat_over_push_and_rest_is_that_of_the_nominal_effort(
 
 def test_the_next_hit_waits_until_the_rig_is_calm(tmp_path: Path) -> None:
     person = Person()
-    zwidth_on_rig(planned(dampings=(0.4,)), person.session(tmp_path))
+    zwidth_on_rig(plan_map(dampings=(0.4,)), person.session(tmp_path))
     assert len(person.waited_s) == len(person.results)
     assert min(person.waited_s) >= zwidth_rig.CALM_S
 
@@ -248,7 +248,7 @@ def real_devices(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real_devices: Any) -> None:
-    found = zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig", verified=True))
+    found = zwidth_on_rig(plan_map(), Person().session(tmp_path, "serial:///dev/rig", verified=True))
     assert len(real_devices) == 1
     recordings = [open_recording(path) for path in sorted((tmp_path / "hits").glob("*.parquet"))]
     assert len(recordings) == found.hits > 3
@@ -262,7 +262,7 @@ def test_a_real_device_stays_open_and_its_zero_where_it_was(tmp_path: Path, real
 
 def test_a_real_device_of_unverified_polarity_is_not_moved(tmp_path: Path, real_devices: Any) -> None:
     with pytest.raises(ConfigError, match="is not verified"):
-        zwidth_on_rig(planned(), Person().session(tmp_path, "serial:///dev/rig"))
+        zwidth_on_rig(plan_map(), Person().session(tmp_path, "serial:///dev/rig"))
     assert not (tmp_path / "hits").exists()
 
 
@@ -290,14 +290,14 @@ def test_a_map_beyond_the_device_is_refused_before_the_first_question(
     person = Person()
     url = "sim://?position_rate_maximum=8000&position_rate_default=1000"
     with pytest.raises(PlanError, match=text):
-        zwidth_on_rig(planned(**plan), person.session(tmp_path, url))
+        zwidth_on_rig(plan_map(**plan), person.session(tmp_path, url))
     assert person.asked == []
     assert not (tmp_path / "hits").exists()
 
 
 def test_a_journal_of_one_device_is_refused_on_another(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
-    plan = planned(dampings=(0.4,))
+    plan = plan_map(dampings=(0.4,))
     zwidth_on_rig(plan, Person().session(tmp_path), journal=journal)
     assert json.loads(journal.read_bytes().split(b"\n")[0][9:])["work"] == "sim://"
     with pytest.raises(ConfigError, match="another plan: work"):

@@ -92,14 +92,14 @@ def test_a_kernel_takes_groups_and_their_arrays_are_the_callers() -> None:
     "make_groups", [(measured, wanted), (wanted, wanted), (lambda: tuple(wanted()), measured)]
 )
 def test_two_groups_in_each_others_place_are_refused(make_groups: Any) -> None:
-    """Also after a correct call, and although all members have the same types."""
+    """They are rejected after a correct call too, and although all members have the same types."""
     assert error(wanted(), measured()) == 4.0
     with pytest.raises(TypeError, match="No matching definition"):
         error(*(make() for make in make_groups))
 
 
 def test_two_arguments_of_the_loop_in_each_others_place_are_refused() -> None:
-    """For example a controller where the port belongs, or buffers where the ring belongs."""
+    """A controller in place of the port, or buffers in place of the ring, must not compile."""
     link = MemoryLink(SimulatedDevice(rotary_rig()))
     law = controller.for_experiment(presets.load("koul-compliant"), current_quantum_a=0.001).arguments()
     shared = SharedRing(words=0, mailbox=0, rows=np.zeros(1, np.int64))

@@ -162,7 +162,7 @@ def test_second_process_waits_while_the_first_compiles(project: Project) -> None
 def test_same_sources_in_another_place_load_the_cache(
     first: tuple[Project, dict[str, Any]], tmp_path: Path
 ) -> None:
-    """For example a wheel beside a clone, a new checkout, or an edit of a file that no kernel depends on."""
+    """A wheel beside a clone, a new checkout, and an edit of a file that no kernel depends on need no compilation."""
     project, before = first
     assert (before["value"], before["hits"], before["misses"], before["compiled"]) == (
         3.0,

@@ -19,7 +19,7 @@ def check(run: DiskRun, made: int) -> None:
 
 @pytest.mark.parametrize("shared", first_by_default([False, True]))
 def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool) -> None:
-    """At 10 kHz, with a trial's usual ring of 5 s."""
+    """The loop runs at 10 kHz with a trial's usual ring of 5 s."""
     run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], shared=shared)
     check(run, round(1.4 * RATE))
     assert run.longest_hold_s > 0.9

@@ -116,7 +116,7 @@ class Session:
 def test_every_time_is_the_true_one(
     offset_ns: int, drift_ppm: float, first_sequence: int, lost: Any, eaten: Any, spread: Any, seed: int
 ) -> None:
-    """With lost samples, lost commands, waits longer than a period, and sequences that wrap."""
+    """The model loses samples and commands, waits longer than a period, and wraps its sequences."""
     fit = clock(offset_ns=offset_ns, drift_ppm=drift_ppm, reference_ns=1000 * PERIOD_NS)
     session = Session(
         fit, ticks=100, seed=seed, first_sequence=first_sequence, lost=lost, eaten=eaten, spread=spread

@@ -392,7 +392,7 @@ def test_values_of_k50_are_spaced_like_the_levels() -> None:
 def test_limits_on_levels_a_ratio_apart_are_found_with_honest_intervals(
     threshold: float, share: float
 ) -> None:
-    """Where levels are dense the grid of K50 is too, also for observers of small spread."""
+    """The search resolves K50 as finely as the levels are spaced, also for observers of small spread."""
     make = partial(search.make, "psi", levels=ratio_levels(50.0, 3000.0, 1.1))
     observer = Observer(threshold=threshold, spread=share * threshold, lapse_rate=0.02)
     found = performance("psi", make, observer, 40, seed=5, off_lattice=0.04 * threshold)

@@ -72,7 +72,7 @@ class Breaks(Desk):
         return watch
 
 
-def quick() -> Protocol:
+def quick_protocol() -> Protocol:
     changes = {
         "operator.press": 1.6,
         "operator.begin_s": 0.02,
@@ -90,7 +90,7 @@ def test_a_desk_that_breaks_in_a_hit_loses_no_trial(tmp_path: Path) -> None:
     """On the simulated rig the loop stops, and the recording is sealed, judged and logged."""
     error = KeyError("a bug of the console")
     with (
-        started(tmp_path / "P01", quick()) as session,
+        started(tmp_path / "P01", quick_protocol()) as session,
         pytest.raises(RigError, match="trial 1 ended by an error"),
     ):
         # The device in Python: the compiled one hits the wall before the desk is called.
@@ -150,7 +150,7 @@ def test_a_clock_continues_where_the_log_ends(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------- blinding
 
 
-def refusing(error: Exception) -> FakeRunner:
+def refusing_runner(error: Exception) -> FakeRunner:
     class Refusing(FakeRunner):
         def hit(self, *arguments: Any) -> Any:
             raise error
@@ -170,7 +170,7 @@ def refusing(error: Exception) -> FakeRunner:
 )
 def test_no_error_reveals_a_wall_to_a_blinded_operator(tmp_path: Path, error: Exception) -> None:
     with started(tmp_path / "P01") as session, pytest.raises(RigError) as raised:
-        conduct(session, refusing(error), ScriptedDesk())
+        conduct(session, refusing_runner(error), ScriptedDesk())
     event = events_of(tmp_path / "P01")[-1]
     assert event.kind == "stopped"
     assert "412" not in str(raised.value) + line_of_event(event)
@@ -214,5 +214,5 @@ def test_an_unblinded_operator_sees_the_error_itself(tmp_path: Path) -> None:
     error = PlanError("K = 412 is unstable")
     with started(tmp_path / "P01", protocol_of(study=study(blind="participant"))) as session:
         with pytest.raises(PlanError) as raised:
-            conduct(session, refusing(error), ScriptedDesk())
+            conduct(session, refusing_runner(error), ScriptedDesk())
         assert raised.value is error

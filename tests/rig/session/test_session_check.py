@@ -53,7 +53,7 @@ def plan(schemes: Protocol) -> StudyPlan:
     return check(schemes, Path())
 
 
-def named(plan: StudyPlan, name: str) -> Check:
+def check_named(plan: StudyPlan, name: str) -> Check:
     (found,) = [one for one in plan.checks if one.name == name]
     return found
 
@@ -62,7 +62,7 @@ def named(plan: StudyPlan, name: str) -> Check:
 def test_every_template_passes_on_its_preset(name: str, tmp_path: Path) -> None:
     found = check(template(name, tmp_path), tmp_path, participants=2)
     assert found.ok, [one for one in found.checks if one.outcome is Outcome.REFUSED]
-    assert named(found, "expected limits").outcome is Outcome.OK
+    assert check_named(found, "expected limits").outcome is Outcome.OK
     assert all(one.levels[0] < one.expected.limit.likely < one.levels[-1] for one in found.cells)
     names = [one.name for one in found.checks]
     assert len(names) == len(set(names))
@@ -109,8 +109,8 @@ def test_a_plan_lists_what_is_hidden_from_whom(plan: StudyPlan, schemes: Protoco
     assert len(check(replace(schemes, study=study), Path()).hidden) == 1
 
 
-def outcome(one: Protocol, name: str, **changes: Any) -> Outcome:
-    return named(check(replace(one, **changes), Path()), name).outcome
+def outcome_of(one: Protocol, name: str, **changes: Any) -> Outcome:
+    return check_named(check(replace(one, **changes), Path()), name).outcome
 
 
 def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: StudyPlan) -> None:
@@ -119,14 +119,14 @@ def test_unsuitable_settings_are_warned_of_or_refused(schemes: Protocol, plan: S
     for lowest, highest in ((100.0, 0.9 * likely), (1.1 * likely, 1.6 * likely)):
         assert least < highest
         narrow = Search(lowest=lowest, highest=highest, ratio=1.05)
-        assert outcome(schemes, "expected limits", search=narrow, caps=Caps()) is Outcome.WARNING
-    assert outcome(schemes, "order", study=replace(schemes.study, participants=7)) is Outcome.WARNING
-    assert outcome(schemes, "order", order=replace(schemes.order, kind="fixed")) is Outcome.WARNING
-    assert outcome(schemes, "stop.trials", stop=Stop(trials=10)) is Outcome.REFUSED
-    assert outcome(schemes, "stop.trials", stop=Stop(trials=round(plan.trials.likely))) is Outcome.WARNING
-    assert outcome(schemes, "stop.minutes", stop=Stop(minutes=0.5)) is Outcome.REFUSED
+        assert outcome_of(schemes, "expected limits", search=narrow, caps=Caps()) is Outcome.WARNING
+    assert outcome_of(schemes, "order", study=replace(schemes.study, participants=7)) is Outcome.WARNING
+    assert outcome_of(schemes, "order", order=replace(schemes.order, kind="fixed")) is Outcome.WARNING
+    assert outcome_of(schemes, "stop.trials", stop=Stop(trials=10)) is Outcome.REFUSED
+    assert outcome_of(schemes, "stop.trials", stop=Stop(trials=round(plan.trials.likely))) is Outcome.WARNING
+    assert outcome_of(schemes, "stop.minutes", stop=Stop(minutes=0.5)) is Outcome.REFUSED
     many = replace(schemes, order=replace(schemes.order, repeats=20), rest=Rest(), stop=Stop())
-    assert outcome(many, "rest") is Outcome.WARNING
+    assert outcome_of(many, "rest") is Outcome.WARNING
 
 
 @pytest.mark.parametrize("rule", first_by_default(["staircase", "interleaved"]))
@@ -148,8 +148,8 @@ def test_a_largest_number_of_verdicts_that_cannot_hold_the_turns_is_warned_of(
 def test_a_cap_that_can_never_act_is_warned_of(schemes: Protocol, plan: StudyPlan) -> None:
     assert not [one for one in plan.checks if one.name.startswith("caps.")]
     found = check(replace(schemes, caps=replace(schemes.caps, energy=5000.0, stiffness=1e9)), Path())
-    assert named(found, "caps.energy").outcome is Outcome.WARNING
-    assert named(found, "caps.stiffness").outcome is Outcome.WARNING
+    assert check_named(found, "caps.energy").outcome is Outcome.WARNING
+    assert check_named(found, "caps.stiffness").outcome is Outcome.WARNING
 
 
 def test_the_space_for_recordings_is_estimated_and_checked(
@@ -168,7 +168,7 @@ def test_the_space_for_recordings_is_estimated_and_checked(
 def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Protocol) -> None:
     narrow = {**schemes.study.changes, "rig.limits.position_maximum": 0.004}
     found = check(replace(schemes, study=replace(schemes.study, changes=narrow)), Path())
-    refused = named(found, "after the wall")
+    refused = check_named(found, "after the wall")
     assert refused.outcome is Outcome.REFUSED
     assert "63 of 63 walls" in refused.text
     assert "uniform 20 kHz, K = 100 N·m/rad" in refused.text
@@ -176,7 +176,7 @@ def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Proto
 
 
 def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, schemes: Protocol) -> None:
-    effort = named(plan, "peak effort")
+    effort = check_named(plan, "peak effort")
     assert effort.outcome is Outcome.WARNING
     assert effort.remedy.startswith("expected briefly at impact")  # the push itself is light enough
     base = base_of(schemes, Path())
@@ -192,7 +192,7 @@ def test_of_many_walls_the_first_that_is_not_right_is_named(plan: StudyPlan, sch
 
 def test_a_device_is_asked_for_its_rate_only_when_it_is_named(schemes: Protocol, plan: StudyPlan) -> None:
     assert not [one for one in plan.checks if one.name == "device rate"]
-    asked = named(
+    asked = check_named(
         check(schemes, Path(), of_device=partial(device_checks, "sim://koul-compliant")), "device rate"
     )
     assert asked.outcome is Outcome.REFUSED  # in real time, as a session with a person runs it
@@ -209,9 +209,9 @@ def test_the_first_template_fits_the_simulated_rig_in_real_time(
     planned = template(DEFAULT, tmp_path)
     found = check(planned, tmp_path, of_device=partial(device_checks, "sim://"))
     assert found.ok
-    assert named(found, "device rate").outcome is Outcome.OK
-    assert named(found, "samples").outcome is Outcome.WARNING
-    assert "run at 250 Hz" in named(found, "samples").remedy
+    assert check_named(found, "device rate").outcome is Outcome.OK
+    assert check_named(found, "samples").outcome is Outcome.WARNING
+    assert "run at 250 Hz" in check_named(found, "samples").remedy
     monkeypatch.setattr(DeviceRunner, "pace", lambda *_: replace(lost, hopeless=True))
     (hopeless,) = pace_checks(Walls(planned, base_of(planned, tmp_path)), DeviceRunner(realtime=True))
     assert hopeless.outcome is Outcome.REFUSED

@@ -578,20 +578,20 @@ def test_a_finished_block_does_not_start_over(tmp_path: Path) -> None:
         assert not [trial for trial in session.state.trials if trial.void]
 
 
-def spoiled(*trials: int) -> FakeRunner:
+def runner_spoiling(*trials: int) -> FakeRunner:
     return FakeRunner(dict.fromkeys(trials, (SPOILED, None)))
 
 
 def test_the_estimate_of_trials_is_never_below_the_trial_that_is_there(tmp_path: Path) -> None:
     desk = ScriptedDesk()
-    run_with(started(tmp_path / "P01"), spoiled(*range(1, 100, 2)), desk)
+    run_with(started(tmp_path / "P01"), runner_spoiling(*range(1, 100, 2)), desk)
     assert max(view.trial for view in desk.views) > desk.views[0].trials
     assert [view for view in desk.views if view.trials < view.trial] == []
 
 
 def test_a_trial_that_the_machine_spoils_is_repeated_and_counts_for_no_rule(tmp_path: Path) -> None:
     protocol = protocol_of(stop={"invalid": 2, "machine": 5}, trial={"attempts": 2})
-    runner, desk = spoiled(1, 2, 3, 4), ScriptedDesk()
+    runner, desk = runner_spoiling(1, 2, 3, 4), ScriptedDesk()
     state = run_with(started(tmp_path / "P01", protocol), runner, desk)
     assert state.ended == "complete"
     assert [trial.attempt for trial in state.trials[:5]] == [1, 2, 3, 4, 5]
@@ -608,7 +608,7 @@ def test_the_machine_neither_counts_among_invalid_trials_nor_parts_them(tmp_path
 
 def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_path: Path) -> None:
     protocol, desk = protocol_of(stop={"machine": 3}), ScriptedDesk()
-    state = run_with(started(tmp_path / "P01", protocol), spoiled(2, 3, 4, 5, 6, 8, 9), desk)
+    state = run_with(started(tmp_path / "P01", protocol), runner_spoiling(2, 3, 4, 5, 6, 8, 9), desk)
     (asked,) = [question for question in desk.questions if question.kind == "paused"]
     assert f"made 3 trials in a row invalid: {LOST}; close other programs" in asked.text
     assert asked.actions == ("go", "note", "abort")
@@ -623,7 +623,7 @@ def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_pa
 @pytest.mark.parametrize("kept", ["trial", "paused", "continued"])
 def test_a_session_killed_at_such_a_pause_continues_like_one_that_was_not(tmp_path: Path, kept: str) -> None:
     protocol = protocol_of(stop={"machine": 3})
-    run_with(started(tmp_path / "calm", protocol), spoiled(2, 3, 4), ScriptedDesk())
+    run_with(started(tmp_path / "calm", protocol), runner_spoiling(2, 3, 4), ScriptedDesk())
     calm = read(tmp_path / "calm" / LOG)
     paused = next(event.number for event in calm if event.kind == "paused")
     last = {"trial": paused, "paused": paused + 1, "continued": paused + 2}[kept]
@@ -633,7 +633,7 @@ def test_a_session_killed_at_such_a_pause_continues_like_one_that_was_not(tmp_pa
                 session.record(event.kind, **event.content)
     desk = ScriptedDesk()
     with resume(tmp_path / "P01", clock=Day()) as session:
-        conduct(session, spoiled(2, 3, 4), desk)
+        conduct(session, runner_spoiling(2, 3, 4), desk)
     assert decisions(read(tmp_path / "P01" / LOG)) == decisions(calm)
     assert sum(question.kind == "paused" for question in desk.questions) == (kept != "continued")
 
@@ -641,12 +641,12 @@ def test_a_session_killed_at_such_a_pause_continues_like_one_that_was_not(tmp_pa
 def test_a_rehearsal_ends_at_such_a_pause_and_is_resumed(tmp_path: Path) -> None:
     session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
     with pytest.raises(OverrunError, match="made 3 trials in a row invalid: from contact on") as ended:
-        rehearsed(session, spoiled(1, 2, 3, 4), person)
+        rehearsed(session, runner_spoiling(1, 2, 3, 4), person)
     assert ended.value.exit_code == 14
     assert "rig session resume" in ended.value.remedy
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
     assert kinds[-2:] == ["paused", "stopped"]
-    state = rehearsed(resume(tmp_path / "P01", clock=Day()), spoiled(4), person)
+    state = rehearsed(resume(tmp_path / "P01", clock=Day()), runner_spoiling(4), person)
     assert state.ended == "complete"
     assert not state.skipped
 

@@ -35,7 +35,7 @@ EVENTS = [
 ]
 
 
-def written(path: Any, events: Any = EVENTS) -> Any:
+def write_log(path: Any, events: Any = EVENTS) -> Any:
     with SessionLog(path, clock=lambda: 12.5) as log:
         for kind, content in events:
             log.append(kind, **content)
@@ -47,7 +47,7 @@ def read_events(path: Any) -> Any:
 
 
 def test_events_are_read_back_in_order_and_with_their_time(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     assert read_events(path) == EVENTS
     assert [event.number for event in read(path)] == [0, 1, 2, 3]
     assert {event.at for event in read(path)} == {12.5}
@@ -55,19 +55,19 @@ def test_events_are_read_back_in_order_and_with_their_time(tmp_path: Path) -> No
 
 def test_a_log_torn_at_any_byte_is_continued_without_a_trace(tmp_path: Path) -> None:
     """However much of the last line reached the disk, the event is there completely or not at all."""
-    whole = written(tmp_path / "whole").read_bytes()
+    whole = write_log(tmp_path / "whole").read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
     for length in range(start, len(whole) + 1):
         path = tmp_path / "torn"
         path.write_bytes(whole[:length])
         survived = read_events(path)
         assert survived == (EVENTS if length == len(whole) else EVENTS[:-1])
-        written(path, EVENTS[len(survived) :])
+        write_log(path, EVENTS[len(survived) :])
         assert path.read_bytes() == whole
 
 
 def test_the_dropped_bytes_of_a_torn_line_are_counted(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     whole = path.read_bytes()
     path.write_bytes(whole[:-7])
     start = whole.rindex(b"\n", 0, -1) + 1
@@ -78,7 +78,7 @@ def test_the_dropped_bytes_of_a_torn_line_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     whole = path.read_bytes()
     start = whole.rindex(b"\n", 0, -1) + 1
     damaged = whole[start : start + 20] + b"?" + whole[start + 21 :]
@@ -97,7 +97,7 @@ def test_a_damaged_last_line_can_be_set_aside_and_its_bytes_stay(tmp_path: Path)
 
 
 def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     changed = path.read_bytes().replace(b"stable", b"stabel")
     path.write_bytes(changed)
     with pytest.raises(DamagedLineError, match="line 2: damaged") as caught:
@@ -107,7 +107,7 @@ def test_a_damaged_line_that_something_followed_is_not_set_aside(tmp_path: Path)
 
 
 def test_line_ends_that_an_editor_or_git_changed_are_named_and_changed_back(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"\n", b"\r\n"))
     for opened in (read, SessionLog, set_damaged_line_aside):
@@ -121,7 +121,7 @@ def test_line_ends_that_an_editor_or_git_changed_are_named_and_changed_back(tmp_
 
 @pytest.mark.parametrize("place", range(4))
 def test_a_line_taken_out_or_changed_is_noticed(tmp_path: Path, place: int) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     kept = path.read_bytes().splitlines(keepends=True)
     forged = lines.line_of(f'{{"n": {place}, "after": 0, "at": 1, "kind": "forged", "log": {VERSION}}}')
     taken_out, replaced = [*kept[:place], *kept[place + 1 :]], [*kept[:place], forged, *kept[place + 1 :]]
@@ -135,7 +135,7 @@ def test_a_line_taken_out_or_changed_is_noticed(tmp_path: Path, place: int) -> N
 
 
 def test_a_log_of_another_format_version_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "log")
+    path = write_log(tmp_path / "log")
     first = lines.object_of(path.read_bytes().splitlines(keepends=True)[0])
     assert first["log"] == VERSION
     path.write_bytes(lines.line_of(json.dumps({**first, "log": VERSION + 1})))
@@ -158,7 +158,7 @@ def _assert_refused(path: Any, changed: Any, number: Any) -> None:
 def test_one_flipped_bit_is_never_taken_for_an_event(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    path = written(tmp_path_factory.mktemp("bit") / "log")
+    path = write_log(tmp_path_factory.mktemp("bit") / "log")
     content = bytearray(path.read_bytes())
     at = data.draw(st.integers(0, len(content) - 1))
     content[at] ^= 1 << data.draw(st.integers(0, 7))
@@ -204,7 +204,7 @@ def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: str, other: str
 ) -> None:
     """If a partial line cannot be cut off, it stays the last one until the log is opened again."""
-    path, fsync = written(tmp_path / "log"), os.fsync
+    path, fsync = write_log(tmp_path / "log"), os.fsync
 
     def sync(descriptor: Any) -> None:
         if "sync" in file.fails:
@@ -230,13 +230,13 @@ def test_after_an_append_that_failed_nothing_comes_upon_what_it_left(
     assert [kind for kind, _ in before[4:]] == (
         ["stopped"] if other == "nothing" else ["lost"] if first == "sync" else []
     )
-    assert read_events(written(path, [("resumed", {})])) == [*before, ("resumed", {})]
+    assert read_events(write_log(path, [("resumed", {})])) == [*before, ("resumed", {})]
 
 
 @pytest.mark.parametrize("place", range(60))
 def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, place: int) -> None:
     """Ctrl-C may come between any two program lines; the stop event that follows must not damage the log."""
-    path, left = written(tmp_path / "log"), place
+    path, left = write_log(tmp_path / "log"), place
     traced = [module.__file__ for module in (log_module, lines, files)]
     with SessionLog(path, clock=lambda: 12.5) as log:
 
@@ -265,7 +265,7 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, pla
     found = read_events(path)
     assert found[:4] == EVENTS
     assert [kind for kind, _ in found[4:]] in (["asked"], ["stopped"], ["asked", "stopped"], [])
-    assert read_events(written(path, [("resumed", {})])) == [*found, ("resumed", {})]
+    assert read_events(write_log(path, [("resumed", {})])) == [*found, ("resumed", {})]
     if left >= 0:
         assert [kind for kind, _ in found[4:]] == [
             "asked",

@@ -28,7 +28,7 @@ def directory_of(title: str) -> str:
     return study_directory(protocol_of(study=study(title=title)), None).name
 
 
-def named(*conditions: str, practice: str | None = None) -> Protocol:
+def protocol_named(*conditions: str, practice: str | None = None) -> Protocol:
     table = {"condition": [{"name": name, "scheme": "dual:20k/2k"} for name in conditions]}
     return protocol_of(**table, **({} if practice is None else {"practice": {"condition": practice}}))
 
@@ -69,7 +69,7 @@ def test_any_title_names_one_directory_that_a_file_system_takes(title: str) -> N
 
 
 def test_names_are_made_one_spelling_where_they_enter() -> None:
-    protocol = named(f" dual{NBSP} hidden\t", NFD, practice="dual\u3000hidden ")
+    protocol = protocol_named(f" dual{NBSP} hidden\t", NFD, practice="dual\u3000hidden ")
     assert [one.name for one in protocol.condition] == ["dual hidden", "Größe"]
     assert protocol.practice.condition == "dual hidden"
     assert protocol_from_mapping(as_mapping(protocol), "again") == protocol
@@ -79,9 +79,9 @@ def test_names_are_made_one_spelling_where_they_enter() -> None:
 @pytest.mark.parametrize("twin", ["dual hidden ", f"dual{NBSP}hidden", "dual  hidden"])
 def test_conditions_that_differ_by_a_blank_are_one_name_twice(twin: str) -> None:
     with pytest.raises(ConfigError, match="is used more than once"):
-        named("dual hidden", twin)
+        protocol_named("dual hidden", twin)
     with pytest.raises(ConfigError, match="is used more than once"):
-        named("Größe", NFD)
+        protocol_named("Größe", NFD)
 
 
 def test_a_question_its_choices_and_what_is_fitted_are_names_too() -> None:

@@ -131,7 +131,7 @@ def cut_anywhere(root: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[t
             disk.close()
 
 
-def finished(directory: Path) -> None:
+def finish(directory: Path) -> None:
     conduct_session(started(directory, protocol_of(search=SHORT_SEARCH)))
 
 
@@ -173,7 +173,7 @@ def test_a_first_participant_survives_a_power_cut_at_any_time(
     root = tmp_path / "cache"
     root.mkdir()
     with cut_anywhere(root, monkeypatch) as cuts:
-        finished(root / DIRECTORY)
+        finish(root / DIRECTORY)
     whole = read(root / DIRECTORY / LOG)
     calm = decisions(whole)
     assert sum(event.kind == "trial" for event in whole) == 2
@@ -193,7 +193,7 @@ def test_a_recording_without_a_log_entry_survives_a_power_cut_while_it_is_set_as
 ) -> None:
     root = tmp_path / "cache"
     directory = root / DIRECTORY
-    finished(directory)
+    finish(directory)
     lines = (directory / LOG).read_bytes().splitlines(keepends=True)
     last = max(event.number for event in read(directory / LOG) if event.kind == "trial")
     (directory / LOG).write_bytes(

@@ -16,7 +16,7 @@ class Terminal:
 
 
 @pytest.fixture
-def printed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def printed_lines(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     lines: list[str] = []
     monkeypatch.setattr(
         session_progress.click, "echo", lambda text, nl=True, err=False: lines.append(f"{err} {text}")
@@ -31,19 +31,19 @@ def clock(step_s: float) -> Iterator[float]:
         now += step_s
 
 
-def ready(trial: int, block: int = 2) -> DeskView:
+def ready_view(trial: int, block: int = 2) -> DeskView:
     return DeskView(state="ready", trial=trial, trials=104, block=block, blocks=5, practice=block == 0)
 
 
-def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, printed: list[str]) -> None:
+def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, printed_lines: list[str]) -> None:
     monkeypatch.setattr(session_progress.sys, "stderr", Terminal())
     with Rehearsed(quiet=False, clock=clock(3.0).__next__) as seen:
         for trial in (1, 2, 3, 4):
-            seen.looks(ready(trial, 0 if trial == 1 else 2))
+            seen.looks(ready_view(trial, 0 if trial == 1 else 2))
         seen.looks(DeskView(state="homing"))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
     start = "True \r\033[K"
-    assert printed == [
+    assert printed_lines == [
         f"{start}trial 1 of about 104, practice",
         f"{start}trial 2 of about 104, block 2 of 5",
         f"{start}trial 3 of about 104, block 2 of 5",
@@ -52,20 +52,20 @@ def test_a_terminal_has_one_line(monkeypatch: pytest.MonkeyPatch, printed: list[
     ]
 
 
-def test_without_a_terminal_events_are_lines_and_the_time_is_printed_once(printed: list[str]) -> None:
+def test_without_a_terminal_events_are_lines_and_the_time_is_printed_once(printed_lines: list[str]) -> None:
     with Rehearsed(quiet=False, clock=clock(0.5).__next__) as seen:
         for trial in range(1, 8):
-            seen.looks(ready(trial))
+            seen.looks(ready_view(trial))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
-    assert printed == [
+    assert printed_lines == [
         "True   trial 4 of about 104, block 2 of 5, about 50 s left",
         "True   paused: requested by the operator",
     ]
 
 
-def test_a_quiet_rehearsal_prints_nothing(printed: list[str]) -> None:
+def test_a_quiet_rehearsal_prints_nothing(printed_lines: list[str]) -> None:
     with Rehearsed(quiet=True) as seen:
         for trial in range(1, 8):
-            seen.looks(ready(trial))
+            seen.looks(ready_view(trial))
         seen.on_event(Event(1, 0.0, "paused", {"reason": "requested by the operator"}))
-    assert printed == []
+    assert printed_lines == []

@@ -50,13 +50,13 @@ step = 25
 TABLE = parse_toml(TEXT, "study.toml")
 
 
-def written(folder: Path, text: str = TEXT) -> Path:
+def write_protocol(folder: Path, text: str = TEXT) -> Path:
     path = folder / "study.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def changed(changes: dict[str, Any]) -> dict[str, Any]:
+def change(changes: dict[str, Any]) -> dict[str, Any]:
     """Return the table with some keys changed; `condition.0.name` is a key of the first item in a list."""
     return _changed(json.loads(json.dumps(TABLE)), changes)
 
@@ -72,13 +72,13 @@ def _changed(table: Any, changes: dict[str, Any]) -> Any:
 
 def refusal(changes: dict[str, Any]) -> str:
     with pytest.raises(ConfigError) as caught:
-        protocol_from_mapping(changed(changes), "study.toml")
+        protocol_from_mapping(change(changes), "study.toml")
     return str(caught.value)
 
 
 def refusal_of_file(folder: Path, changes: dict[str, Any]) -> str:
     with pytest.raises(ConfigError) as caught:
-        load_protocol(written(folder, toml(changed(changes))))
+        load_protocol(write_protocol(folder, toml(change(changes))))
     return str(caught.value)
 
 
@@ -99,7 +99,7 @@ def toml(table: dict[str, Any]) -> str:
 
 
 def test_a_file_is_a_protocol_with_defaults_for_what_it_leaves_out(tmp_path: Path) -> None:
-    protocol = load_protocol(written(tmp_path))
+    protocol = load_protocol(write_protocol(tmp_path))
     assert [one.name for one in protocol.condition] == ["uniform", "dual"]
     assert protocol.condition[1].damping == (0.0, 0.1)
     assert protocol.search.lowest == 100.0
@@ -108,9 +108,9 @@ def test_a_file_is_a_protocol_with_defaults_for_what_it_leaves_out(tmp_path: Pat
 
 
 def test_changes_are_dotted_keys_with_or_without_quotes(tmp_path: Path) -> None:
-    quoted = load_protocol(written(tmp_path))
+    quoted = load_protocol(write_protocol(tmp_path))
     bare = TEXT.replace('changes."operator.press"', "changes.operator.press")
-    assert load_protocol(written(tmp_path, bare)) == quoted
+    assert load_protocol(write_protocol(tmp_path, bare)) == quoted
     assert quoted.study.changes["operator.press"] == 1.5
 
 
@@ -118,7 +118,7 @@ def test_an_experiment_file_lies_beside_the_protocol(tmp_path: Path) -> None:
     (tmp_path / "rigs").mkdir()
     (tmp_path / "rigs" / "mine.toml").write_text('preset = "koul-compliant"\n[trial]\nduration_s = 1.2\n')
     text = TEXT.replace('preset = "koul-compliant"', 'experiment = "rigs/mine.toml"')
-    protocol = load_protocol(written(tmp_path, text))
+    protocol = load_protocol(write_protocol(tmp_path, text))
     base = base_of(protocol, tmp_path)
     assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).trial.duration_s == 1.2
 
@@ -131,7 +131,7 @@ def test_a_condition_becomes_an_experiment_with_all_its_settings(tmp_path: Path)
         "condition.1.fit": "the other encoder",
         "order.blocks": "condition",
     }
-    protocol = load_protocol(written(tmp_path, toml(changed(own))))
+    protocol = load_protocol(write_protocol(tmp_path, toml(change(own))))
     base = base_of(protocol, tmp_path)
     x = Walls(protocol, base).at(protocol.condition[1], 0.1, 225.0, seed=9)
     assert (x.wall.stiffness, x.wall.damping, x.trial.seed, x.trial.repeats) == (225.0, 0.1, 9, 1)
@@ -142,23 +142,23 @@ def test_a_condition_becomes_an_experiment_with_all_its_settings(tmp_path: Path)
 
 
 def test_a_person_meets_no_more_than_nominal_effort_unless_the_study_overrides_it(tmp_path: Path) -> None:
-    protocol = load_protocol(written(tmp_path))
+    protocol = load_protocol(write_protocol(tmp_path))
     base = base_of(protocol, tmp_path)
     assert base.rig.limits.effort == 1.3
     held = Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0)
     assert (held.rig.limits.human, held.rig.limits.effort) == (True, 0.286)
     answers = {"rig.limits.override_stall": True, "rig.limits.effort": 1.0}
-    protocol = load_protocol(written(tmp_path, toml(changed({"study.changes": answers}))))
+    protocol = load_protocol(write_protocol(tmp_path, toml(change({"study.changes": answers}))))
     assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.0
     stall = "[rig.limits]\noverride_stall = true\nhuman = true\n"
     (tmp_path / "mine.toml").write_text(f'preset = "koul-compliant"\n{stall}')
     own = load_protocol(
-        written(tmp_path, TEXT.replace('preset = "koul-compliant"', 'experiment = "mine.toml"'))
+        write_protocol(tmp_path, TEXT.replace('preset = "koul-compliant"', 'experiment = "mine.toml"'))
     )
     allowed = Walls(own, base_of(own, tmp_path)).at(own.condition[0], 0.0, 200.0)
     assert allowed.rig.limits.effort == 1.3
     motor = {"trial": {"kind": "constant-effort"}, "study.changes": {"trial.effort": 0.4}}
-    protocol = load_protocol(written(tmp_path, toml(changed(motor))))
+    protocol = load_protocol(write_protocol(tmp_path, toml(change(motor))))
     assert Walls(protocol, base).at(protocol.condition[0], 0.0, 200.0).rig.limits.effort == 1.3
 
 
@@ -255,7 +255,7 @@ def test_all_errors_are_listed_at_once(tmp_path: Path) -> None:
     for key in ("study.participants", "order.knd", "condition 1.damping"):
         assert key in text
     with pytest.raises(ConfigError) as caught:
-        load_protocol(written(tmp_path, ""))
+        load_protocol(write_protocol(tmp_path, ""))
     for section in ("[study]", "[condition]", "[search]", "study.preset"):
         assert section in str(caught.value)
 
@@ -325,7 +325,7 @@ KEYS = [key.replace("[]", ".0") for key in parameters_of(Protocol)]
 @settings(max_examples=80)
 @given(st.dictionaries(st.sampled_from(KEYS), anything, max_size=3))
 def test_any_value_of_a_key_is_a_protocol_or_one_typed_error(changes: dict[str, Any]) -> None:
-    table = changed({"question": [{"name": "tired", "text": "?"}]})
+    table = change({"question": [{"name": "tired", "text": "?"}]})
     table["condition"][0]["search"] = {"lowest": 1, "highest": 9, "step": 1}
     try:
         protocol = protocol_from_mapping(_changed(table, changes), "study.toml")
@@ -357,7 +357,7 @@ def test_any_table_at_all_is_a_protocol_or_one_typed_error(table: Any) -> None:
     ],
 )
 def test_a_code_of_the_pattern_is_taken(pattern: str, code: str) -> None:
-    check_code(protocol_from_mapping(changed({"study.code": pattern}), "study.toml"), code)
+    check_code(protocol_from_mapping(change({"study.code": pattern}), "study.toml"), code)
 
 
 @pytest.mark.parametrize(
@@ -370,7 +370,7 @@ def test_a_code_of_the_pattern_is_taken(pattern: str, code: str) -> None:
 )
 def test_a_pattern_that_allows_names_is_refused(pattern: str, code: str) -> None:
     with pytest.raises(ConfigError, match=r"names of people|looks like a name"):
-        check_code(protocol_from_mapping(changed({"study.code": pattern}), "study.toml"), code)
+        check_code(protocol_from_mapping(change({"study.code": pattern}), "study.toml"), code)
 
 
 @pytest.mark.parametrize(
@@ -446,7 +446,7 @@ def test_an_editor_finds_the_schema_beside_a_new_protocol_and_no_fault_in_it(
     ),
 )
 def test_an_editor_underlines_what_is_refused(changes: dict[str, Any], words: str) -> None:
-    (fault,) = editor_errors(changed(changes))
+    (fault,) = editor_errors(change(changes))
     assert words in fault
 
 
@@ -470,7 +470,7 @@ def test_duplicate_names_are_quoted_as_written() -> None:
 
 
 def test_a_template_overwrites_nothing_and_has_its_name(tmp_path: Path) -> None:
-    path = written(tmp_path)
+    path = write_protocol(tmp_path)
     with pytest.raises(RecordingError, match="exists") as caught:
         write_template("koul-fig6", path)
     assert "recordings" not in caught.value.remedy

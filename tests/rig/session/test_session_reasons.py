@@ -186,7 +186,7 @@ def test_the_unblinded_line_of_an_event_has_more(kind: str, content: Any, whole:
 
 
 def test_no_question_and_no_pause_reveals_the_wall_to_a_blinded_operator(tmp_path: Path) -> None:
-    """After the last allowed attempt, an early end, and trials that the computer spoiled."""
+    """Questions come after the last allowed attempt, an early end, and trials that the computer spoiled."""
     spoiled = {**SPOILED, "reasons": [reason(Objection.GAPS), reason(Objection.OVERRULED)]}
     guarded = GuardError("the motor gave the handle 4179 J: the effort oscillated")
     ended = [
