@@ -82,7 +82,6 @@ class ScriptedPort:
         return len(data)
 
     def states(self) -> list[m.State]:
-        """Return all STATE messages that were sent."""
         found = [unpack(frame)[1] for frame in FrameSplitter().feed(b"".join(data for _, data in self.sent))]
         return [message for message in found if isinstance(message, m.State)]
 

@@ -9,6 +9,7 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.control.judging import meter, recorded_signals, true_signals
+from rig.core.sample import Phase
 from rig.devices.device import DeviceUrl
 from rig.devices.framed import FramedDevice
 from rig.experiments.hits.hit_simulator import HitSimulator
@@ -68,7 +69,7 @@ def test_every_number_of_a_hit_without_bytes_is_that_of_the_recording(
         arrays = [signals.position, signals.effort, signals.penetration]
         if signals.velocity is not None:
             arrays.insert(1, signals.velocity)
-        flags = rows["flags"][rows["phase"] == 3].astype(np.int64) & ~CURRENTS
+        flags = rows["flags"][rows["phase"] == Phase.TRIAL].astype(np.int64) & ~CURRENTS
         numbers = again(*arrays, flags)
         assert numbers.tobytes() == measured.numbers.tobytes()
     assert without_bytes.true.numbers["contact_s"] > 0.0

@@ -48,6 +48,7 @@ from tests.system.test_faults_realtime import COMMON, ON_HOST
 WAIT_S = 50.0  # on a loaded machine
 RATE = 500
 NO_SUCH_CPU = 4_095
+EMPTY_CAPTURE_BYTES = 40_000  # at most; a header without rows
 
 REAL = config.override(config.with_realtime(presets.load("koul-compliant")), {**COMMON, **ON_HOST})
 MODEL = config.rig_model(REAL)
@@ -288,8 +289,7 @@ def test_a_command_that_ctrl_c_ends_leaves_no_process_and_no_memory(tmp_path: Pa
 
 
 def has_rows(directory: Any) -> Any:
-    """Return True if a capture in the directory has rows."""
-    return any(path.stat().st_size > 40_000 for path in directory.glob("recordings/*.rigcap"))
+    return any(path.stat().st_size > EMPTY_CAPTURE_BYTES for path in directory.glob("recordings/*.rigcap"))
 
 
 def wait_until(condition: Any, text: Any) -> None:

@@ -16,7 +16,6 @@ GUIDES = {path.parent.name: examples(path) for path in (README, *sorted((ROOT / 
 
 
 def names_of(guide: str, number: int, directory: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Run an example of a guide in a directory and return the names that it defines."""
     monkeypatch.chdir(directory)
     names: dict[str, Any] = {"__name__": f"example_{number}"}
     exec(compile(GUIDES[guide][number], f"{guide}, example {number}", "exec"), names)

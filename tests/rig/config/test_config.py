@@ -68,7 +68,6 @@ def test_a_complete_file_needs_no_preset(tmp_path: Path) -> None:
 
 
 def experiment_or_error(make: Callable[[], Experiment]) -> Experiment | str:
-    """Return the experiment, or the text of its error."""
     try:
         return make()
     except ConfigError as error:

@@ -33,7 +33,6 @@ class Part:
 
     @reported
     def ok(self) -> bool:
-        """Return True if the part settled."""
         return math.isfinite(self.settling_s)
 
 

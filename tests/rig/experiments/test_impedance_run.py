@@ -19,6 +19,7 @@ from rig.control import bilateral
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, GuardError, PlanError, RecordingError
 from rig.core.present import plain
+from rig.core.sample import Phase
 from rig.experiments.hits._on_device import OnDevice
 from rig.experiments.mapping import impedance as measuring
 from rig.experiments.mapping.impedance import Judging, measure_impedance, measure_on_device, write_results
@@ -323,7 +324,7 @@ def test_over_the_byte_link_the_counts_are_the_same_to_the_last_bit(on_device: A
     model = config.rig_model(excited)
     for number, path in enumerate(result.recordings):
         rows = open_recording(path).rows
-        rows = rows[rows["phase"] == 3]
+        rows = rows[rows["phase"] == Phase.TRIAL]
         bench = ExcitedRig(x, acquisition_hz=1000.0)
         wall = asdict(replace(excited.wall, stiffness=10e3, damping=10.0))
         fresh = replace(bench._template.fresh(wall), law=excited_law(excited, number).prepare(wall))

@@ -12,6 +12,7 @@ import rig
 from rig import config
 from rig.core import plugins
 from rig.core.errors import ConfigError, PlanError, RecordingError
+from rig.core.sample import Phase
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest
 from rig.experiments.hits.hit import hit as run
@@ -102,7 +103,7 @@ def test_a_hit_gives_one_result_and_can_be_watched(tmp_path: Path) -> None:
 
 def test_a_law_and_an_estimator_of_a_lab_run_and_are_recorded(own: rig.HitResult) -> None:
     inside = own.recording.rows["penetration"] > 0.0
-    rows = own.recording.rows[inside & (own.recording.rows["phase"] == 3)]
+    rows = own.recording.rows[inside & (own.recording.rows["phase"] == Phase.TRIAL)]
     expected = 100.0 * rows["penetration"] + 2e4 * rows["penetration"] ** 2 + 0.5 * rows["velocity"]
     assert rows["effort_wall"] == pytest.approx(expected, rel=1e-12)
     header = own.recording.header["initial_state"]

@@ -17,6 +17,7 @@ from rig.config.velocity_reading import highest_reading
 from rig.core.check import Outcome
 from rig.core.errors import ConfigError, PlanError
 from rig.core.present import plain
+from rig.core.sample import Phase
 from rig.devices.device import LINK_SHARE, STATE_BYTES
 from rig.doctor.late_loops import LateLoops
 from rig.experiments.trials.plan import delay_checks, link_checks, make_plan, predict_impact
@@ -43,7 +44,7 @@ def simulate_hit(experiment: Any) -> Any:
     law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
     plant = DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
     trace = bare.run_trial(law, plant, 0.0, most_ticks=200_000)
-    trial = np.flatnonzero(trace.phases == 3)
+    trial = np.flatnonzero(trace.phases == Phase.TRIAL)
     states = trace.states[trial]
     depth = experiment.wall.side * (states[:, plant.sensed_position] - experiment.wall.position)
     first = int(np.argmax(depth > 0.0))

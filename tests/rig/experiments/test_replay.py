@@ -43,7 +43,6 @@ def new_link(experiment: Any = SHORT, faults: Any = None) -> Any:
 def record_trial(
     directory: Any, experiment: Any = SHORT, *, faults: Any = None, law: Any = None, error: Any = None
 ) -> Any:
-    """Run one trial in virtual time and return its recording."""
     path = directory / "trial.rigcap"
     caught = None
     with FramedDevice(new_link(experiment, faults)) as device:

@@ -23,15 +23,13 @@ from tests.conformance.rigs import rotary_rig
 
 @group
 class Wanted(NamedTuple):
-    """A group of arguments."""
-
     values: Floats
     place: Int
 
 
 @group
 class Measured(NamedTuple):
-    """Another group with the same members."""
+    """A group with the same members as `Wanted`."""
 
     values: Floats
     place: Int

@@ -11,6 +11,7 @@ import pytest
 
 import rig
 from rig.core.errors import RecordingError
+from rig.core.sample import Phase
 from rig.experiments.trials.judgement import JUDGED, experiment_of, judge
 from rig.recording._capture import write_capture
 from rig.recording._parquet import write_parquet
@@ -94,7 +95,7 @@ def test_a_long_line_is_drawn_by_its_extremes() -> None:
 
 def lengthen(recording: Recording, rows: int) -> Recording:
     """Return the recording with its trial repeated up to this number of rows."""
-    (trial,) = np.nonzero(recording.rows["phase"] == 3)
+    (trial,) = np.nonzero(recording.rows["phase"] == Phase.TRIAL)
     places = np.concatenate((np.arange(trial[0]), np.resize(trial, rows)))
     found = recording.rows[places]
     found["tick"] = np.arange(len(found))

@@ -22,6 +22,7 @@ from typing import Any, cast
 
 from rig.core.errors import RigError, StoppedError
 from rig.core.present import plain
+from rig.core.sample import Phase
 from rig.extras.console.client import Client
 from rig.extras.console.jobs import Job, Jobs
 from rig.extras.console.lease import Lease
@@ -62,7 +63,7 @@ def watched(desk: Desk) -> StoppedError:
     assert watch is not None
     try:
         while time.monotonic() < deadline:
-            watch(0, 3)
+            watch(0, Phase.TRIAL)
             threading.Event().wait(0.005)  # the supervision of a loop calls it as often
     except StoppedError as error:
         return error

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
+from rig.core.sample import Phase
 from rig.session.engine._desk import DeskView, Question, Reply
 from rig.session.terminal.desk import ConsoleDesk, at_console
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
@@ -123,7 +124,7 @@ def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Te
         watch, deadline = desk.watch(), time.monotonic() + PATIENCE_S
         assert watch is not None
         while desk.pid == before and time.monotonic() < deadline:
-            watch(0, 3)
+            watch(0, Phase.TRIAL)
         terminal.type(" ")
         assert "stopped at the console" in str(watched(desk))
     assert_given_back(terminal)

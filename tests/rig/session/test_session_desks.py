@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from rig.core.errors import ConfigError, StoppedError
+from rig.core.sample import Phase
 from rig.realtime.hand import SharedHand, Wish
 from rig.session.engine._conduct import conduct
 from rig.session.engine._desk import Action, DeskView, Question
@@ -107,7 +108,7 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     assert answered(reply) == ("go", "")
     watch = place.desk.watch()
     assert watch is not None
-    watch(0, 3)
+    watch(0, Phase.TRIAL)
 
 
 def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:

@@ -92,7 +92,6 @@ class Bus:
         return [self.root, *(f"/proc/{os.getpid()}/fd/{pipe.fileno()}" for pipe in pipes)]
 
     def close(self) -> None:
-        """Stop the device, then end the bridge."""
         self._stop.set()
         self._device.join(WAIT_S)
         assert self.bridge.stdin is not None
@@ -136,7 +135,6 @@ class Child:
         return answer["found"]
 
     def close(self) -> int:
-        """End the child and return its exit code."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
