@@ -131,14 +131,14 @@ def test_without_a_compiler_it_says_what_to_install(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize(
-    ("script", "says"),
+    ("script", "text"),
     [
         ("#!/bin/sh\necho 'cannot do this' >&2\nexit 1\n", "cannot do this"),
         ("#!/no/such/thing\n", "cannot start the C compiler"),
     ],
 )
 def test_a_compiler_that_fails_is_quoted(
-    script: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    script: str, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiler = tmp_path / "mycc"
     compiler.write_text(script)
@@ -146,7 +146,7 @@ def test_a_compiler_that_fails_is_quoted(
     monkeypatch.setenv("CC", str(compiler))
     with pytest.raises(ConfigError) as caught:
         FIRMWARE.compiled(tmp_path)
-    assert says in str(caught.value)
+    assert text in str(caught.value)
     assert "CC" in caught.value.remedy
     assert not list(tmp_path.glob("firmware-*"))
 

@@ -140,7 +140,7 @@ def test_a_url_opens_a_device_as_its_options_say() -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "says"),
+    ("url", "text"),
     [
         ("sim://test?sed=3", "unknown option 'sed'.*known options: seed, initial_position"),
         ("sim://test?seed=x", "seed = 'x' is not a whole number"),
@@ -150,8 +150,8 @@ def test_a_url_opens_a_device_as_its_options_say() -> None:
         ("sim://test?position_rate_maximum=100", "default rate of 1000 Hz is outside 1 … 100 Hz"),
     ],
 )
-def test_a_wrong_option_is_refused_by_name(url: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+def test_a_wrong_option_is_refused_by_name(url: str, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
         open_link(DeviceUrl.parse(url), rotary_rig())
 
 

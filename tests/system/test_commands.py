@@ -47,7 +47,7 @@ class Row:
         Options of a successful run in the directory `made`; or the test that runs the command elsewhere.
     keys
         Keys of the JSON of that run, in any order; of a list, the keys of its first item.
-    says
+    word
         A word that the text output contains.
     refused
         Calls that are rejected: options, exit code, and words of the message.
@@ -58,7 +58,7 @@ class Row:
     name: str
     good: str
     keys: str
-    says: str
+    word: str
     refused: tuple[tuple[str, int, str], ...]
     files: str = ""
 
@@ -329,7 +329,7 @@ def test_a_good_run_ends_with_0_as_json_and_as_text(row: Row, run: Any, tmp_path
         (tmp_path / "new.toml").unlink(missing_ok=True)
     code, out, err = run(*words)
     assert code == 0, err
-    assert row.says in out, out
+    assert row.word in out, out
     assert not row.files or list(tmp_path.glob(row.files)), sorted(tmp_path.rglob("*"))
 
 

@@ -82,7 +82,7 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "text"),
     first_by_default(
         [
             (
@@ -103,15 +103,15 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
     ),
 )
 def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a_real_one(
-    changes: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    changes: dict[str, Any], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = held_rig("koul-rigid", **{"wall.damping": 0.05, **changes})
     check = human_limits(experiment)
-    assert (check.outcome, says in check.text) == (Outcome.WARNING, True), check.text
+    assert (check.outcome, text in check.text) == (Outcome.WARNING, True), check.text
     (result,) = hit(HitRequest(experiment=experiment, output=tmp_path), admit)
-    assert says in result.messages[0]
-    assert says in result.as_mapping()["messages"][0]
-    assert says in result.recording.header["extra"]["warnings"][0]
+    assert text in result.messages[0]
+    assert text in result.as_mapping()["messages"][0]
+    assert text in result.recording.header["extra"]["warnings"][0]
     claim_to_be_real(monkeypatch)
     with pytest.raises(PlanError, match="human limits: a person holds the handle"):
         next(hit(HitRequest(experiment=experiment, output=tmp_path, verified=True), admit))

@@ -30,7 +30,7 @@ VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
 
 
 @pytest.mark.parametrize(
-    ("limit", "flag", "reason", "says"),
+    ("limit", "flag", "reason", "text"),
     [
         (
             {"rig.limits.oscillations": 10},
@@ -47,14 +47,14 @@ VIOLENT = {"wall.stiffness": 1200.0, "wall.damping": 0.5}
     ],
 )
 def test_a_violent_wall_is_ended_and_unstable_with_bytes_and_without(
-    limit: Any, flag: Any, reason: str, says: str, rig_hit: Hits
+    limit: Any, flag: Any, reason: str, text: str, rig_hit: Hits
 ) -> None:
     experiment = override(PLACED, {**VIOLENT, **limit})
     hit = rig_hit(experiment, may_end=True)
     rows, trailer = hit.recording.rows, hit.recording.trailer or {}
     assert trailer["reason"] == reason
     assert isinstance(hit.error, GuardError)
-    assert re.search(says, str(hit.error))
+    assert re.search(text, str(hit.error))
     assert rows["flags"][-1] & flag
     assert not (rows["flags"][:-1] & (RowFlag.VIOLENT | RowFlag.ENERGY)).any()
     assert (rows["phase"][-1], rows["current_sent"][-1], rows["effort_sent"][-1]) == (Phase.DONE, 0, 0.0)

@@ -1,4 +1,4 @@
-"""Fixtures of the tests of experiments."""
+"""Let simulated devices claim to be real ones, for the tests of experiments."""
 
 import pytest
 

@@ -167,7 +167,7 @@ def test_keys_of_a_protocol() -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "says"),
+    ("keys", "text"),
     [
         (Keys(stable=" "), "always STOP"),
         (Keys(stable="space"), "always STOP"),
@@ -178,8 +178,8 @@ def test_keys_of_a_protocol() -> None:
         (Keys(abort="pedal"), "is not the name of a key"),
     ],
 )
-def test_impossible_keys_are_refused(keys: Keys, says: str) -> None:
-    with pytest.raises(ConfigError, match=says) as caught:
+def test_impossible_keys_are_refused(keys: Keys, text: str) -> None:
+    with pytest.raises(ConfigError, match=text) as caught:
         KeyMap.of(keys)
     assert caught.value.remedy
 
@@ -549,17 +549,17 @@ def test_the_pointer_reaches_from_behind_the_start_into_the_wall(scale: dict[str
 
 
 @pytest.mark.parametrize(
-    ("hand", "says"),
+    ("hand", "texts"),
     [
         ("keyboard", ["[left] [right] a step", "[end] into the wall"]),
         ("mouse", ["mouse to the right", "full press"]),
     ],
 )
-def test_the_keys_name_what_moves_the_hand(hand: HandKind, says: list[str]) -> None:
+def test_the_keys_name_what_moves_the_hand(hand: HandKind, texts: list[str]) -> None:
     conversation, printer = Conversation(KEYMAP, hand), PlainLines()
     first = printer.lines(conversation, None, 0.0)
     assert words.always(conversation) in first
-    assert all(part in first[0] for part in says)
+    assert all(part in first[0] for part in texts)
     assert words.always(conversation) not in printer.lines(conversation, SNAPSHOT, 1.0)
     conversation.press("?")
     (page,) = printer.lines(conversation, SNAPSHOT, 2.0)
