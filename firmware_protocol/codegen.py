@@ -6,8 +6,6 @@ with 1 if a file is out of date. Developers run it after a change of these table
 markers, where the text is written by hand.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

@@ -6,8 +6,6 @@ thread. For any bytes it returns events or raises `RemoteProtocolError`, and its
 `rig.devices.framed` and the simulated device use it. It must not decide when to send: its caller has the time.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import deque
 from dataclasses import dataclass

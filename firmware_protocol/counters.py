@@ -3,8 +3,6 @@
 `Connection` and `FrameSplitter` count with it. A counter must not be reset while its connection lives.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

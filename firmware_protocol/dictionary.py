@@ -7,8 +7,6 @@ ignored. Host, firmware build and simulated device use this file. Its encoding m
 dictionaries.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -4,8 +4,6 @@
 the TOML file.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ A call that the protocol forbids raises `LocalProtocolError`; wrong bytes from t
 which this package must not name.
 """
 
-from __future__ import annotations
-
 
 class ProtocolError(Exception):
     """Base class of this package's exceptions; only `LocalProtocolError` and `RemoteProtocolError` can be raised."""

@@ -6,8 +6,6 @@ sources. Every name gets a prefix and every function is static, so a program can
 parser and must not be used for other sources.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

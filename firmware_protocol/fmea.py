@@ -3,8 +3,6 @@
 `firmware_protocol.codegen` and the manual's pages print it. The faults must not be repeated here: edit the TOML file.
 """
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ The byte 0x00 occurs only between frames, so a receiver that lost bytes is synch
 bytes.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 from zlib import crc32
 

@@ -6,8 +6,6 @@ codes, so that no number of the protocol is written twice. Names are those of PR
 has.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Iterable

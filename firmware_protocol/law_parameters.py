@@ -6,8 +6,6 @@ Lengths are encoder counts, velocities counts per velocity period, currents quan
 messages.
 """
 
-from __future__ import annotations
-
 from firmware_protocol.parameter import Parameter, Value
 
 _FIRST_ID = 32

@@ -11,8 +11,6 @@ Ids 0 and 1, and the fields that IDENTIFY and IDENTITY have in version 1.0, are 
 device and code generator import it. A field must not move or change its type within a major version.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Annotated

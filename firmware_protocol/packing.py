@@ -3,8 +3,6 @@
 `Connection`, the code generator and `rig.devices.framed` use it. It must not check states: `Connection` does.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable
 from typing import Annotated, NamedTuple

@@ -3,8 +3,6 @@
 The lists in `parameters` and `law_parameters` consist of it. It must not depend on a particular parameter.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 Value = int | float

@@ -6,8 +6,6 @@ drives no current. Host, device and code generator use it. An id must not be reu
 current.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping
 from zlib import crc32

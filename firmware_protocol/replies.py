@@ -4,8 +4,6 @@ The host repeats a request if the reply does not arrive in time; it cannot detec
 Requests that only read may be executed again; a request that changes the device must not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from firmware_protocol.connection import Event

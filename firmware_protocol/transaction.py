@@ -6,8 +6,6 @@ control loop compiles them, so parameters change in the same way before and duri
 which numba compiles.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from firmware_protocol.faults import Status

@@ -6,8 +6,6 @@ of the page, so the device stores no progress. `rig.devices.framed` and the simu
 anything itself.
 """
 
-from __future__ import annotations
-
 from firmware_protocol.errors import RemoteProtocolError
 from firmware_protocol.faults import Status
 from firmware_protocol.messages import SetBegin, SetChunk, SetCommit

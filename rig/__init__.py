@@ -5,8 +5,6 @@
 contains checks for tests of a lab's own laws and estimators.
 """
 
-from __future__ import annotations
-
 from rig.core.lazy import loader, public_names
 
 _NAMES = public_names(__file__)

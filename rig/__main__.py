@@ -3,8 +3,6 @@
 It must not import `rig.cli` before that: the import takes many times as long.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -5,8 +5,6 @@ the origin of an unexpected error. `rig.__main__` calls this package, and the bu
 It must not compute a result or command a device: a command calls a function of another package and prints its result.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import select

@@ -1,7 +1,5 @@
 """Show a notice on standard error while machine code is compiled for the running command."""
 
-from __future__ import annotations
-
 import math
 import sys
 import threading

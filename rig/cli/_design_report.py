@@ -1,7 +1,5 @@
 """Write the controller that `rig design` found as one HTML page: wishes, search, [controller] section, margins."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig.experiments.design import RULES, Design

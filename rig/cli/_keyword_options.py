@@ -3,8 +3,6 @@
 `rig.core.keyword` reads the fields.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, Literal, TypeVar, get_args, get_origin

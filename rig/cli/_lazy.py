@@ -3,8 +3,6 @@
 `rig.cli` builds the tree of commands with it. It must not import a command before the command is called.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from pkgutil import resolve_name

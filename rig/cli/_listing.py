@@ -1,7 +1,5 @@
 """Read ``completion.json`` (help lines, options and kinds of values) without importing the commands."""
 
-from __future__ import annotations
-
 import json
 import os
 from functools import cache

@@ -1,7 +1,5 @@
 """Print at the end of a command which command usually follows, from the description of a rig to its map."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 

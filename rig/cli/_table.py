@@ -4,8 +4,6 @@ Commands of extras are in the extras' tables (`rig.core.extras`). `rig.cli.compl
 shells and ``--help`` show of all commands.
 """
 
-from __future__ import annotations
-
 from rig.cli._lazy import Table
 
 TITLES: dict[str, Table] = {

@@ -3,8 +3,6 @@
 `rig zwidth` and `rig design` use it. Without --confirm no, no hit may start on a real rig before the person has agreed.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

@@ -3,8 +3,6 @@
 `rig.experiments.motion.pulse` moves the rig and judges the motion; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 import click
 
 from rig import config

@@ -3,8 +3,6 @@
 All commands of the core and of the extras are created with it. It must not depend on a single command.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import redirect_stdout

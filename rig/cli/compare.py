@@ -3,8 +3,6 @@
 `rig.experiments.hits.compare` simulates them; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

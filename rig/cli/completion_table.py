@@ -4,8 +4,6 @@ Run ``python -m rig.cli.completion_table`` after a change of a command; a test f
 documents reads the rows. No command may import this file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path

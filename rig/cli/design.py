@@ -4,8 +4,6 @@
 and writes the files. It must not rate a scheme.
 """
 
-from __future__ import annotations
-
 import shlex
 import sys
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """The commands ``rig device list``, ``show`` and ``parameters``."""
 
-from __future__ import annotations
-
 import click
 
 from rig.cli import _values as values

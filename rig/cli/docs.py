@@ -1,7 +1,5 @@
 """The command ``rig serve docs``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -3,8 +3,6 @@
 `rig.experiments.hits.examine` examines; this file parses options and prints. It must not change the computer.
 """
 
-from __future__ import annotations
-
 import click
 
 from rig import config

@@ -3,8 +3,6 @@
 `rig.experiments.estimation` computes; this file parses options, prints, and writes the results.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 `rig.firmware.interface` does the work; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 `rig.experiments.mapping.impedance` measures and judges; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 import math
 from datetime import datetime
 from pathlib import Path

@@ -3,8 +3,6 @@
 `rig.experiments.mapping` computes the map; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

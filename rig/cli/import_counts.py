@@ -3,8 +3,6 @@
 `rig.recording.counts` reads and checks the counts; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -3,8 +3,6 @@
 These commands use them as decorators. This file must not measure a map.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig import config

@@ -3,8 +3,6 @@
 `rig.experiments.new_rig` has the questions and converts the answers; this file asks them and writes the file.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from functools import reduce

@@ -3,8 +3,6 @@
 Commands of the core and of extras use them as decorators. This file must not run anything; it only checks values.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Commands of the core and of extras print only through this file. It must not compute a result.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

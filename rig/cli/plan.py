@@ -3,8 +3,6 @@
 `rig.experiments.trials.plan` checks; this file parses options and prints. Nothing may move.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The commands ``rig experiment preset`` and ``rig experiment schema``."""
 
-from __future__ import annotations
-
 import click
 
 from rig import config

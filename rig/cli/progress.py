@@ -3,8 +3,6 @@
 Commands that run a sweep use it. It writes to standard error, because standard output is for results.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any, Self
 

@@ -3,8 +3,6 @@
 `rig.experiments.trials.recover` recovers; this file finds the captures and prints.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command ``rig serve rig``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import click

@@ -3,8 +3,6 @@
 `rig.session.protocols` checks; this file parses options and prints. It must not show the order to a blinded operator.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

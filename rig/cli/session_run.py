@@ -3,8 +3,6 @@
 `rig.session.conducting` runs it and writes its log; this file parses options and creates the operator's console.
 """
 
-from __future__ import annotations
-
 import sys
 from datetime import datetime
 from pathlib import Path

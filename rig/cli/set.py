@@ -1,7 +1,5 @@
 """The command ``rig set``."""
 
-from __future__ import annotations
-
 import click
 
 from rig.cli import options, output

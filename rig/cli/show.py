@@ -3,8 +3,6 @@
 `rig.experiments.trials.judgement` computes the verdict. This file must not write to the recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

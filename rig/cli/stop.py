@@ -3,8 +3,6 @@
 `rig.__main__` requests the stop before it imports this file, which waits for the loops and prints which have ended.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -3,8 +3,6 @@
 `rig.analysis.theory` computes; this file parses options and prints.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -3,8 +3,6 @@
 `rig.experiments.mapping` simulates or measures the hits; this file parses options, prints and draws.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ A *table* is a section of a TOML file, and the dict that represents it. The load
 use it. It must not check a key.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 import unicodedata

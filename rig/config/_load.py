@@ -3,8 +3,6 @@
 `rig.config` exports these functions. They must not write a file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace

@@ -4,8 +4,6 @@ The effort is at most ``nominal_effort``, and violent oscillations end the trial
 experiments calls it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 All checks of files report their problems by it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches

@@ -4,8 +4,6 @@ The rules run after the type and range of each key have been checked. The loader
 not change the experiment.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

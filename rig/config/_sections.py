@@ -8,8 +8,6 @@ Positions, efforts and stiffnesses are at the link, in SI units, which depend on
 (`rig.core.sample.unit_of`). Recordings contain an experiment: a renamed key makes older recordings unreadable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any, ClassVar, Literal

@@ -4,8 +4,6 @@ Error messages, the listing of an experiment and the schema for editors use the 
 whose fields have a `rig.core.quantity.Quantity`; most functions here are about `Experiment`.
 """
 
-from __future__ import annotations
-
 import inspect  # for a description that pydantic before 2.13 leaves out
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass

@@ -8,8 +8,6 @@ Plans, trials, maps of stable walls, `rig.doctor.gate` and self tests of boards 
 write to one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 from functools import partial

@@ -6,8 +6,6 @@ Plans, predictions of `rig.doctor`, identification and `rig.experiments.new_rig`
 `rig.analysis.theory`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

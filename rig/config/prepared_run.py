@@ -4,8 +4,6 @@
 depending on how a law or a device's parameters are computed. This file must not import `rig.config.controller`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

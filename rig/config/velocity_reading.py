@@ -7,8 +7,6 @@ Plans, predictions of `rig.doctor`, maps, identification and `rig.experiments.ne
 run or read a recording.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

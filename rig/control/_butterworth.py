@@ -3,8 +3,6 @@
 The filters of a verdict and the Butterworth estimator use it. It must not import scipy, which loads slowly.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -12,8 +12,6 @@ the sign's among them, and f behind it, in a word of w = m + f bits, two's compl
 Source: Koul et al., section III, whose FPGA filtered in fixed point of a word length that the paper does not give.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

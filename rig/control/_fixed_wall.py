@@ -14,8 +14,6 @@ rounding to the nearest quantum. There is no slew limit: in a trial it may not a
 Source: Koul et al., equation (1), rendered there by an FPGA in fixed point.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@
 host may clip an effort.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

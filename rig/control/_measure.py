@@ -5,8 +5,6 @@
 `rig.control.judging`, simulated maps and tests call it. It must not allocate, and must not decide the outcome.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

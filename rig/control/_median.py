@@ -1,7 +1,5 @@
 """Compute the median of part of an array in compiled code that allocates nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import types
 from numpy.typing import NDArray

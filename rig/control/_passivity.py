@@ -10,8 +10,6 @@ Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfa
 and the rule about reversal are defined by this project.
 """
 
-from __future__ import annotations
-
 from rig.realtime.kernel import kernel
 
 

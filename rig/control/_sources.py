@@ -4,8 +4,6 @@ Homing moves a set point towards the start at limited speed. A soft servo, clipp
 an obstacle is pressed with at most that effort. `rig.control.step` calls it in each tick. It must not allocate.
 """
 
-from __future__ import annotations
-
 from rig.realtime.kernel import kernel
 
 

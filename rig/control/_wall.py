@@ -5,8 +5,6 @@ and ω the velocity held since the last velocity sample; `rig.control.step` sele
 ``wall.law``; `rig.control.step` calls it in each tick. It must not allocate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -8,8 +8,6 @@ Source: Hannaford and Ryu 2002, "Time-domain passivity control of haptic interfa
 oscillations and standstill are defined by this project.
 """
 
-from __future__ import annotations
-
 from rig.realtime.kernel import kernel
 
 HIGH, LOW = 0.9, 0.1  # shares of the effort limit between which an oscillation rises

@@ -9,8 +9,6 @@ Measurements of impedance and identification of `rig.experiments`, the reproduct
 it. Kernels here must not allocate, and must not depend on the link to the device.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

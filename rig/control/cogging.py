@@ -13,8 +13,6 @@ the wrapped law.
 allocate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache

@@ -15,8 +15,6 @@ Source: R·i + L·i′ = V − k_e·ω, and a current loop as a first-order lag;
 `rig/docs/explanation/verdicts.md` has the resulting rates of false alarms and of detection.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 from typing import Any

@@ -12,8 +12,6 @@ In a recording the name of the law contains it, and the first four parameters of
 `rig.config.controller` wraps a law in it. Kernels here must not allocate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ judge its true signals in addition. All signals contain the trial phase only and
 Trials and maps of `rig.experiments` and the simulation use it. It must not open a recording or run a trial.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ Preparations of a run and replays use it; it renders nothing itself. A user writ
 by a name and the ``module:attribute`` of a `Law`.
 """
 
-from __future__ import annotations
-
 from pkgutil import resolve_name
 from typing import cast
 

@@ -7,8 +7,6 @@ is counted in ticks since the law began, including lost ticks.
 Identification and the pushes of a board in `rig.experiments` use it. Kernels here must not allocate, and read no clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ loop, a recording and a replay use them like the numbers of a built-in law.
 If a function cannot be compiled, the error is one sentence with the line of the function, not the compiler's report.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

@@ -22,8 +22,6 @@ Trials, maps, sessions, the console and the analysis of studies use it. It must 
 it uses the computed numbers only.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

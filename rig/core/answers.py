@@ -3,8 +3,6 @@
 `rig.doctor`, `rig.firmware` and `rig.experiments` define their checks with it. It must not examine anything itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps

@@ -5,8 +5,6 @@ Currents are in quanta and positions in encoder counts, the device's units; only
 Firmware builds, simulated devices and plans use it. It must not depend on a particular board (`rig.firmware`).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Mapping

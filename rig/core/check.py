@@ -4,8 +4,6 @@ A plan, the examination of a computer, a board's self test and the limits of an 
 package that examines or refuses something returns checks. This file must not examine anything itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -3,8 +3,6 @@
 Packages that start a compiler, git or a process of `rig` use it. It must not start anything itself.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

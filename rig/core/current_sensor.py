@@ -4,8 +4,6 @@
 a loop loads only this file.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 SPEED_LAG_S = 2.5e-3  # over which the comparison of currents smooths the count's speed, for the back-EMF

@@ -7,8 +7,6 @@ Files of all packages import heavy libraries from here. This file must not impor
 used.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

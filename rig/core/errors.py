@@ -7,8 +7,6 @@ Every package raises them, and commands and pages show them. This file must not 
 that any module can import it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Theory, experiments and simulated plants use it. It must not import scipy: `scip
 which every simulated device would spend on one small matrix.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

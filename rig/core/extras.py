@@ -8,8 +8,6 @@ An extra whose table cannot be read is broken: a name that it may have added is 
 the core or of another package takes its place.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping

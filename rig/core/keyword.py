@@ -6,8 +6,6 @@ that checks, explains or asks for the value reads type, range, default and text 
 Requests of experiments and firmware declare them; commands and pages read them. It must not parse or check a value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache

@@ -4,8 +4,6 @@ Devices, recordings, shared memory of `rig.realtime` and scratch directories use
 write to or remove the file.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -3,8 +3,6 @@
 Commands and devices call it after a failed import. It must not install or remove a package.
 """
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Callable, Mapping

@@ -8,8 +8,6 @@ stiffness and damping rise with grip force while inertia hardly does (Hasser and
 tremor (Sutton and Sykes 1967). Tremor of 15, 166 and 254 µm rms: PMC3032442.
 """
 
-from __future__ import annotations
-
 from rig.core.model import Operator
 
 # Same for all grips: how the task is done, not how the handle is held.

@@ -7,8 +7,6 @@ Devices, `rig.control`, commands and `rig.experiments.lab` look plug-ins up here
 is requested by name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from functools import cache

@@ -3,8 +3,6 @@
 `rig.devices.local`, the bridge (firmware in front of a drive) and the simulation use it, whatever a process serves.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import select

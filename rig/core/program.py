@@ -3,8 +3,6 @@
 `rig.__main__` and each process of the package call it first. It must not load anything beyond the standard library.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import os

@@ -7,8 +7,6 @@ read these annotations.
 This file must not validate a value; `rig.config` does.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, get_origin, get_type_hints

@@ -3,8 +3,6 @@
 Experiment files, maps, journals, recordings, studies and images of firmware are read through it. It must not write.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

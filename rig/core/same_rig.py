@@ -3,8 +3,6 @@
 Experiments, sessions and firmware checks call it before a device moves. It must not change the experiment.
 """
 
-from __future__ import annotations
-
 import math
 
 from firmware_protocol.dictionary import Dictionary, SettingValue

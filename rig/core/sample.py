@@ -14,8 +14,6 @@ The loop, recordings, verdicts, experiments, sessions, the console and pictures 
 types of columns is a new format version: the layout of the ring buffer and of every recording depends on them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal

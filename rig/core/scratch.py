@@ -3,8 +3,6 @@
 Exports, builds, pictures and the console work in them. They must not contain files that a user may want to keep.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -6,8 +6,6 @@ imported when a picture is drawn. This file must not import drawing code or resu
 and pages are in `rig.core.present`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape

@@ -4,8 +4,6 @@ Devices, experiments and the bridge of drives (firmware on this computer in fron
 real time. It must not set anything up; `rig.realtime.scheduling` does.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

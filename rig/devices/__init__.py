@@ -7,8 +7,6 @@ Commands, `rig.doctor`, `rig.experiments`, `rig.firmware`, sessions and `rig.tes
 load a backend before a URL names its scheme, and opening a device must not arm it.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The table serves serial ports and USB, calls from Python and the compiled loop, 
 links use it. It must not raise the error itself: the caller does.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

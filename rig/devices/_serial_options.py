@@ -3,8 +3,6 @@
 Both links to serial ports use it. It must not open a port.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Self

@@ -6,8 +6,6 @@ milliseconds, which the latency ledger (five time stamps in each recorded row) s
 `_usb_plain` inherit from it. Only the thread may read the port.
 """
 
-from __future__ import annotations
-
 import errno
 import threading
 import time

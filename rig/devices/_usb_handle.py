@@ -6,8 +6,6 @@ the reason if the addresses cannot be used; then the device is used through pyus
 tested.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from collections.abc import Iterable

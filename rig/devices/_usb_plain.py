@@ -4,8 +4,6 @@ A busy Python interpreter then delays the loop (see `rig.devices._threaded`); th
 `rig.devices.usb` uses it. It must not be used while the queue of `_usb_queue` works.
 """
 
-from __future__ import annotations
-
 import errno
 import time
 

@@ -3,8 +3,6 @@
 `rig.devices.usb` uses it. Python must read and write by the same compiled functions as the loop.
 """
 
-from __future__ import annotations
-
 import ctypes
 import time
 from typing import Any

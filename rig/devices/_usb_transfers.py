@@ -9,8 +9,6 @@ each transfer. `rig.devices._usb_queue` fills it with the addresses of libusb's 
 `rig.devices._usb_handle`; that file also checks the layout of `struct libusb_transfer`.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from numba import types

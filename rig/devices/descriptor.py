@@ -4,8 +4,6 @@ Serial ports, the local socket of a simulated device and the bridge of drives (f
 drive) inherit from it. It must not open a descriptor: a subclass does.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 import os

@@ -9,8 +9,6 @@ The faults are those of USB and serial lines: noise (corrupt), full buffers (dro
 `rig.testing` writes such scripts. Nothing here breaks a link itself, and a real device has no script.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum

@@ -7,8 +7,6 @@ real rig. `rig serve rig` communicates through a pseudo-terminal, which exercise
 real-time scheduling for the process before the device has been compiled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace

@@ -4,8 +4,6 @@
 must not open or change a port: opening moves the modem lines and may reset the board.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ it; and a link in virtual time with scripted faults, whose device can be inspect
 import `sim_backend`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Check whether this user may open serial ports, and whether other programs would open a rig's port."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

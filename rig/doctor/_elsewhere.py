@@ -1,7 +1,5 @@
 """Checks of a computer that does not run Linux: it has no real-time loop, so the control law must run on the device."""
 
-from __future__ import annotations
-
 from rig.core.answers import question, warning
 from rig.core.check import Check
 from rig.core.this_system import ON_THE_BOARD

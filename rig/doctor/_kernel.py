@@ -1,7 +1,5 @@
 """Check the properties of the kernel and the processors that delay the wake-up of a thread."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

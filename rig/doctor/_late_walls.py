@@ -1,7 +1,5 @@
 """Compute by linear theory whether a wall is stable and passive if each command acts some ticks after its sample."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

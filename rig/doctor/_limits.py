@@ -1,7 +1,5 @@
 """Check whether this process may use real-time priority, lock its memory and keep processors awake (Linux only)."""
 
-from __future__ import annotations
-
 import errno
 import sys
 

@@ -1,7 +1,5 @@
 """Run all checks of this computer (Linux) that concern the real-time loop's timing or the access to ports."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """List connected serial ports and USB devices, and their known problems of latency or safety, without opening them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rig.core.answers import question, warning

@@ -5,8 +5,6 @@ time between these stamps is the time on the link, which decides the delay of a 
 call it.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import threading

@@ -1,7 +1,5 @@
 """The computer that the checks examine, as an object that a test replaces by a made-up file tree."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Write the udev rules for rigs as text. Commands print the text; no code of this package installs the rules."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from firmware_protocol.messages import USB_PRODUCT, USB_VENDOR

@@ -1,7 +1,5 @@
 """Measure how late this computer wakes a sleeping thread, with the sleep function of the real-time loop."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from dataclasses import dataclass, replace

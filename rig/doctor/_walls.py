@@ -5,8 +5,6 @@ and the highest rate with one tick of delay. Linear theory (`rig.doctor.late_loo
 stiffness, for a uniform and a dual-rate scheme with the experiment's velocity estimator.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ Hits (trials against a wall), identification, motions, `rig design`, `rig.doctor
 not move the motor: a refusal comes before the device is armed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any

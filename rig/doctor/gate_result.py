@@ -4,8 +4,6 @@ Hits, commands and pages read the result; recordings store it. This file must no
 because a hit that was admitted earlier must not load them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `rig device list` and the console show the list. This file must not open a port or a device.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

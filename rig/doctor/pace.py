@@ -8,8 +8,6 @@ Identification and sessions call `measured_pace` between runs. It must not move 
 measures nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@
 would pass. The rig is modelled as one rigid mass with friction and weight. It must not open a device.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 

@@ -4,8 +4,6 @@ Each question has its units, its range and its default. `rig.new_rig` has a keyw
 new` an option or a prompt.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

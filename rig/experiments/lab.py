@@ -3,8 +3,6 @@
 Each function adapts its arguments, calls the same function as the command of the same name, and returns one result.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager

@@ -3,8 +3,6 @@
 Each function adapts its arguments and calls the same function as the command of the same name.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict, Unpack

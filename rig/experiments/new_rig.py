@@ -6,8 +6,6 @@ wall and `rig experiment plan` refuses nothing; if a check still refuses, the ch
 applied.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

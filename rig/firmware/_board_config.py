@@ -5,8 +5,6 @@ limits, the core's struct board) and `image_record` (`rig.firmware._record`), wh
 `rig.firmware._build` compiles them. A number of the rig must not be written in C by hand.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, replace
 

@@ -5,8 +5,6 @@ A port is a directory with board-specific C files, a linker script and ``board.t
 It must not know a particular board.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

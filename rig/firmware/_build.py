@@ -4,8 +4,6 @@ Builds are reproducible: the files contain no time, no path and no name of a com
 must not flash a board.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -5,8 +5,6 @@ from the instructions, for code in memory without wait states. For the M33 only 
 cycles were not looked up. `rig.firmware.cycles` and `tick_budget` use it. Its cycles must not be called measurements.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence

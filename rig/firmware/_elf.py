@@ -4,8 +4,6 @@ Only 32-bit little-endian files with program headers are read (System V ABI, cha
 It must not change a program, except for the checksum in `seal`.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from zlib import crc32

@@ -5,8 +5,6 @@ package compute the same estimator. The export of estimators calls it. It must n
 estimator: that is in the firmware's sources.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ drive into the flash and starts it; the drive disappears. `rig firmware flash` c
 that is not a boot drive of the image's board.
 """
 
-from __future__ import annotations
-
 import os
 import string
 import sys

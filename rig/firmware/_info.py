@@ -3,8 +3,6 @@
 `rig firmware info` and the self test call it. It only reads: it must not configure or arm a device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ text and dictionary, the text, and the dictionary. The device sends the same dic
 info use it. The magic bytes must not change, or older images are not found.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import asdict, dataclass

@@ -4,8 +4,6 @@ The tests use the same link as the control loop. It must not arm a device, excep
 limit of zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 `rig.firmware._selftest` calls it. It only judges: it must not send to the device.
 """
 
-from __future__ import annotations
-
 from firmware_protocol import messages as m
 from firmware_protocol.dictionary import Dictionary
 from firmware_protocol.packing import unpack_batch_samples

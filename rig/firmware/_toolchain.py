@@ -3,8 +3,6 @@
 The build and `rig.firmware._cortex` use it. It must not install anything.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 from collections.abc import Sequence

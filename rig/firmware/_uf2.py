@@ -5,8 +5,6 @@ to 476 bytes of data, the block's number, the family of the processor, and a thi
 specification (github.com/microsoft/uf2). Build and flash use it. It must not depend on a board.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `rig firmware wiring` calls it. It must not contain a pin number: these are settings of the board.
 """
 
-from __future__ import annotations
-
 import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping

@@ -3,8 +3,6 @@
 The export of an estimator reports the cost. It must not be called a measurement, because the processor is emulated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

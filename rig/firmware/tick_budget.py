@@ -5,8 +5,6 @@ The cycles are those of `rig.firmware._cortex`: estimates for memory without wai
 Plans and designs call it. It must not load a toolchain.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ and samples that arrive after newer ones are dropped and counted; lost samples a
 `rig.loop._supervise` calls it. Like all kernels of the loop it must not allocate or wait.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

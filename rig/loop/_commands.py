@@ -3,8 +3,6 @@
 Both loops call it. It must not wait for a link that accepts no bytes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ row (`rig.core.sample.RowFlag`). With the law on the device, `rig.loop._device_h
 Both loops call it. It must not end a run: it only sets flags.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

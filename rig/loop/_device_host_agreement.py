@@ -5,8 +5,6 @@ different arithmetic, so they may differ slightly. Samples are excluded while a 
 without a STATE message that covers them. `rig.loop._supervise` calls it. It must not end a run: it only counts.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

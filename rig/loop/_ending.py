@@ -3,8 +3,6 @@
 Both loops call it in every tick. It must not wait, and must not ignore a stop request.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

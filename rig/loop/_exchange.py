@@ -5,8 +5,6 @@ An exchange has four time stamps: the host's at sending, the device's at receipt
 not wait for a reply.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ For each new STATE message: read the count, run `rig.control.step`, reply with a
 STOP commands.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

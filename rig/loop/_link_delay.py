@@ -6,8 +6,6 @@ ends only if all commands are late for a whole command lifetime. The loop on the
 device's ticks, not the clock of the host.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

@@ -7,8 +7,6 @@ names the first sample with the new wall; the host's law waits for this reply. `
 call it. A wall must not change while the handle is inside.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from typing import Any

@@ -5,8 +5,6 @@ one. Each set that became active is stored with its first tick, for the replay. 
 wall must not change while the handle is inside.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

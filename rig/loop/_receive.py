@@ -3,8 +3,6 @@
 Both loops call it. It must not wait, and must accept any bytes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

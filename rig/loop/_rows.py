@@ -3,8 +3,6 @@
 Both loops and the replay call it. It must not overwrite a row that the recorder has not copied.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

@@ -5,8 +5,6 @@ reads within a tick, whichever thread has the GIL. The main thread must stay fre
 the link while the loop runs.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -5,8 +5,6 @@ thread, where Python's signal handlers raise exceptions: it replaces them during
 use it. It must not raise while the run brings the rig to rest.
 """
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ The device sends every tick in BATCH frames. The host runs `rig.control.step` on
 row as `rig.loop._host`. It must not wait without a bound, or return before it has sent several STOP commands.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

@@ -3,8 +3,6 @@
 Trials start it. Python must not send to the device while the loop runs: it posts updates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -4,8 +4,6 @@ The loop's receiving kernels and the ping of `rig.doctor` call it. Kernels here 
 message.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

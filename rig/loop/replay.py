@@ -3,8 +3,6 @@
 `rig.experiments.trials.replay` and the comparison of schemes call it. It must compute a row exactly as the loop does.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 The memory exists while a process has it open or mapped, so no file remains afterwards. It must not become resizable.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

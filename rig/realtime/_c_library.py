@@ -4,8 +4,6 @@ The library is stored beside the compiled kernels, under a name with a hash of s
 be shared with another user.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

@@ -5,8 +5,6 @@ versions of numba and numpy, and the CPU. The cached code drives a motor at a pe
 a directory into which another user can write.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

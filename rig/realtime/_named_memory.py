@@ -7,8 +7,6 @@ The functions have the same names and results as in `rig.realtime._anonymous_mem
 ring use them. This file must not import numba or numpy.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

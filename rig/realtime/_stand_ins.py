@@ -6,8 +6,6 @@ takes the GIL and some microseconds, so a law in real time on this computer need
 them. On Linux this file must not be used.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

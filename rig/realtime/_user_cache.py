@@ -3,8 +3,6 @@
 Kernel cache and shared memories use it. It must not create the directory.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 

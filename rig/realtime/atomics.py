@@ -4,8 +4,6 @@ The loop, the recorder, the ring, the mailbox, stop requests and USB transfers u
 not be read or written in any other way.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir

@@ -4,8 +4,6 @@ The simulated board and the simulated drives use it, and load their C libraries 
 the rig's configuration: this file must not contain a default.
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import asdict
 from typing import Self

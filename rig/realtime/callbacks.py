@@ -3,8 +3,6 @@
 Threaded devices and simulations in memory use them. A device in real time must not: each call takes the GIL.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 from collections.abc import Callable

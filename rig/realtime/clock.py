@@ -3,8 +3,6 @@
 Devices and their ports use them. This file must not read the time of day, which can be set back.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any, Protocol
 

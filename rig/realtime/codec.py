@@ -13,8 +13,6 @@ Kernels can use these constants.
 The loop, the recorder and the round-trip measurement of `rig.doctor` use this file. Its kernels allocate nothing.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from typing import Any
 

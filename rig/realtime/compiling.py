@@ -4,8 +4,6 @@ Compilation takes up to half a minute. `rig.cli` and the console's workers liste
 `rig.realtime.parts` report. This file must not import numba: a command that compiles nothing must not load it.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 

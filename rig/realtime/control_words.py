@@ -5,8 +5,6 @@ one writer. Words 0 to 3 and 7 have the same index in all versions, so that a ru
 index of a word changes, change `LAYOUT_VERSION` too. This file imports nothing, because `rig stop` reads it first.
 """
 
-from __future__ import annotations
-
 LAYOUT_VERSION = 4
 CONTROL_BYTES = 512
 

@@ -8,8 +8,6 @@ Laws, ports and the loop define groups, and `rig.realtime.kernel` compiles them.
 particular group or on the meaning of its members.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeVar, get_type_hints
 

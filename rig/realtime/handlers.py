@@ -4,8 +4,6 @@ The loop, the recorder, the doctor and sweeps use it. What a signal stops is dec
 (`rig.realtime.stop_requests`).
 """
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

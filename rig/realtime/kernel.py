@@ -4,8 +4,6 @@ Laws, estimators, devices, doctor, the loop and the recorder decorate their func
 and raise nothing. This file must not depend on what a kernel computes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import gc

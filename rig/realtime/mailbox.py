@@ -18,8 +18,6 @@ The loop and the ring use it; `rig set` and the console reach it through the rin
 never wait.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

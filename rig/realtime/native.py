@@ -5,8 +5,6 @@ The USB queue of `rig.devices` and stop requests use it; functions of the C libr
 processes, where the address is wrong.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from llvmlite import ir

@@ -5,8 +5,6 @@ This file extends numba's code libraries and disk cache; `rig.realtime.kernel` d
 computes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import time

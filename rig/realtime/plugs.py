@@ -7,8 +7,6 @@ the loop's caller, or a `NativeFunction` for an address.
 If a signature changes, laws of third parties and C functions with this signature must change too.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from numba import types

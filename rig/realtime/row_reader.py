@@ -4,8 +4,6 @@ The console and LSL use it. The loop does not know its readers and does not wait
 the ring.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

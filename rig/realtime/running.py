@@ -5,8 +5,6 @@ because a command that stops a rig must not take a second. It must not end a pro
 for the loop.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ file changes, or any file that the kernel's file imports, directly or indirectly
 The cache of machine code, sweeps, sessions and papers use it. It must not import a file that it examines.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

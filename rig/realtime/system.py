@@ -7,8 +7,6 @@ Clocks, descriptors and USB transfers of `rig.devices`, the loop, the recorder a
 call only functions whose existence was checked before.
 """
 
-from __future__ import annotations
-
 import ctypes
 import sys
 

@@ -30,8 +30,6 @@ may be an incomplete block, all other blocks are valid. The recorder, the reader
 bytes needs another format version.
 """
 
-from __future__ import annotations
-
 import mmap
 import struct
 import sys

@@ -3,8 +3,6 @@
 A run that was ended by kill -9 has no clock fit: it has only the times that the host measured.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 

@@ -12,8 +12,6 @@ on the host's clock if the device's was not recorded. NaN and infinities are nul
 Source: MCAP format specification (mcap.dev/spec) through the package ``mcap``; "well-known" encodings json, jsonschema.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import datetime

@@ -5,8 +5,6 @@ recording is complete, and its lost parts are metadata of the file, as JSON unde
 these metadata and all columns. pyarrow is imported only when a function of this module is called.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ A checksum shows that a file was not changed by accident, not that this program 
 program reads are listed. `rig.config` checks the experiment, and a replay checks the controller's initial state.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

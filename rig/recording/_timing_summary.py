@@ -3,8 +3,6 @@
 The trailer of a recording stores it and `rig recording timing` shows it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 

@@ -8,8 +8,6 @@ Writers of recordings, trials and the console use this module. Do not change the
 recordings would no longer be equal byte for byte.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -6,8 +6,6 @@ The imported recording has no rig, virtual wall or trial: its unknown columns ar
 `rig recording import` and `rig recording show` use this module. It must not replace a lost sample by a guessed count.
 """
 
-from __future__ import annotations
-
 import csv as lines_of
 import math
 import re

@@ -7,8 +7,6 @@ Only `rig.experiments.trials.cutting` uses this module; it adds the controller's
 The source recording must not be changed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime

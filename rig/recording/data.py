@@ -4,8 +4,6 @@ Trials, verdicts, replays, maps, sessions, plots, studies and `rig.testing` use 
 file, nor evaluate a recording.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path

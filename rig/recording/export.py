@@ -4,8 +4,6 @@ MAT is for MATLAB and Octave, MCAP for Foxglove and PlotJuggler. `rig recording 
 console and studies use this module. It must not change the recording, and overwrites a file only with `overwrite`.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 Every package that writes files uses this module. A partly written file must never have the final name.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

@@ -5,8 +5,6 @@ all facts about the machine and the time of the run. Trials, readers and writers
 this module.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -5,8 +5,6 @@
 Logs of sessions and of maps of stable walls are such files. A written line must not be changed.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

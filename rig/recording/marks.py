@@ -21,8 +21,6 @@ Storing a recording as Parquet, the MCAP export, `rig recording show` and studie
 not be changed.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Code that evaluates, replays or displays recordings uses this module, which read
 does not import the code that cuts and imports recordings (`rig.recording.cutting`, `rig.recording.counts`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

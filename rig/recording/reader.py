@@ -4,8 +4,6 @@ Commands, trials, `rig.experiments.lab`, the console, studies and plots use this
 evaluate a file: the returned recording lists the damage (`Recording.lost`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path

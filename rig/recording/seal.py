@@ -7,8 +7,6 @@ Trials, `rig recording recover`, maps, cuts and the console use this module. It 
 not compared.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace

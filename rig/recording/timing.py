@@ -18,8 +18,6 @@ Storing a recording as Parquet, its events, timing summaries and the LSL clock (
 must not judge a run or read files.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

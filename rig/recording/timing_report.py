@@ -3,8 +3,6 @@
 `rig recording timing` prints the report and `rig.views` plots it. This module must not evaluate a run.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

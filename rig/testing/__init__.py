@@ -16,8 +16,6 @@ Labs import it in their own tests, and the pages of `rig.docs` show it. This fil
 no other package may depend on it.
 """
 
-from __future__ import annotations
-
 from rig.core.lazy import loader, public_names
 
 _NAMES = public_names(__file__)

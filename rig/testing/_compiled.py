@@ -3,8 +3,6 @@
 The checks of laws and estimators use it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -3,8 +3,6 @@
 The checks of laws use it. It must not limit what a law returns.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

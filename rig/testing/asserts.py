@@ -4,8 +4,6 @@ Each assert accepts the result of a hit (`rig.testing.Hit`, `rig.experiments.hit
 of a lab call them. An assert must not change its recording.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

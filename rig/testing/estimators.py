@@ -4,8 +4,6 @@ The error is an AssertionError with a sentence, so no test runner is needed. Kno
 no check is skipped. Tests of a lab's own estimators call it. It must not depend on pytest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from operator import index

@@ -3,8 +3,6 @@
 The plug-in's marker ``rig_every_frame`` uses it. It must not be used on a real rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from typing import Any

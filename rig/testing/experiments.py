@@ -3,8 +3,6 @@
 The plug-in's fixtures use it. It must not change a file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from os import PathLike, fspath
 from pathlib import Path

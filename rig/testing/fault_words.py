@@ -3,8 +3,6 @@
 The fixture ``rig_faults`` returns it. A script must not be used on a real rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal

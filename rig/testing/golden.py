@@ -6,8 +6,6 @@ by the rounding errors that can accumulate over the run. The fixture ``rig_golde
 recording unless the user requests an update.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping
 from pathlib import Path

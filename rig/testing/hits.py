@@ -4,8 +4,6 @@ The tests are the same for a real rig. Its device is opened once, so that positi
 programs, stay valid from test to test; the host sends STOP after each hit and at the end of all tests.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace

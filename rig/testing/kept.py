@@ -3,8 +3,6 @@
 The plug-in uses it. It must not remove recordings of other tests.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from contextlib import suppress

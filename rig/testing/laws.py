@@ -4,8 +4,6 @@ The error is an AssertionError with a sentence, so no test runner is needed. Arg
 as a law that acts outside of the wall. Tests of a lab's own laws call it. It must not depend on pytest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any

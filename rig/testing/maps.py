@@ -3,8 +3,6 @@
 The fixture ``rig_zwidth`` returns it. On a real rig it must not hit without a person's consent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 The fixture ``rig_serial`` returns it. It must not open the port while the program under test uses it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

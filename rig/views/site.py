@@ -4,8 +4,6 @@ Sphinx executes the scripts of the gallery, so it runs in a separate process on 
 and `rig.docs.made` call it. It must not import Sphinx into this process.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

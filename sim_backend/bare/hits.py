@@ -3,8 +3,6 @@
 The result equals that of `rig.control.judging.judge` for a recording of the same trial over the byte link.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 Both simulated devices use it. It must not depend on the plant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ A simulated device that runs the control law itself uses this library, not a cop
 with the package. The simulated boards load it. It must not contain a part of the law itself.
 """
 
-from __future__ import annotations
-
 import ctypes
 from functools import cache
 from pathlib import Path

@@ -4,8 +4,6 @@ A simulated device calls it once a tick with a current and reads a count, the ag
 current. All decisions belong to the device: this file only simulates the hardware layer of a firmware.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

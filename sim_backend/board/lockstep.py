@@ -4,8 +4,6 @@ The functions of the device are called by address. The order within a tick is th
 file simulates the wires between a board and its rig; it must not depend on frames or states of the protocol.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ Both devices send the same bytes (tests/firmware/test_core_equals_the_simulated_
 time call it. It must not run the device.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rig.core.errors import ConfigError

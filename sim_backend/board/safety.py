@@ -4,8 +4,6 @@ The file implements the "Safety duties of the device" of PROTOCOL.md in integer 
 as the firmware does, and must not depend on frames, clocks or the plant.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 from collections.abc import Mapping

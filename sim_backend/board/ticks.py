@@ -4,8 +4,6 @@
 COMMAND. No function here raises or calls back: detected faults are stored in the word `OWN.found`.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """``python -m sim_backend.drives``: serve a simulated drive, and print the port or bus that a host opens."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -3,8 +3,6 @@
 All files of this package use it. It must not know a particular drive or adapter.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 

@@ -5,8 +5,6 @@ Arduino (odriverobotics/ODriveArduino at f52eef5, src/can_simple_messages.hpp). 
 numbers are the maker's and must not change.
 """
 
-from __future__ import annotations
-
 import struct
 from enum import IntEnum
 

@@ -5,8 +5,6 @@ fw/uart_fdcanusb_micro_server.h), `Fdcanusb` the USB adapter (README.md of mjbot
 fw/can_manager.cc). `process` uses one of the two. The replies must be those of the makers, word for word.
 """
 
-from __future__ import annotations
-
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.multiplex import NOP
 from sim_backend.drives.socket_can import STANDARD_IDS, pad

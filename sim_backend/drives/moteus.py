@@ -5,8 +5,6 @@ that commit (fw/moteus_controller.cc, mjlib/multiplex/micro_server.cc). `moteus_
 `moteus_registers` lists the registers, `moteus_settings` contains configuration and console. `process` serves it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

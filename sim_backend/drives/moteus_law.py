@@ -6,8 +6,6 @@ voltages (5 to 8, 14), which drive nothing here; field weakening, flux braking a
 single-precision arithmetic, except for the grid of the position. `moteus` calls it. It must allocate nothing.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -4,8 +4,6 @@ Command registers that this simulation does not use (PWM, voltages, GPIO) are st
 it. The numbers are the maker's and must not change.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

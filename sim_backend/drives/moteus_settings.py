@@ -5,8 +5,6 @@ The file follows docs/reference/configuration.md and docs/protocol/diagnostic.md
 names.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 

@@ -4,8 +4,6 @@ A drive measures and drives at its shaft (revolutions of its encoder, N·m); the
 drives use it. It must not contain a control law.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

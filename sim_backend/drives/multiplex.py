@@ -6,8 +6,6 @@ library tries first, is taken from that library (1.1.1, `moteus/multiplex.py`). 
 meaning of a register.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

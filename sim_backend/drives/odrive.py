@@ -5,8 +5,6 @@ could not be read, the maker's programs in odriverobotics/ODriveResources. `odri
 `process` serves it.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Mapping

@@ -5,8 +5,6 @@ controller.cpp. The closed firmware 0.6 kept the names; whether it works the sam
 trajectories, mirroring, tuning, anticogging, spin-out detection and the calibrations. `odrive` calls it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -8,8 +8,6 @@ selects one of two kinds, which are read and written with the same calls:
   whose kernel has no CAN. A frame from one host reaches the drive and all other hosts.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import socket

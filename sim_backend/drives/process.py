@@ -3,8 +3,6 @@
 ``python -m sim_backend.drives`` and tests use it.
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping

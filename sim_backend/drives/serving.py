@@ -4,8 +4,6 @@ The drive is advanced to the present when a unit (line or frame) arrives, when t
 at least every `IDLE_NS` (ns). `process` uses it. It must not change what a drive sends, except by scripted faults.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

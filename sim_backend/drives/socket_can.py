@@ -4,8 +4,6 @@ Layout: ``struct canfd_frame`` of include/uapi/linux/can.h. Outlets and adapters
 above CAN.
 """
 
-from __future__ import annotations
-
 import struct
 
 from sim_backend.drives.bus import Frame

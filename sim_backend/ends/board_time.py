@@ -4,8 +4,6 @@ The file simulates a board behind a USB serial port. The board continues to run 
 its watchdog detects that only by the missing messages. The reply to STATE k acts from sample k + 1 on. `pty` uses it.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any, Protocol

@@ -3,8 +3,6 @@
 Links in virtual time and served drives use it. Without a fault it must not change a byte.
 """
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 

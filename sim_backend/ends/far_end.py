@@ -4,8 +4,6 @@ A tick of the loop then runs no Python. Exceptions, for which it calls `serve`: 
 armed or changed its rate, or Python code has used the device since the last tick.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 from collections.abc import Callable

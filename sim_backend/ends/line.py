@@ -4,8 +4,6 @@ A line keeps one file descriptor for its whole life, so that compiled code (`loo
 descriptor stays open when a host exits, even by kill -9, and the line serves the next host. `pty` and `outlets` use it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

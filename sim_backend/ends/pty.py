@@ -4,8 +4,6 @@ The rig behaves like a USB serial device. The device is the compiled firmware, t
 compiler, the device in Python, timed by `real_time`. `rig.devices` loads it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -4,8 +4,6 @@ In each period the plant moves under the active current, the device sends a STAT
 came meanwhile: the reply to STATE k acts from sample k + 1 on. `pty` and `usb` use it.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Protocol

@@ -3,8 +3,6 @@
 Served rigs and drives use it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

@@ -5,8 +5,6 @@ and moves packets through a SOCK_SEQPACKET socket, one message for each packet. 
 endpoints carry a byte stream. Tests of the USB link use it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 import socket

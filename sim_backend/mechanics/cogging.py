@@ -4,8 +4,6 @@ The file simulates the slots of an iron-cored motor and a torque constant that v
 (`rig.core.model.Cogging`). Back-EMF under voltage drive has no ripple here. `plant` uses it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

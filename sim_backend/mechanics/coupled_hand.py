@@ -5,8 +5,6 @@ pressing effort. The last three keep their values until the hand's scripted moti
 writes others. `plant` uses it for a rig that a person holds.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from numba import types

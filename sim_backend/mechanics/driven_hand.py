@@ -5,8 +5,6 @@ hand must not follow the mouse or program before the trial begins, and must stay
 person.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

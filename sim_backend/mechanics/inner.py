@@ -3,8 +3,6 @@
 The functions must not allocate: compiled ticks call them at every integration step.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

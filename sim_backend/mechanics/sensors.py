@@ -4,8 +4,6 @@ The simulated device and the simulation without a byte link call the same functi
 (data sheet: cycles per revolution, times decoding). The current quantum is the one that the device's dictionary states.
 """
 
-from __future__ import annotations
-
 import math
 
 from numba import types

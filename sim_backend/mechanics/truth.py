@@ -3,8 +3,6 @@
 The simulated device and its firmware twin fill it. A sensor must not read it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -7,8 +7,6 @@ in speed, so effects that depend on speed widen the intervals, as noise does. A 
 cogging: it appears in the friction levels, which `rig.analysis.identification._sliding` measures better.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ with and without load. This added effort over its mean gives the ripple, which t
 described torque constant.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

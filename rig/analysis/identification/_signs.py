@@ -7,8 +7,6 @@ effort or position does not change it. The result is accurate to some ten per ce
 constant, a wrong ratio or a missing factor of four in the decoding.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

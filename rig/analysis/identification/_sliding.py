@@ -7,8 +7,6 @@ separate it from friction that differs by direction. So only the levels up and d
 up + down, `bias` half of up − down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

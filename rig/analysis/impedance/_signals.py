@@ -5,8 +5,6 @@ Delay and hold are removed in the frequency domain, which is exact because the r
 of misalignment turns the phase by 9° at 100 Hz, more than the phase margin of most walls.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

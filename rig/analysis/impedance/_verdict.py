@@ -13,8 +13,6 @@ dominates it (1.886·f N·s/m for 0.52 kg up to f Hz), and it depends on band an
 of a low band, in per cent of the requested values. *Distortion* is a relative error similar to Colonnese's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ are found by bisection. If the range reaches the end of the scan, the limit is m
 result.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Collect the results of linear theory for a rig under several sampling schemes; `rig theory walls` prints them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Predictions of `rig.doctor`, `rig firmware`, firmware builds and `rig.experiment
 must not configure an amplifier: a person does that with the maker's tool.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -7,8 +7,6 @@ the export of an estimator call it; it sends nothing. Features that the device l
 (`rig.control.on_device`); only `check_values` decides whether a value is in the range of its parameter.
 """
 
-from __future__ import annotations
-
 from rig.config.device_law._batch import batch_layout, batch_samples, bytes_per_second
 from rig.config.device_law._elsewhere import wall_elsewhere
 from rig.config.device_law._parameters import (

@@ -1,7 +1,5 @@
 """Compute layout and size of BATCH frames, in which a device that runs the law sends the samples of several ticks."""
 
-from __future__ import annotations
-
 import math
 import struct
 

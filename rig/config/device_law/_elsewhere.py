@@ -4,8 +4,6 @@ Plans (`rig.experiments.trials.plan`) and the computation of the device's parame
 only check `Controller.wall_is_elsewhere`, because such a wall has filters that they do not model.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 from firmware_protocol.dictionary import Dictionary

@@ -1,7 +1,5 @@
 """Compute the parameters of a law that runs on the device, and which of them may change while the law runs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Literal

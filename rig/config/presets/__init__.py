@@ -4,8 +4,6 @@ Comments in the files give the sources of the numbers. Commands, theory, `rig.do
 papers and `rig.testing` load them. Nothing here writes a file or opens a device.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig.config._files import preset_names as names

@@ -14,8 +14,6 @@ must not allocate.
 Source: the observer is that of Ohishi et al. (1987) in the form with an augmented state; poles by Ackermann's formula.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Mapping

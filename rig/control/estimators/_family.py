@@ -1,7 +1,5 @@
 """Names of all velocity estimators; the module of an estimator is imported when `get` first needs it."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import cast
 

@@ -6,8 +6,6 @@ to render damping at a high rate. Source: Chawda et al., equation (1).
 Experiments name it ``fdm``. Its update must not allocate.
 """
 
-from __future__ import annotations
-
 from rig.control.estimators.estimator import OWN_INTS, PERIOD, RESOLUTION, WINDOW, Estimator, Floats, Ints
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE

@@ -9,8 +9,6 @@ T2 = 2 kHz); Chawda et al., section II.A.
 Experiments name it ``fdm-butterworth``. Its update must not allocate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

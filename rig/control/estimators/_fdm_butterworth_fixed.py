@@ -10,8 +10,6 @@ allocate.
 Source: Koul et al., section III ("second-order fixed-point Butterworth"); its word length and rounding are not given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

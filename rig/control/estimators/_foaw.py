@@ -15,8 +15,6 @@ estimate restarts from the mean slope over the gap.
 Source: Janabi-Sharifi, Hayward and Chen, IEEE TCST 8(6), 2000, as given by Chawda et al., section II.C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

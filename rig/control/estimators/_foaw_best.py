@@ -12,8 +12,6 @@ which samples lie within the band; `anchor` selects it:
 not allocate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -6,8 +6,6 @@ between. `rig.control.estimators._foaw` explains band, window and stop rule. Exp
 update must not allocate.
 """
 
-from __future__ import annotations
-
 import math
 
 from rig.control.estimators import _foaw as foaw

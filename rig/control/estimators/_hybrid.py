@@ -12,8 +12,6 @@ error is of the order of 2·√(C·Δ), which is too large for straight motion. 
 Experiments name it ``foaw-levant``. Its update must not allocate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -14,8 +14,6 @@ Source: Chawda et al., section II.B, equations (2) to (4) and Q after them; Bél
 fading. Neither of the last two was available: the recursion is the standard form of the literature.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache

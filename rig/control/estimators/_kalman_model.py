@@ -5,8 +5,6 @@ the period as the unit of time the transition matrix is [[1, 1, ½], [0, 1, 1], 
 two integrators, and only the first state, the position, is measured.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

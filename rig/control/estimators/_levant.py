@@ -14,8 +14,6 @@ Source: Levant 1998; Chawda et al., equations (9) to (14); the implicit form is 
 toolbox of Mojallizadeh et al.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

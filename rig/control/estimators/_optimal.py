@@ -16,8 +16,6 @@ Source: Seeber and Haimovich, "Optimal robust exact differentiation via linear a
 abstracts and a public implementation could be read; the formulas above were derived again.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

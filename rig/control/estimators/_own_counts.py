@@ -5,8 +5,6 @@ array; `tests/rig/control/test_own_counts.py` runs these statements as printed. 
 It must not repair counts silently.
 """
 
-from __future__ import annotations
-
 import numbers
 from typing import Any
 

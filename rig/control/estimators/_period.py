@@ -16,8 +16,6 @@ Source: Ohmae et al. 1982, for the M/T method; the use of edges at both ends, re
 from the geometry above.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -12,8 +12,6 @@ estimate is held, but limited to (1 + unevenness)·Δ/a, with a the age of the l
 Source: Ohmae et al. 1982 (a gate time plus the time until the next edge; here both ends are edges).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

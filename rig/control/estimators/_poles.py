@@ -4,8 +4,6 @@
 `rig.control.estimators._kalman` with these gains. All numbers are in counts and velocity periods.
 """
 
-from __future__ import annotations
-
 import cmath
 from collections.abc import Sequence
 

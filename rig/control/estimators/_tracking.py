@@ -10,8 +10,6 @@ update must not allocate.
 Source: phase-locked loop of a drive, as in Ellis, *Control System Design Guide*, chapter on observers.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Mapping

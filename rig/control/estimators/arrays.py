@@ -7,8 +7,6 @@ estimator of a plug-in needs no further compilation.
     velocity = estimate("fdm-butterworth", counts, 1 / 2000, resolution=1e-6, cutoff_hz=150.0)
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -10,8 +10,6 @@ The design of Levant's estimator and the reproduction of Chawda et al. use it. N
 simulates a rig.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

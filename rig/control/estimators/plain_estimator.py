@@ -9,8 +9,6 @@ The code around the function handles the encoder: a 32-bit counter that wraps, t
 and the first sample, for which the velocity is zero.
 """
 
-from __future__ import annotations
-
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence

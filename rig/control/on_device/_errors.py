@@ -1,7 +1,5 @@
 """Error for a setting that a law on the device does not support."""
 
-from __future__ import annotations
-
 from rig.core.errors import PlanError
 
 ELSE_HOST = 'let the host run the law (controller.loop = "host")'

@@ -7,8 +7,6 @@ and `optimal` and `foaw-levant` are not implemented in firmware. `rig.config.dev
 it. Change it only together with firmware/law.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 `rig.config.device_law` uses it. Change it only together with firmware/law.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

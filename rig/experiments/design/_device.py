@@ -3,8 +3,6 @@
 `rig design` calls this module.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from rig import devices

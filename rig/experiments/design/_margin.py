@@ -5,8 +5,6 @@ by 20 %, with each modelled hand alone, and on 16 rigs with all parameters drawn
 `rig identify` measures it and its value is not zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 `_linear` calls this module for every candidate. It must not depend on a wall.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 `_search` creates the result; commands, plots and the console show it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

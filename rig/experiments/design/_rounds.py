@@ -3,8 +3,6 @@
 `_search`, `_margin` and `_whole` call this module.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ use. Each stage depends on the stored results of earlier stages: a stopped desig
 is equal to the last bit.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace

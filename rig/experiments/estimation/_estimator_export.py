@@ -4,8 +4,6 @@
 its tolerance covers the rounding of float32.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Callable, Sequence

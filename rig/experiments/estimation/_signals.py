@@ -4,8 +4,6 @@ Estimators, filters and experiments are compared with these motions. Lengths are
 radius). Amplitudes and frequencies are those of a hand-held handle: 0.1 to 0.3 m/s, up to 40 Hz.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ Comparison, tuning and export of estimators use this module. A case comes from a
 from a real recording with a reference from a filter that uses future samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -7,8 +7,6 @@ not report the number of sines and the length of the stretch, and both influence
 `residual_rms` of 1/√12 of a count; if the residual is many counts, the fit is too smooth and C too small.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -3,8 +3,6 @@
 `rig.experiments.hits.compare` calls this module. The unit is the count because Koul et al. plot counts (Fig. 7).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any

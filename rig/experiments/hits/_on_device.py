@@ -4,8 +4,6 @@ Maps of stable walls and measurements of impedance call this module. Each trial 
 (`rig.experiments.hits.hit`) with the same checks and a recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ hit`, the console, sessions and `rig.testing`. This module must not run the tria
 torque pulse before a device is armed for a person.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig import config

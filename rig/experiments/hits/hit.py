@@ -5,8 +5,6 @@ passes the function that decides if a device may be armed: `rig.experiments.hits
 import `admission`, which imports this module, nor start a run that `admit` did not permit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Maps, papers and the simulated hand of a session's plan call this module. It ope
 trajectory of a hit equals, to the last bit, the trajectory that the loop over the byte link produces.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

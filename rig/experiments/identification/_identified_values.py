@@ -3,8 +3,6 @@
 `identify` calls this module.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 `identify` calls this module.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rig import config

@@ -3,8 +3,6 @@
 `rig identify` and `rig.format_identification` use this module.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

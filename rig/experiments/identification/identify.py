@@ -4,8 +4,6 @@
 `identified_file` formats the new file. The same code runs on the simulated rig and on a real rig.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack

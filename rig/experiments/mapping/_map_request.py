@@ -4,8 +4,6 @@ Texts are lists or ranges of numbers (`rig.experiments.mapping._searches.numbers
 default.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

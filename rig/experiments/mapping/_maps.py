@@ -5,8 +5,6 @@ plan, written first), ``journal`` (finished tasks), ``hits.parquet`` or ``walls.
 units), ``map.json`` (plan and results). A map of a device has its recordings in the directory ``hits``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from hashlib import sha256

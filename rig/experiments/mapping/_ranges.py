@@ -3,8 +3,6 @@
 Commands, pages and papers call this module through `rig.experiments.mapping.interface`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress

@@ -4,8 +4,6 @@ Maps and designs call this module, and ignore a wall of which less than 80 % of 
 encoder count appears as a high velocity, so that B times this velocity may exceed the effort limit.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.config import Experiment

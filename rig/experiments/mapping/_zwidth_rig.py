@@ -5,8 +5,6 @@ repeated and not used. Results of finished stiffness searches (series) stay in t
 same command resumes after them.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -7,8 +7,6 @@
 and fits are in `rig.analysis.impedance`. This module must not import the other kinds of map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -3,8 +3,6 @@
 The torque pulse, the search for the reference, weighing and identification call this module.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

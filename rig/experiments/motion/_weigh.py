@@ -8,8 +8,6 @@ is an error of every reported stiffness. The mass hangs on a string from a drum 
 the lever arm would shrink by up to 2 % within 0.2 rad (cosine), 0.7 % on average.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import ExitStack

@@ -7,8 +7,6 @@
 check must not pass without an observed motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ limits: the speed and effort of homing, a window of the travel plus a margin, an
 "homing by limit switch and index pulse"; here homing is the servo that moves the handle to the start of a trial.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

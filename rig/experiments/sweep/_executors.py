@@ -5,8 +5,6 @@ passed as JSON text, errors as `Failure`, so that every executor gives the same 
 coordinator stores and counts results.
 """
 
-from __future__ import annotations
-
 import json
 import platform
 import queue

@@ -9,8 +9,6 @@ A line with a wrong CRC is ignored, and its task is run again. If the process di
 power cut at most the lines since the last sync are lost.
 """
 
-from __future__ import annotations
-
 import json
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence

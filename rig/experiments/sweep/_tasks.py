@@ -5,8 +5,6 @@ to the last bit on any executor, in any order, and after a stop and a resume: ev
 back, which does not change floats.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from hashlib import sha256

@@ -4,8 +4,6 @@
 of a drive), may have narrower limits of speed, current and position than the protocol.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

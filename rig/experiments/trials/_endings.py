@@ -1,7 +1,5 @@
 """Define the error for each reason that ends a run: what happened, and what to do next (for `_trial`)."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -4,8 +4,6 @@
 Growing oscillations of an unstable wall are not predicted, but the check of stability warns of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from rig import config

@@ -4,8 +4,6 @@
 and its limits; no device is opened here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

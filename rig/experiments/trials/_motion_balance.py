@@ -6,8 +6,6 @@ after the contact, the encoder's scale changed during the trial. The method does
 whose effort is not measured, and cannot detect a constant drift.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Hits and motions call `run_trial`. The order at the end is fixed: zero effort fi
 recording is closed, then the reason is reported. Each of these three steps is done even if the step before failed.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 `rig.cut_recording` is defined here; the console calls it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

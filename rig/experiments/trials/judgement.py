@@ -4,8 +4,6 @@ Hits, replays, maps, estimator comparisons, sessions, `rig recording show` and `
 not change a recording or its recorded verdict, and opens no device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -6,8 +6,6 @@ pass the same checks as an experiment before its start, the arming gate included
 soon as the handle is outside the wall, so that the effort does not jump.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

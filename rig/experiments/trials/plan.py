@@ -5,8 +5,6 @@ a device or change the experiment. The predictions are for one rigid mass withou
 slower and softer.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Hits, motions and excitations have such plans, and commands print them. This module must not open a device.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ Hits, motions, searches for a reference and sessions call this module with a dev
 from the device: it must not move the handle or change a setting.
 """
 
-from __future__ import annotations
-
 from rig.config import Experiment, controller
 from rig.config.prepared_run import PreparedRun
 from rig.control.laws import Law

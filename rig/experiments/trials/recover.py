@@ -5,8 +5,6 @@ is not changed. This module must not remove a capture: `rig.recording.seal` does
 file.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator

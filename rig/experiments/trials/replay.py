@@ -6,8 +6,6 @@ effort. With the recorded settings a replay is bit-exact, also over gaps, becaus
 `rig.control.step`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

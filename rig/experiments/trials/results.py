@@ -5,8 +5,6 @@ column and the plan. This module must not load all rows into memory, because a t
 depend on the meaning of a column.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice

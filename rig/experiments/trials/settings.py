@@ -5,8 +5,6 @@ settings. Keys without a short name are set with ``changes``, by their full dott
 key's type, range or unit, which `rig.config` defines.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Callable, Mapping

@@ -4,8 +4,6 @@ If a worker dies, the scheduler gives its tasks to other workers, and computes r
 again. Each task refuses to run on a worker that has another version of the code.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

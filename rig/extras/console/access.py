@@ -4,8 +4,6 @@ The server calls `Access` for every request. A participant's screen has a token 
 screen.
 """
 
-from __future__ import annotations
-
 import hmac
 import secrets
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Command ``rig console``: operate a rig in the browser."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

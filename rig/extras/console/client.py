@@ -3,8 +3,6 @@
 A page that reads slowly receives the newest state and few long frames of its scope. It delays no other page.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import traceback

@@ -4,8 +4,6 @@ One line is a digest of all settings that decide what the rig does, so that the 
 they mean the same run. The job refuses to start if the digest has changed, for example because a file was edited.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from rig.config import Experiment

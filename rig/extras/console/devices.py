@@ -3,8 +3,6 @@
 The server uses `Devices`; the job's process calls `doctor`. This file must not move a rig.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 result and the number of bytes that follow, or with the error. The process ends when its input ends.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -5,8 +5,6 @@ a time and caches the files that it has read. The processes end with the server,
 their input ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import sys

@@ -3,8 +3,6 @@
 The live view uses it. It reads shared memory and must not delay the loop: it writes only a request to stop.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

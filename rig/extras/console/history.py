@@ -5,8 +5,6 @@ greatest value of each column over `BUCKET` rows, so that no spike is lost when 
 thousand points.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

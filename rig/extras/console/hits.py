@@ -4,8 +4,6 @@ The job's process (`worker`) calls `hit` and `play`; other jobs and errands use 
 This file must not run in the server, which would delay its replies.
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable, Mapping

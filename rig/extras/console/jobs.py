@@ -3,8 +3,6 @@
 The server starts and stops jobs here. A control loop must not run in this process.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

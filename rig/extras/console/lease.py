@@ -4,8 +4,6 @@ The server calls `Lease.expire` every `LOOK_S` (s). A web worker of the page sen
 throttle the timers of hidden pages. The worker sends them only while the page itself replies to the worker.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

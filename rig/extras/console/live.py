@@ -3,8 +3,6 @@
 The server uses it. A bug here must not stop the server, which must receive a STOP (`Live._surviving`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -3,8 +3,6 @@
 `errand_worker` calls these functions. They must not write into the directory of a map.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 The page reads the results in the directory of the map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path

@@ -4,8 +4,6 @@ A map that a page starts is a job like others (`rig.extras.console.map_jobs`), w
 directory. This module never moves a rig: a map on a device is started by its command, where a person confirms each hit.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

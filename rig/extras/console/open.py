@@ -3,8 +3,6 @@
 `rig console` uses it. The process must end on Ctrl-C, even if a thread waits for a missing disk (`end_on_signal`).
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """Convert names that a page sends to paths, and reject every name that leads outside of a directory."""
 
-from __future__ import annotations
-
 import stat
 from collections.abc import Callable
 from pathlib import Path

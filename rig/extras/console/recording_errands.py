@@ -3,8 +3,6 @@
 `errand_worker` calls these functions. They must not change or delete an existing recording.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -4,8 +4,6 @@ Downloads require the token: ``/recordings/NAME/cut``, ``picture`` and ``export`
 request also contains the name of the map; such a recording cannot be moved to the trash.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `errand_worker` calls it, so that the server's process is not blocked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

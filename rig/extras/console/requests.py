@@ -4,8 +4,6 @@
 range before anything is done; an unknown field is an error.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field

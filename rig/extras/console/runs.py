@@ -3,8 +3,6 @@
 A run ends when no page operates the rig any more, unless it was started as detached.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Mapping
 from typing import Any

@@ -5,8 +5,6 @@ for everything, and ``/hold`` for heartbeats and STOP alone, which therefore nev
 participant's screen opens ``/participant`` instead of ``/live``; it can send only the requests of `PARTICIPANTS`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import time

@@ -8,8 +8,6 @@ The server (`rig.extras.console.sessions`) renders the pages and interprets keys
 * to the job: ``reply`` (number, action, value, time since the question was shown), ``stop``
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from functools import partial

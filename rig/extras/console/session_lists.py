@@ -3,8 +3,6 @@
 `errand_worker` and the job `session` call it. It must not write into a session.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path

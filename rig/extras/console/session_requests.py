@@ -1,7 +1,5 @@
 """Requests of a page about sessions: JSON objects, checked like the requests of `rig.extras.console.requests`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

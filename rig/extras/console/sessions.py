@@ -5,8 +5,6 @@ was pressed; a key for an earlier question is ignored. A participant's screen sh
 can answer only verdicts and questionnaire items.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import time

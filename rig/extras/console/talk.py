@@ -3,8 +3,6 @@
 Jobs use it. Standard output carries the messages; the console ignores other lines there.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

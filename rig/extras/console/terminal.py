@@ -3,8 +3,6 @@
 Through a tunnel every page looks local, and the person at the browser may be unable to see the handle.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import sys

@@ -3,8 +3,6 @@
 It must never delete or overwrite a file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig.core.errors import ConfigError

@@ -3,8 +3,6 @@
 The scope of a page (`view`) searches new rows with it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -3,8 +3,6 @@
 `client` sends these points; errands pack points of recordings in the same way, and `page/link.js` unpacks them.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterator

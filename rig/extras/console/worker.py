@@ -17,8 +17,6 @@ failed     why the job ended early (`RigError.as_mapping`); the process ends
 If its console has ended, a job ends as after a STOP, unless it was started as detached.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

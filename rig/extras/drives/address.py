@@ -3,8 +3,6 @@
 `serve`, `link` and `describe` use it. It must not command a motion: it only reads what the drive reports.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import Protocol, Self

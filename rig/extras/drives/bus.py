@@ -3,8 +3,6 @@
 The bridge's own C code converts between bytes and frames.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import select

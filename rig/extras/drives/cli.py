@@ -3,8 +3,6 @@
 Drive and firmware together appear as one device at a port.
 """
 
-from __future__ import annotations
-
 import shlex
 import sys
 from collections.abc import Callable

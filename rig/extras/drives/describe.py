@@ -3,8 +3,6 @@
 The mechanics on its shaft are unknown to the drive: the file contains assumed values, which `rig identify` measures.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from string import Template

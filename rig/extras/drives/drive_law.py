@@ -7,8 +7,6 @@ docs/reference/configuration.md servo.pid_position, servo.pwm_rate_hz, pll_filte
 ISR_DoStayWithinBounds and ISR_DoPositionCommon; fw/pid.h.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ front of a drive) describes them to the host in its dictionary. The texts of a m
 messages (DBC of 0.6.10).
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from firmware_protocol.dictionary import CodeInfo

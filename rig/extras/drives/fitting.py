@@ -3,8 +3,6 @@
 `moteus` and `odrive` use it for what is the same for every drive. It must not communicate with a drive.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 it step by step.
 """
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass, replace
 from functools import cache

@@ -5,8 +5,6 @@ docs/reference/configuration.md, fw/bldc_servo_structs.h and fw/motor_position.h
 fw/bldc_servo.cc for the torque constant.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

@@ -5,8 +5,6 @@ odriverobotics/ODriveResources, examples/can_param_access.py and can_watchdog.py
 0.6.11. That its own encoder has 2¹⁴ counts is assumed.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -3,8 +3,6 @@
 The drive has only a spring and a damper, at its own rate. `rig.config.device_law._elsewhere` calls this module.
 """
 
-from __future__ import annotations
-
 from firmware_protocol.dictionary import Dictionary
 from rig.config import Experiment
 from rig.control.on_device import Control, NotOnDeviceError, options

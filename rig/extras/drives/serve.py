@@ -5,8 +5,6 @@ end. If the process cannot switch the drive off (kill -9, a computer that hangs)
 five periods.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

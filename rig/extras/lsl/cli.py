@@ -1,7 +1,5 @@
 """Command ``rig serve lsl``: stream running control loops by Lab Streaming Layer."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Mapping

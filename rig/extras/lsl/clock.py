@@ -5,8 +5,6 @@ The line improves during a run: a recording, whose line is fitted at the end, di
 than the uncertainty `sd_ns` and the asymmetry bound.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -16,8 +16,6 @@ Blinded markers contain no value of a wall, a condition or a scheme, from any so
 out, too: if conditions differ in their rates, a rate reveals the condition.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Mapping

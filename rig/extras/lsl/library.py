@@ -3,8 +3,6 @@
 `serve` and `streams` use it; no other file may import pylsl.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from dataclasses import dataclass

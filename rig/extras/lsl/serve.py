@@ -3,8 +3,6 @@
 `rig serve lsl` runs it in a process of its own. It must not write to the memory of a loop.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import select

@@ -1,7 +1,5 @@
 """The two LSL outlets (network streams): samples as numbers with units, and markers as one JSON text each."""
 
-from __future__ import annotations
-
 import json
 import platform
 from collections.abc import Sequence

@@ -19,8 +19,6 @@ of the rules; all other text is edited in the template, without changing Python.
     rule: how the verdict follows from the numbers
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Command ``rig reproduce``: reproduce a published paper and write one HTML report."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Command ``rig theory disagreement``: compare linear theory with simulated hits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Print figures 7 and 8 of Koul et al.: single impacts without damping, and with uniform and dual-rate sampling."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

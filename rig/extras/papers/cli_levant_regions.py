@@ -1,7 +1,5 @@
 """Command ``rig theory levant-regions``: draw the gains with which Levant's differentiator converges."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

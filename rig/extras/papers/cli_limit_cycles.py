@@ -1,7 +1,5 @@
 """Command ``rig theory limit-cycles``: predict and simulate the limit cycles of the encoder's quantisation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig import config

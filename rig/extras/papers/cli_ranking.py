@@ -1,7 +1,5 @@
 """Command ``rig estimators rank``: rank estimators and control laws by the range of walls that they render."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -3,8 +3,6 @@
 A *part* is a named group of sweep tasks that do the same kind of work.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Each number in a template comes from the results or from the thresholds of the r
 those in names of figures and rates, and a test lists these.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -7,8 +7,6 @@ classes have an order. The automatic class "limit cycle" corresponds to "buzz". 
 often the interval contains the true value.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Command, report and tables read the results (`StudyAnalysis`). This file must not format or write anything.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path

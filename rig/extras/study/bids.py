@@ -5,8 +5,6 @@ wall and verdict of each run, also of practice, redone and invalid trials. From 
 and answers to the questionnaire are exported; the operator's notes are free text and are not exported.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence

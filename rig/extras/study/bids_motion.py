@@ -8,8 +8,6 @@ x. Efforts, currents and the penetration into a virtual wall are MISC, because t
 contains the device's time, so that lost samples are visible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO, NamedTuple

@@ -1,7 +1,5 @@
 """Command ``rig session export``: write a study's raw data for other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

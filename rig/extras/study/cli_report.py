@@ -1,7 +1,5 @@
 """Draw the pictures and write the HTML report of a study, for `rig session analyse`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

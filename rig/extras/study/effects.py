@@ -4,8 +4,6 @@ The slopes were not planned: they are exploratory, and the p values of the slope
 their number (Holm).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 `rig session export` uses it. It must not overwrite a directory.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `analyse` uses it. It must not decide which trials count: the session's log does.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime

@@ -4,8 +4,6 @@ Each condition has one colour and one marker in all pictures. Verdicts differ in
 limits beyond the levels (searched stiffnesses): ▲ above the stiffest, ▼ below the softest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial

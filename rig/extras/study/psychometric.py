@@ -4,8 +4,6 @@ The posterior is computed on the grid of `rig.session.search._psychometric`, fro
 complete runs under a condition at one damping, for any search rule; catch trials are left out.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The file contains everything: pictures inline, all numbers as JSON in the elemen
 ``session.html.j2``.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

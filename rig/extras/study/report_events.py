@@ -3,8 +3,6 @@
 The text of an event is in ``session_events.j2``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

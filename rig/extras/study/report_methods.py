@@ -4,8 +4,6 @@ The text is in ``session_methods.j2``; this module computes the values in it. To
 protocol file and these paragraphs.
 """
 
-from __future__ import annotations
-
 import platform
 import re
 from collections import Counter

@@ -3,8 +3,6 @@
 They must not compute a result: all numbers are in `StudyAnalysis`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Unit (or quantity, `rig.core.sample.unit_of`) and meaning of each column are ann
 disk, their dictionary and the metadata of exports are generated from them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal

@@ -5,8 +5,6 @@ sessions, a participant twice), unless the difference is allowed by `across`. Ot
 reader (an unfinished session, another version of the software, a missing recording).
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

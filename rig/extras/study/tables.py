@@ -5,8 +5,6 @@ usual spelling, the type and the meaning; the columns of the Parquet files carry
 are empty in CSV and null in Parquet.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

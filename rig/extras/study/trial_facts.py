@@ -1,7 +1,5 @@
 """Select the values of a trial that are exported beside its recording, and their names in files."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any

@@ -3,8 +3,6 @@
 All other tables and the exports follow from these two. Verdicts come from the log alone; no recording is read.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any

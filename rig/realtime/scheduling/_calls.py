@@ -3,8 +3,6 @@
 The other files of this package use it. It must not decide what to request.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import mmap

@@ -3,8 +3,6 @@
 `_realtime` uses it. It must not change a setting that remains after the process ends.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from pathlib import Path

@@ -4,8 +4,6 @@ Runs at the same time share one lock, which ends with the last of these runs. `_
 memory that the program had locked before.
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import re

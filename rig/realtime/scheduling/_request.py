@@ -3,8 +3,6 @@
 `rig.config` and simulated devices fill them in. It must not import `rig.config`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

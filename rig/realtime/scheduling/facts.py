@@ -5,8 +5,6 @@
 A recording stores these facts and `rig.doctor` judges them. This file must not judge or change anything.
 """
 
-from __future__ import annotations
-
 import gzip
 import platform
 import re

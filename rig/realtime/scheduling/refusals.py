@@ -3,8 +3,6 @@
 Scheduling and `rig.doctor` report these checks (`rig.core.check`). This file must not run the commands.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

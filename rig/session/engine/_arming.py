@@ -5,8 +5,6 @@ begins only if the operator has consented to all of these walls, which are there
 handle. The start of a session and the check of a device use it. It must not arm or move the motor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 

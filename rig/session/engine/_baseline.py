@@ -3,8 +3,6 @@
 Each recorded trial of a session calls it (`_hits`). It reads the recording only.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ wall that a search rule may present is checked like a single hit (`rig.experimen
 linear theory. `rig session check`, `rig session plan` and the start of each session use it. It writes nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The log and simulated persons use them. They must not time a control loop.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Protocol
 

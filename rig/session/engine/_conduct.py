@@ -5,8 +5,6 @@ the rig only through a `TrialRunner`, and people only through a `Desk` (the oper
 `rig.session.engine._run` calls it.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

@@ -3,8 +3,6 @@
 `rig session check` with a device calls it. It must not move the motor.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 
 from rig.core.check import Check, refused

@@ -3,8 +3,6 @@
 The start of a session and the check of a device use it. It must not move the motor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any

@@ -3,8 +3,6 @@
 The engine (`_conduct`) uses it as a `TrialRunner`. It must not choose the wall of a trial.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -5,8 +5,6 @@ lost samples, because nearly every trial would then be invalid. The operator can
 losses give a warning; trials that become invalid by these losses are repeated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from rig.core.check import Check, Outcome, refuse

@@ -4,8 +4,6 @@ A session must stay on its device: limits found on two devices, or on a rig and 
 engine, its commands and the analysis use it. It must not open a device.
 """
 
-from __future__ import annotations
-
 import platform
 import shlex
 from collections.abc import Mapping, Sequence

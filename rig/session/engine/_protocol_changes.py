@@ -4,8 +4,6 @@ A session compares its protocol with the earlier sessions before it begins; an a
 these functions, so an analysis accepts every session that was allowed to begin.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

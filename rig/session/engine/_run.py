@@ -3,8 +3,6 @@
 All checks come before the first line of the log, so that a refused session leaves no trace.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

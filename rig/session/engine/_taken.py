@@ -4,8 +4,6 @@ The log has the times of events only. The time that people need before a trial i
 its own event, minus the planned duration of the rig's part: homing, free space, hit and release.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise

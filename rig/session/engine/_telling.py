@@ -3,8 +3,6 @@
 Blinded people must not know which wall is presented.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from rig.control.verdict import Kind

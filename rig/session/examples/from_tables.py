@@ -8,8 +8,6 @@ Holm's correction, a mixed model, and Cohen's kappa. Unlike the analysis itself,
 tested levels, too few participants, and covariates that cannot be separated from the conditions.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from itertools import combinations

@@ -5,8 +5,6 @@ with which the wall pushed the hand outwards in the last part of the hit (`verdi
 of a session and checks of a protocol use it. It must not run a trial.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

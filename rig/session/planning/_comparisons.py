@@ -3,8 +3,6 @@
 `rig.session.engine._check` calls it. It must not open a device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -7,8 +7,6 @@ condition; damping and stiffness of the wall. A simulated hand keeps the ranges 
 wall from here, so that the presented walls are the checked ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path

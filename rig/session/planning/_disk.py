@@ -3,8 +3,6 @@
 `rig session plan` shows it; a session does not begin on a disk with too little space.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

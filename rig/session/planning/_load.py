@@ -3,8 +3,6 @@
 Sessions, checks and logs use it. It must not open a device.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Names are read from protocols (`rig.session.planning._load`), from command lines
 not change the rules: directories of existing studies are found by these names.
 """
 
-from __future__ import annotations
-
 import hashlib
 import unicodedata
 from collections.abc import Callable, Iterable

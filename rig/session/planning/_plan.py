@@ -3,8 +3,6 @@
 `rig.session.engine._check` fills them; `rig session plan` and the page show them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rig.core.check import Check, Outcome

@@ -5,8 +5,6 @@ Stiffness, damping, effort and speed are in the units of the rig's motion (`rig.
 a protocol: a new key needs a default, or older logs cannot be read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal

@@ -3,8 +3,6 @@
 Log lines, pauses and questions of a session use these texts. A reason that is not listed here is never shown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from rig.control.verdict import Opening

@@ -7,8 +7,6 @@ Research A 2, 1949). The engine and the analysis use it. A log stores only proto
 logs would be misread.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Checks of a protocol and sessions with a simulated hand use it, never a trial with a person.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from statistics import fmean

@@ -3,8 +3,6 @@
 `rig session new` uses it.
 """
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from importlib.resources import files

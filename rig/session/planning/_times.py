@@ -6,8 +6,6 @@ has the same time constant. Above the fraction ``rest.heat``, the session pauses
 fraction. The plan of a study, its checks and the engine's cooling pauses use it. It must not read a clock.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

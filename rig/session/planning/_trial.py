@@ -6,8 +6,6 @@ stream, the rows of tables and exports (`rig.extras.study.rows.TrialRow`), and t
 logs unreadable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Annotated, Any

@@ -4,8 +4,6 @@ The desks (the session's side of the operator's user interface) of the terminal 
 (`rig.extras.console.session_desk`) inherit from `AskingDesk`.
 """
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Mapping

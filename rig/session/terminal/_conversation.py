@@ -4,8 +4,6 @@ The terminal and the page in the browser share this state. It uses no terminal, 
 a pause, a note or the end of the session at any time; the request takes effect at the next question.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, cast

@@ -1,7 +1,5 @@
 """Detect keys that were already held down before the open question; they must not answer it until released."""
 
-from __future__ import annotations
-
 import math
 
 # Longest delay before a held key repeats that is a default: X.Org 0.66 s, KDE 0.6 s, GNOME 0.5 s, macOS 0.5 s, Windows

@@ -6,8 +6,6 @@ pageup pagedown insert delete f1`` … ``f12``, ``ctrl+x``, ``alt+x``; all other
 may raise an error.
 """
 
-from __future__ import annotations
-
 import re
 
 # Longest escape sequence (bytes); more bytes without an end are noise on the line.

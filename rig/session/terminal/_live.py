@@ -4,8 +4,6 @@ This module must not read the loop's info (`rig.realtime.ring`), which contains 
 operator may be blinded.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

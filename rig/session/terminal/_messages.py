@@ -16,8 +16,6 @@ console     gone       no reply is possible any more: reason
 Both processes (`_child` and `_program`) use it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

@@ -4,8 +4,6 @@ The engine's names of states are for the operator. The texts in this module repl
 nor a fault.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 The console (`_program`) uses it. It must not read a key or a clock.
 """
 
-from __future__ import annotations
-
 from rig.session.terminal import _words as words
 from rig.session.terminal._conversation import Conversation
 from rig.session.terminal._live import Snapshot

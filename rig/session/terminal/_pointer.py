@@ -4,8 +4,6 @@ The left edge of the screen is a little behind the start position, the right edg
 side. The terminal and the page use it. It must not read the stiffness of a wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, Protocol
 

@@ -3,8 +3,6 @@
 With one thread, a hang of any part stops the messages to the session, which then detects the hang.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

@@ -4,8 +4,6 @@ The console changes the settings; the session's process restores them if the con
 the settings of the operator's terminal.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -3,8 +3,6 @@
 Texts for a participant are in `_participant`. They must not contain a wall that the view does not contain.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rig.session.engine._desk import Action, DeskView

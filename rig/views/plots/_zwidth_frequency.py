@@ -6,8 +6,6 @@ walls drove the handle out of its limits. Lines show the boundary search of the 
 theory: dashed for stability, dotted for passivity in the band.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

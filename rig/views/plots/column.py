@@ -1,7 +1,5 @@
 """Draw one column of a recording over time."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rig.recording.data import Column

@@ -3,8 +3,6 @@
 ``rig/views/table.json`` registers the figure; papers draw single panels. This file must not compute a comparison.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Draw what `rig design` found: trade-off between sampling schemes, limits of the recommended and the own scheme."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rig.core.sample import unit_of

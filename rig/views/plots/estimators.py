@@ -3,8 +3,6 @@
 ``rig/views/table.json`` registers it. It must not compute an error or a delay.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@
 write to a recording.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -3,8 +3,6 @@
 `rig impedance` and papers draw several results; ``rig/views/table.json`` draws one. This file must not measure or fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

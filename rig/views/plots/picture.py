@@ -3,8 +3,6 @@
 `rig.core.shown` calls them. They must not compute results that the command does not print.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rig.experiments.hits.hit import HitResult

@@ -1,7 +1,5 @@
 """Draw a replay (a recording recomputed with another estimator): recorded and replayed velocity and effort."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rig.core.sample import unit_of

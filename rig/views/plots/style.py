@@ -3,8 +3,6 @@
 All figures of the package and of its extras use it. It must not import pyplot, a window toolkit or a result.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -6,8 +6,6 @@ and repeats.
 ``rig/views/table.json`` registers the maps; designs and papers draw single boundaries. This file must not run a hit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

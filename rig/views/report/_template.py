@@ -4,8 +4,6 @@ A template contains the words, a result the numbers, and the filters of `rig.vie
 So a text can be edited without a change of Python code. A name that a template uses but does not receive is an error.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 A template uses them by their names, such as ``{{ ratio | times }}``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any

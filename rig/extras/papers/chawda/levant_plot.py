@@ -1,7 +1,5 @@
 """Compute and draw the gains with which Levant's differentiator converges (Fig. 1 of Chawda et al., extended)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

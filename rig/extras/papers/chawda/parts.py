@@ -4,8 +4,6 @@ Each public function is the work of one task of the sweep that runs the reproduc
 takes and returns values that JSON can store, and has no side effects.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace

@@ -3,8 +3,6 @@
 `reproduction` calls them. They must not judge a claim.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ is judged by the number of tests in which it holds. No value is tuned to match T
 Source: Chawda et al., "Evaluation of Velocity Estimation Methods Based on their Effect on Haptic Device Performance".
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from typing import Any

@@ -3,8 +3,6 @@
 `claims`, `derived`, `pictures` and the templates of the report read them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 Values that the paper does not give are set here; where a value decides a result, its comment gives the reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product

@@ -4,8 +4,6 @@ A claim is tested in several *cases*, such as estimators. Gains and the band of 
 so a claim may be reproduced "only with" them; the estimators and passivity tests cannot be such a condition.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

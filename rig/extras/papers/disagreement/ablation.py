@@ -20,8 +20,6 @@ the cures of the smallest size count.
 An invalid hit does not count as agreement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations

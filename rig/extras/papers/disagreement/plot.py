@@ -1,7 +1,5 @@
 """Draw the K–B plane of each scheme: walls that theory and hits judge differently have the colour of the cause."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

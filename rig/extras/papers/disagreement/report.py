@@ -3,8 +3,6 @@
 The sentences are in ``disagreement.j2``.
 """
 
-from __future__ import annotations
-
 from rig.core.sample import unit_of
 from rig.extras.papers.disagreement.ablation import FINER, FOUR
 from rig.extras.papers.disagreement.disagreement import Disagreement

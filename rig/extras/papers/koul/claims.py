@@ -3,8 +3,6 @@
 `reproduction` uses it. Thresholds are in `rules`, sentences in ``claims.j2``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ N·m/rad, B = 0.2 N·m·s/rad; 60 mN·m on the link, inside and outside the wall
 In floating point a uniform wall is damped as well as a dual-rate one; figure 7 needs a filter with few fractional bits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

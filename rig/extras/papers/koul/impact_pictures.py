@@ -1,7 +1,5 @@
 """Draw figures 7 and 8 of Koul et al. (impacts, and estimated velocities) from this project's results."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

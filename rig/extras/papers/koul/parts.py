@@ -4,8 +4,6 @@ Each public function with a `payload` is the work of one task of the sweep that 
 (`rig.extras.papers.parts`): it takes and returns values that JSON can store, and has no side effects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import product

@@ -3,8 +3,6 @@
 All other files of this folder use them; choices of this project have a comment with the reason.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

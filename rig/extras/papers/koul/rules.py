@@ -5,8 +5,6 @@ so these can be conditions of "reproduced only with"; rig and criterion cannot. 
 neighbouring values of a search, below which a difference is not significant.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

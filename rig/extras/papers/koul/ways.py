@@ -4,8 +4,6 @@ A ladder tries rising stiffnesses up to the first failure. A bisection tries few
 walls above a failure fail, so its result shows whether stability is monotone in K.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

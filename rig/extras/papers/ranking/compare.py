@@ -3,8 +3,6 @@
 The page of the ranking uses it. It must not run a hit: `measure` computes the areas that are compared here.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence

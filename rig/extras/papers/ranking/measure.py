@@ -3,8 +3,6 @@
 The command `rig estimators rank` uses it. Which walls count is decided in `rule`, which pair wins in `compare`.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -4,8 +4,6 @@
 the counted cycles, or notes with their commands; this file must not run a hit.
 """
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
