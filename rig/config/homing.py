@@ -73,7 +73,7 @@ def home_tolerance(experiment: Experiment) -> float:
 
 
 def largest_offset(experiment: Experiment) -> float:
-    """Return the largest accepted distance (rad or m) from the trial's start: a fixed share of the way to the wall."""
+    """Return how far (rad or m) the handle may be from the start of a trial: a fixed share of the way to the wall."""
     return LARGEST_SHARE * abs(experiment.wall.position - experiment.trial.start)
 
 

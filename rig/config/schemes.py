@@ -73,7 +73,10 @@ class Scheme:
         head, *settings = text.split(",")
         kind, colon, rates = head.strip().partition(":")
         if kind not in _KINDS or not colon:
-            raise ConfigError(f"scheme {text!r} must begin with 'uniform:' or 'dual:'", remedy=_FORM)
+            raise ConfigError(
+                f"sampling scheme {text!r} must begin with 'uniform:' (one rate) or 'dual:' (two rates)",
+                remedy=_FORM,
+            )
         position_rate, velocity_rate = parse_rates(rates)
         if kind == "uniform" and position_rate != velocity_rate:
             raise ConfigError(

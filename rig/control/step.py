@@ -313,7 +313,7 @@ class ControllerState:
                 ),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise _version_error(f"reading its fields fails with {error!r}") from error
+            raise _version_error(f"reading the fields of the state fails with {error!r}") from error
         # Compiled code checks no sizes.
         if not made.estimator.fits() or not made.law.fits():
             raise _version_error(

@@ -65,7 +65,7 @@ class Record:
             return dictionaries.decode(self.packed)
         except RemoteProtocolError as error:
             raise ConfigError(
-                f"the dictionary in the image cannot be read: {error}",
+                f"the dictionary (parameters and ranges) in the firmware image cannot be read: {error}",
                 remedy="build the image again: rig firmware build",
             ) from None
 

@@ -107,7 +107,7 @@ def check_scales(board: Board, model: RigModel, settings: Mapping[str, SettingVa
         raise refuse(
             "full_scale",
             f"{full_scale:g} A in steps of {step:.3g} A gives only {peak / step:.0f} steps up to the rig's "
-            f"{peak:.4g} A; at least {LEAST_STEPS} are required",
+            f"peak current of {peak:.4g} A; at least {LEAST_STEPS} are required",
             f"set it closer to {peak:.4g} A, in the amplifier too",
         )
     if settings["current_monitor"] == "adc":

@@ -140,7 +140,9 @@ class Ring:
             raise
         if ring.peek(VERSION) == 0:
             ring.close()
-            raise RigError(f"the memory {path} of a loop is still being created", remedy="try again")
+            raise RigError(
+                f"the shared memory {path} of a control loop is still being created", remedy="try again"
+            )
         return ring
 
     @property

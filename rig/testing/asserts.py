@@ -65,7 +65,9 @@ def assert_safe(subject: Subject, *, within_ms: float) -> None:
     if rest.armed:
         raise AssertionError("not safe: the device stayed armed without a host; it must disarm")
     if subject.error is not None and not subject.error.remedy:
-        raise AssertionError(f"not safe: the error of the run has no remedy (what to do): {subject.error}")
+        raise AssertionError(
+            f"the run ended with an error that does not say what to do (its remedy is empty): {subject.error}"
+        )
 
 
 def assert_limit(subject: Subject, **most: float) -> None:

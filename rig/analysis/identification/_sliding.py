@@ -118,10 +118,10 @@ def fit_sliding(
     rising = velocity > 0.0
     if rising.sum() < 2 or (~rising).sum() < 2 or len(np.unique(np.round(velocity, 12))) < 3:
         raise IdentificationError(
-            f"stroke sections that moved at the requested speed: {int(rising.sum())} in the positive direction, "
+            f"parts of the strokes that moved at the requested speed: {int(rising.sum())} in the positive direction, "
             f"{int((~rising).sum())} in the negative; at least two in each are needed, at two different speeds",
             remedy="keep everything off the handle; a wider window of positions makes the strokes longer, and a "
-            "higher `rate` makes the position control during the strokes stiffer",
+            "higher sampling rate (`rate`) allows a stiffer position control during the strokes",
         )
     matrix = np.column_stack([rising, -(~rising).astype(np.float64), velocity])
     solution = np.linalg.lstsq(matrix, level, rcond=None)[0]

@@ -60,7 +60,7 @@ class WelchSettings:
         return min(samples, max(1, round(self.segment_s * rate_hz)))
 
     def transform(self, segment: int) -> int:
-        """Return the samples of a segment's Fourier transform: as set, or the next power of two from 256 on."""
+        """Return the length of a segment's Fourier transform: as set, or a power of two, at least 256 and `segment`."""
         return self.transform_samples or max(SMALLEST_TRANSFORM, 1 << (segment - 1).bit_length())
 
 

@@ -113,8 +113,8 @@ def resolve(rig: RigLike, operator: str | Operator | None = None) -> Subject:
         A text without a suffix that names a preset selects the preset; any other text is a path.
     operator
         Model of the hand on the handle: ``"none"``, the name of a grip, or an `rig.core.model.Operator`; None: the hand
-        of the experiment if a person performs its trial, else no hand. With a hand the end mass is 0, as in trials by
-        hand.
+        of the experiment if a person performs its trial, else no hand. With a hand the end mass, which is fixed to the
+        handle for trials without a person, is 0.
 
     Raises
     ------

@@ -169,7 +169,7 @@ class SchemeWidths:
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """A column of the paper's Table I: K-width (N/m), B-width, worst fidelity error (N·s/m), number of tuned values."""
+    """A column of Chawda et al., Table I: K-width (N/m), B-width, worst fidelity error (N·s/m), tuned values."""
 
     stiffness: float
     damping: float

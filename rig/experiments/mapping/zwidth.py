@@ -49,7 +49,7 @@ _BEFORE = "guard tripped before the wall"
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """A search for one stiffness limit: index of the scheme, damping (SI), encoder offset (counts), repeat number."""
+    """One stiffness search of a map: index of its scheme, damping (SI), encoder offset (counts), repeat number."""
 
     scheme: int
     damping: float
@@ -177,7 +177,7 @@ class MapPlan:
 
 
 def run_series(payload: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Simulate the hits of one stiffness search; return the numbers of each hit. All values are JSON values."""
+    """Simulate the hits of one stiffness search; return the measured results of each hit, as JSON values."""
     # The result depends on the payload only, so that a map is equal to the last bit on one core, on many cores and on a
     # cluster, and a stopped map can resume.
     experiment = config.restore_experiment(payload["experiment"])

@@ -17,7 +17,7 @@ MOST = 100  # protocol files, and sessions that may be resumed, in one list
 
 
 def list_sessions() -> dict[str, Any]:
-    """Return the ``protocols`` that a page may begin, and the ``resumable`` sessions."""
+    """Return ``protocols``, with which a user can begin a session, and ``resumable``, the interrupted sessions."""
     return {"protocols": protocols(), "resumable": resumable()}
 
 

@@ -58,7 +58,7 @@ class Talk:
         answer = None if self._gone.is_set() else self._answers.get()
         if answer is None:
             raise StoppedError(
-                "the console ended before the question was answered", remedy="start it again: rig console"
+                "the console ended before it answered a request", remedy="start it again: rig console"
             )
         return answer
 

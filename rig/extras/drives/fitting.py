@@ -56,7 +56,7 @@ class Output:
     scale_remedy: str
 
     def transmission(self, model: RigModel) -> float:
-        """Return the angle of the output (rad) for 1 rad or 1 m of the rig."""
+        """Return the angle (rad) by which the drive's output shaft turns when the handle moves by 1 rad or 1 m."""
         return 2.0 * math.pi / (self.counts_per_turn * model.encoder.resolution)
 
     def ranges(self, model: RigModel) -> dict[str, tuple[int, int]]:

@@ -70,7 +70,7 @@ class Asked(Protocol):
 
 
 class MoteusConversation:
-    """Requests to one moteus and its replies, before a bridge (firmware on this computer in front of a drive) runs.
+    """Requests to one moteus and its replies, before a bridge (program on this computer that commands the drive) runs.
 
     `drive` is the id of the drive on the bus, `prefix` its setting ``can.prefix``.
     """
@@ -342,7 +342,7 @@ def switches_of(texts: Mapping[str, str]) -> Switches:
         bits[name] = 1 << int(match["bit"])
     if len(ports) > 1:
         raise ConfigError(
-            "the switches hold and stop are on different ports of the drive",
+            "the hold-to-run switch and the stop switch are on different ports of the drive",
             remedy="wire both to pins of aux1, or both to pins of aux2",
         )
     return Switches(ports.pop() if ports else 0, bits["hold"], bits["stop"])

@@ -83,7 +83,7 @@ READ = (
 
 
 class RequiredParameter(NamedTuple):
-    """A parameter, a test of all parameters that it must pass, the value to set, and what happens otherwise."""
+    """A parameter, a test of all values (true if it is right), the value to set, and what a wrong one does."""
 
     path: str
     is_right: Callable[[Mapping[str, float]], bool]

@@ -188,7 +188,7 @@ class DeviceRunner:
         return self._pace
 
     def fits(self, experiment: Experiment, changes: Mapping[str, Any]) -> list[Check]:
-        """Check that device and link can run an experiment unchanged, with the sampling rates `changes`; nothing moves.
+        """Check that device and link can run an experiment with the rates in `changes`; the handle does not move.
 
         Return the results of the checks. Raise `RigError` if the device cannot be opened.
         """

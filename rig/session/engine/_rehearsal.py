@@ -129,7 +129,7 @@ def check_person(person: Person, protocol: Protocol) -> None:
     for option, share in (("`lapse_rate`", person.lapse_rate), ("unsure", person.unsure)):
         if not 0.0 <= share <= 1.0:
             raise ConfigError(
-                f"{option} {share:g} is not a fraction of verdicts or trials",
+                f"{option} {share:g} is not a share of the simulated answers or trials",
                 remedy="give a number from 0 to 1",
             )
 

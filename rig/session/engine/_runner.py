@@ -32,7 +32,7 @@ class SessionWall:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefusedWalls:
-    """The walls of one condition and damping that a rig runs only with consent: its link's delay makes them unstable.
+    """The walls of one condition and damping that run only if the operator allows it: the link's delay unsettles them.
 
     `stiffness` contains their stiffnesses, ascending; `walls` is the number of all walls of this condition and damping,
     and `text` the reason for the softest refused wall.

@@ -44,7 +44,7 @@ class TrialTimes:
 
     @property
     def recorded(self) -> float:
-        """Duration (s) of the recorded part of a trial, without the times of people."""
+        """Duration (s) of the recorded part of a trial, without the time that participant and operator take."""
         return self.homing + self.baseline + self.hit + self.release
 
     @property

@@ -106,7 +106,7 @@ class ChawdaPlan:
         )
 
     def _hit_schemes(self) -> dict[str, Scheme]:
-        """Return the sampling schemes of Fig. 3 by name: the filtered difference, then Levant's with each C."""
+        """Return the schemes of Fig. 3 by name: filtered difference, then Levant's estimator with each constant C."""
         named = {rigs.FILTERED: rigs.FILTERED_SCHEME}
         named |= {
             name: rigs.levant(rigs.FIGURE_3_RATE, self._nominal["lipschitz"], gains)

@@ -111,7 +111,7 @@ class Chawda:
         return list(dict.fromkeys((rigs.FILTERED, rigs.HBA_SC, rigs.LFBA, self.adjusted)))
 
     def searches(self) -> list[BoundarySearch]:
-        """Apply the paper's boundary search to the passivity map of every estimator and measurement."""
+        """Return the boundaries that the paper's search finds in the passivity maps, by estimator and measurement."""
         stiffnesses = self.map.grid.stiffnesses
         return [
             BoundarySearch(

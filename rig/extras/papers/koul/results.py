@@ -208,9 +208,11 @@ class Koul:
         )
 
     def finest_encoder(self) -> list[tuple[str, Change, float]]:
-        """Return, for each rig, what the finest encoder changes: (preset, change of the dual-rate wall, area ratio).
+        """Return preset, dual-rate limits (finest over usual encoder) and ratio of areas of each rig.
 
-        The ratio is the area of the uniform 20 kHz wall divided by that of the dual-rate wall, with the finest encoder.
+        The ratio, with the finest encoder, is the area of stable walls (stiffness × damping) of uniform sampling at 20
+        kHz
+        divided by that of dual-rate sampling.
         """
         found = []
         for preset in rigs.PRESETS:
