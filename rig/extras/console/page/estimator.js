@@ -27,6 +27,11 @@ export class Estimator {
     this.#build();
   }
 
+  choose(name) {
+    this.select.value = name;
+    this.#build();
+  }
+
   // What was changed, by dotted key.
   get changes() {
     if (!this.given) return {};

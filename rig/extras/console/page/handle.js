@@ -8,8 +8,9 @@ const MARGIN = 0.05; // of the window that the rig may move in
 const PRESS_STEP = 1; // N with each key
 
 export class Handle {
-  constructor(link) {
+  constructor(link, hint = "Start “Drag the handle”, then drag here or use the arrow keys.") {
     this.link = link;
+    this.hint = hint;
     this.wish = null;
     this.press = 0;
     this.canvas = make("canvas", { className: "handle", tabIndex: 0, role: "slider", ariaLabel: "Handle: drag it, or use the arrow keys; up and down press",
@@ -94,12 +95,14 @@ export class Handle {
     context.fillStyle = colour("wall");
     context.fillRect(at - 1, 0, 2, height);
     const [, hand, handle] = this.motion ?? [0, null, null];
-    if (handle !== null && hand !== null) {
+    if (hand !== null) {
       context.strokeStyle = colour("sent"); // the stretch of the coupling is the force that one feels
       context.lineWidth = 3;
       zigzag(context, x(handle), x(hand), height / 2);
-      context.fillStyle = colour("measured");
-      context.fillRect(x(handle) - 5, height * 0.2, 10, height * 0.6);
+    }
+    context.fillStyle = colour("measured");
+    context.fillRect(x(handle ?? trial.start) - 5, height * 0.2, 10, height * 0.6);
+    if (hand !== null) {
       context.fillStyle = colour("other");
       context.beginPath();
       context.arc(x(hand), height / 2, 10, 0, 2 * Math.PI);
@@ -113,8 +116,8 @@ export class Handle {
     const unit = rig.motion === "rotary" ? "rad" : "m";
     this.canvas.ariaValueNow = String(handle ?? trial.start);
     this.canvas.ariaValueText = handle === null ? "at rest" : `handle ${written(handle, 3)} ${unit}`;
-    this.note.textContent = handle === null ? "Start “Drag the handle”, then drag here or use the arrow keys."
-      : `handle ${written(handle, 3)} ${unit}, hand ${written(hand, 3)} ${unit}, press ${this.press} N`;
+    this.note.textContent = handle === null ? this.hint
+      : `handle ${written(handle, 3)} ${unit}${hand === null ? ", pushed by the motor" : `, hand ${written(hand, 3)} ${unit}, press ${this.press} N`}`;
   }
 }
 

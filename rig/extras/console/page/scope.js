@@ -24,6 +24,9 @@ export class Scope {
   constructor(link, facts) {
     this.link = link;
     this.units = Object.fromEntries(facts.columns.map((column) => [column.name, column.unit]));
+    const known = ([name]) => name in this.units;
+    this.always = ALWAYS.filter((name) => known([name]));
+    this.usual = CHARTS.map(({ title, series }) => ({ title, series: series.filter(known) }));
     this.traces = new Traces();
     this.truth = []; // of a simulated handle: time, hand, handle, velocity
     this.window_s = 2;
@@ -78,7 +81,7 @@ export class Scope {
       choice("show also", [["nothing", ""], ...columns], "", (value) => this.#also(value)),
       make("button", { type: "button", textContent: "Effort over penetration", ariaPressed: "false",
         onclick: ({ target }) => this.#planeView(target) }),
-      saving(FORMS, (form) => this.#save(form)));
+      saving(FORMS.filter(([, form]) => form !== "cut" || !facts.simulated), (form) => this.#save(form)));
   }
 
   pause(paused) {
@@ -113,7 +116,7 @@ export class Scope {
   }
 
   #columns() {
-    return [...new Set([...ALWAYS, ...(this.extra ? [this.extra] : [])])];
+    return [...new Set([...this.always, ...(this.extra ? [this.extra] : [])])];
   }
 
   #ask() {
@@ -167,7 +170,7 @@ export class Scope {
   }
 
   #shown() {
-    return [...CHARTS, ...(this.extra ? [{ title: this.extra, series: [[this.extra, "more"]] }] : [])];
+    return [...this.usual, ...(this.extra ? [{ title: this.extra, series: [[this.extra, "more"]] }] : [])];
   }
 
   #build() {
@@ -233,7 +236,7 @@ export class Scope {
   #marks(plot, title, series) {
     inside(plot, () => {
       if (title === "position" && this.wall) shadeWall(plot, this.wall);
-      const known = this.truth.length && !(this.zoomed instanceof Traces) ? TRUTH.filter((one) => one.title === title) : [];
+      const known = this.truth.length && !(this.zoomed instanceof Traces) ? TRUTH.filter(({ title: chart, place }) => chart === title && this.truth.at(-1)[place] !== null) : [];
       for (const { place, key } of known) this.#truth(plot, place, key);
       nameSeries(plot, [...series.map(([name, key]) => [NAMES[name] ?? name, key]), ...known.map(({ name, key }) => [name, key])]);
       if (this.triggered) upright(plot, this.triggered, colour("other"));
@@ -297,7 +300,7 @@ export class Scope {
     const times = from.series();
     const at = this.cursors.map((time) => {
       const place = Math.max(0, Math.min(times.length - 1, times.findIndex((one) => one >= time)));
-      return Object.fromEntries([["s", times[place]], ...ALWAYS.map((name) => [name, from.series(name)[place]])]);
+      return Object.fromEntries([["s", times[place]], ...this.always.map((name) => [name, from.series(name)[place]])]);
     });
     const readings = (values, sign) => Object.entries(values).map(([name, value]) =>
       `${sign}${name === "s" ? "t" : NAMES[name] && !name.startsWith("effort") ? name : name.replace("effort_", "effort ")} ${written(value)} ${name === "s" ? "s" : this.unit(name)}`).join(", ");

@@ -21,6 +21,8 @@ export class Wall {
     this.rig = make("select", { onchange: () => this.#load() }, ...facts.rigs.map((name) => make("option", { value: name, textContent: name })));
     this.url = make("input", { type: "text", value: "sim://", ariaLabel: "Device" });
     this.detached = make("input", { type: "checkbox" });
+    this.simulated = facts.simulated === true; // in this page, for rates of a table
+    this.rates = make("select", { onchange: () => this.#setRates() });
     this.bands = make("canvas", { className: "regions", role: "img" });
     this.legend = make("p", { className: "quiet", role: "status" });
     this.sets = make("p", { className: "quiet", role: "status" });
@@ -38,8 +40,8 @@ export class Wall {
 
   #run() {
     return make("section", { className: "panel" }, make("h2", { textContent: "Run" }),
-      field("rig", this.rig), field("device", this.url),
-      make("label", { className: "quiet", title: "an automatic hit runs to its end even if this page closes" }, this.detached, " continue when this page closes"),
+      field("rig", this.rig), ...(this.simulated ? [] : [field("device", this.url),
+        make("label", { className: "quiet", title: "an automatic hit runs to its end even if this page closes" }, this.detached, " continue when this page closes")]),
       make("p", {}, this.play, " ", this.hit), this.verdict);
   }
 
@@ -49,7 +51,8 @@ export class Wall {
       this.#slider("wall.stiffness"), make("div", { className: "field" }, make("span"), this.bands), this.#slider("wall.damping"), this.#slider("wall.position"),
       this.legend, this.sets,
       make("h2", { textContent: "Settings of the next run" }),
-      rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)"), this.estimator.element);
+      ...(this.simulated ? [field("1/T1, 1/T2 (Hz)", this.rates)] : [rates("controller.position_rate", "1/T1 (Hz)"), rates("controller.velocity_rate", "1/T2 (Hz)")]),
+      this.estimator.element);
   }
 
   #number(key, step) {
@@ -93,12 +96,33 @@ export class Wall {
     slider.setAttribute("aria-valuetext", `${this.fields[key].value} ${this.#unit(key)}`);
   }
 
+  #setRates() {
+    const [position_rate, velocity_rate] = this.rates.value.split("/").map(Number);
+    Object.assign(this.chosen, { "controller.position_rate": position_rate, "controller.velocity_rate": velocity_rate });
+    this.#theory();
+  }
+
   async #load() {
     try {
       this.#fill(await this.link.ask("experiment", { rig: this.rig.value }));
     } catch (error) {
       this.#trouble(error);
     }
+  }
+
+  // Show a rig with changes by dotted key.
+  async choose(rig, changes) {
+    this.rig.value = rig;
+    await this.#load();
+    for (const [key, value] of Object.entries(changes)) {
+      if (this.fields[key]) this.fields[key].value = written(value, 6);
+      if (this.fields[`${key}~`]) this.#place(key);
+    }
+    this.chosen = { ...changes };
+    delete this.chosen["controller.estimator"];
+    if (changes["controller.estimator"]) this.estimator.choose(changes["controller.estimator"]);
+    this.rates.value = `${changes["controller.position_rate"] ?? this.experiment.controller.position_rate}/${changes["controller.velocity_rate"] ?? this.experiment.controller.velocity_rate}`;
+    this.#theory();
   }
 
   // Show an experiment's numbers, and what a change of them is measured against.
@@ -109,7 +133,9 @@ export class Wall {
     this.ranges = { "wall.stiffness": [0, 4 * wall.stiffness || 100], "wall.damping": [0, 5 * wall.damping || 1], "wall.position": [wall.position - reach / 2, wall.position + reach] };
     const values = { "wall.stiffness": wall.stiffness, "wall.damping": wall.damping, "wall.position": wall.position,
       "controller.position_rate": controller.position_rate, "controller.velocity_rate": controller.velocity_rate };
-    for (const [key, value] of Object.entries(values)) this.fields[key].value = written(value, 6);
+    for (const [key, value] of Object.entries(values)) if (this.fields[key]) this.fields[key].value = written(value, 6);
+    this.rates.replaceChildren(...(experiment.rates ?? []).map(([t1, t2]) => make("option", { value: `${t1}/${t2}`, textContent: t1 === t2 ? `${t1}, uniform` : `${t1}, ${t2}` })));
+    this.rates.value = `${controller.position_rate}/${controller.velocity_rate}`;
     this.estimator.fill(controller);
     this.#label(experiment.rig.motion);
     for (const key of Object.keys(this.ranges)) this.#place(key);
@@ -145,6 +171,7 @@ export class Wall {
   }
 
   #theory() {
+    this.link.dispatchEvent(new CustomEvent("chosen", { detail: { rig: this.rig.value, changes: this.#changes() } }));
     clearTimeout(this.later);
     this.later = setTimeout(async () => {
       if (this.asking) return this.#theory();
@@ -172,14 +199,16 @@ export class Wall {
     if (stable === null) {
       paint(low, high, "invalid");
     } else {
-      paint(low, passive ?? low, "stable");
-      paint(passive ?? low, stable, "limit-cycle");
+      const safe = this.simulated ? stable : passive ?? low; // no table has the passive walls
+      paint(low, safe, "stable");
+      paint(safe, stable, "limit-cycle");
       paint(stable, high, "unstable");
     }
     const stiffness = Number(this.fields["wall.stiffness"].value);
-    const now = stable === null ? "no theoretical limit" : stiffness > stable ? "unstable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
-    const limits = stable === null ? "" : ` (${passive === null ? "no wall is passive" : `passive up to ${written(passive, 3)}`}, stable up to ${written(stable, 3)} ${this.#unit("wall.stiffness")}, ${hand})`;
-    setText(this.legend, `By linear theory with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}: ${now}${limits}${note ? `; ${note}` : ""}.`);
+    const now = stable === null ? "no theoretical limit" : stiffness > stable ? "unstable" : this.simulated ? "stable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
+    const limits = stable === null ? "" : ` (${this.simulated ? "" : passive === null ? "no wall is passive, " : `passive up to ${written(passive, 3)}, `}stable up to ${written(stable, 3)} ${this.#unit("wall.stiffness")}, ${hand})`;
+    const delay = this.simulated ? "" : ` with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}`;
+    setText(this.legend, `By linear theory${delay}: ${now}${limits}${note ? `; ${note}` : ""}.`);
     this.bands.ariaLabel = this.legend.textContent;
   }
 
@@ -211,7 +240,7 @@ export class Wall {
     this.play.disabled = this.hit.disabled = busy || (state.operated && !state.operates);
     const loop = state.loop;
     if (!this.running || loop.set > (this.set ?? 0)) this.sent = {}; // changed by another page or by `rig set`
-    setText(this.sets, !this.running ? "" : loop.set < (this.set ?? 0)
+    setText(this.sets, !this.running || (!loop.set && !this.set) ? "" : loop.set < (this.set ?? 0)
       ? `Parameter set ${this.set} becomes active when the handle is outside the wall; set ${loop.set} is active now.` : `Parameter set ${loop.set} is active.`);
   }
 
@@ -239,7 +268,7 @@ function verdictOf(hit) {
   const verdict = hit.verdict ?? {};
   return make("div", {}, make("span", { className: "verdict", dataset: { kind: verdict.kind ?? "" }, textContent: verdict.kind ?? "no verdict" }),
     make("p", { className: "quiet", textContent: verdict.reason ?? "" }),
-    make("p", { className: "quiet", textContent: `K ${written(hit.stiffness)}, B ${written(hit.damping)}, ${hit.recording}` }));
+    make("p", { className: "quiet", textContent: [`K ${written(hit.stiffness)}`, `B ${written(hit.damping)}`, hit.recording].filter(Boolean).join(", ") }));
 }
 
 function field(label, input) {
