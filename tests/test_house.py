@@ -24,6 +24,7 @@ REGISTRIES = {
     "rig/control/laws.py": "rig.control.",
     "rig/control/estimators/_family.py": "rig.control.estimators.",
     "rig/control/estimators/__init__.py": "rig.control.estimators.",
+    "rig/docs/conf.py": "sim_backend.",  # the program that writes the first page's wall
 }
 
 
@@ -157,5 +158,5 @@ def test_every_child_of_this_interpreter_takes_no_module_from_the_working_direct
         for node in everything
         if isinstance(node, ast.List) and node.elts and ast.unparse(node.elts[0]) == "sys.executable"
     ]
-    assert len(commands) == 6
+    assert len(commands) == 8
     assert [command for command in commands if not command.startswith("[sys.executable, '-P', ")] == []

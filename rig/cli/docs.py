@@ -26,5 +26,7 @@ def docs(opened: bool, strict: bool, directory: Path, as_json: bool) -> None:
         output.print_json(built)
     else:
         output.show(built.items())
+        for warning in built.warnings:
+            output.note(warning)
     if opened and click.launch(str(built.index)) != 0:
         output.note(f"no browser could be opened: open {built.index}")

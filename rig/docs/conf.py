@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+
+from sphinx.util.logging import getLogger
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
@@ -13,6 +18,15 @@ from made import make_pages  # type: ignore[import-not-found]  # noqa: E402  (be
 from rig import __version__  # noqa: E402
 
 make_pages(HERE)
+(HERE / "extra").mkdir(exist_ok=True)
+if find_spec("ziglang"):
+    # The wall of the first page, by a program of its own: `rig` does not import the simulation.
+    subprocess.run([sys.executable, "-P", "-m", "sim_backend.browser", HERE / "extra" / "wall"], check=True)
+else:  # a strict build fails for the warning
+    first = (HERE / "index.md").read_text(encoding="utf-8")
+    first = re.sub(r"(?s)## A wall to touch\n.*?(?=## )", "", first)
+    (HERE / "index.md").write_text(first, encoding="utf-8")
+    getLogger(__name__).warning("the wall of the first page is left out: pip install ziglang")
 
 project = "haptic-rig"
 author = "haptic-rig"
@@ -25,7 +39,7 @@ extensions = [
     "sphinx_design",
 ]
 # sphinx-gallery makes pages from the scripts there.
-exclude_patterns = ["gallery/*", "notebooks/*", "**/recordings"]
+exclude_patterns = ["gallery/*", "notebooks/*", "extra", "**/recordings"]
 root_doc = "index"
 smartquotes = False  # an option begins with two hyphens
 default_role = "code"  # docstrings write names between single backticks
@@ -42,6 +56,7 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # docstrings are prose: `nothing` in t
 html_theme = "furo"
 html_title = f"haptic-rig {release}"
 html_static_path = ["style"]
+html_extra_path = ["extra"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_copyright = False

@@ -24,11 +24,12 @@ _SHOWN_LINES = 20  # of what Sphinx complains about
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A built site: path of its first page, number of pages, and duration of the build (s)."""
+    """A built site: path of its first page, number of pages, duration of the build (s), and what Sphinx warned of."""
 
     index: Path
     pages: int
     seconds: float
+    warnings: tuple[str, ...]
 
     def items(self) -> list[Item]:
         """Return the rows that `rig serve docs` prints: path, number of pages, duration (s)."""
@@ -78,4 +79,5 @@ def build_site(output: Path, *, strict: bool = False) -> Site:
         raise RigError(
             "the documents were not built:\n" + "\n".join(messages), remedy="fix the errors in this output"
         )
-    return Site(pages / "index.html", len(list(pages.rglob("*.html"))), time.monotonic() - began)
+    warnings = tuple(built.stderr.splitlines())
+    return Site(pages / "index.html", len(list(pages.rglob("*.html"))), time.monotonic() - began, warnings)

@@ -506,10 +506,8 @@ class PlantInC(ctypes.Structure):
 def test_the_plant_in_c_moves_alike_to_the_last_bit(tmp_path: Path) -> None:
     """Runs that stick, slip, turn and saturate, on both structures, free and held."""
     need_compiler()
-    source, flags = (
-        Path(plants.__file__).with_name("plant.c"),
-        ["-O2", "-ffp-contract=off", "-shared", "-fPIC"],
-    )
+    source = Path(plants.__file__).with_name("plant.c")
+    flags = ("-O2", "-ffp-contract=off", "-shared", "-fPIC")
     subprocess.run([*FIRMWARE.compiler(), *flags, source, "-o", tmp_path / "plant.so"], check=True)
     advance_in_c = ctypes.CDLL(str(tmp_path / "plant.so")).plant_advance
     advance_in_c.restype = ctypes.c_int64
