@@ -45,9 +45,8 @@ TERMS = re.compile(r"\bheard\b.*\bripple\b|\bfelt, heard, moved\b", re.IGNORECAS
 NAMES = re.compile(
     r"(?:^|_)(told|said|lent|lends|concluded|goes_on|go_on|nobody|somebody|anybody|whoever|believed|mended|shaken)(?:_|$)"
 )
-VERBS = re.compile(
-    r"(?:^|_)(tells?|hears?|believes?|mends?)(?:_|$)"
-)  # send, report; receive, read; accept; fix
+# Send, report; receive, read; accept; fix.
+VERBS = re.compile(r"(?:^|_)(tells?|hears?|believes?|mends?)(?:_|$)")
 # A text without any of these has no such name, and needs no parser.
 PARTS = re.compile(rf"(?<![A-Za-z])(?:{NAMES.pattern[7:-7]}|{VERBS.pattern[7:-7]})(?![A-Za-z])")
 # Keys of logs and of the page's messages, which old files hold: "said", "told"; names of tests.

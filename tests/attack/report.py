@@ -38,9 +38,8 @@ class AreaReport:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the report as plain data for JSON."""
-        named = {
-            one.name: getattr(self, one.name) for one in fields(self)
-        }  # asdict() breaks a Counter's names
+        # asdict() breaks a Counter's names.
+        named = {one.name: getattr(self, one.name) for one in fields(self)}
         return {**named, "shares": self.shares()}
 
     def lines(self, name: str, seed: int) -> list[str]:

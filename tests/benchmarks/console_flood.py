@@ -79,9 +79,8 @@ def flood(address: str, load: tuple[bool, bytes, bytes], rate: float, seconds: f
             one = socket.socket()
             one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             one.setblocking(False)
-            one.connect_ex(
-                (host, int(port))
-            )  # over loopback it is there at once, or the server takes no more now
+            # Over loopback it is there at once, or the server takes no more now.
+            one.connect_ex((host, int(port)))
             tried += 1
             with suppress(OSError):
                 one.send(request or b"G")

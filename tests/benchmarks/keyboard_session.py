@@ -82,9 +82,8 @@ class Participant:
         if asked is None:
             return
         keys = ANSWERS.get(asked) or KEYS[self.trials[-1]["automatic"]]
-        time.sleep(
-            max(0.0, self.pressed_s.get(keys, 0.0) + RELEASED_S - time.monotonic())
-        )  # as a person releases it
+        # As a person releases it.
+        time.sleep(max(0.0, self.pressed_s.get(keys, 0.0) + RELEASED_S - time.monotonic()))
         self.terminal.type(keys)
         self.pressed_s[keys] = time.monotonic()
 

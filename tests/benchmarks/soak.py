@@ -122,9 +122,8 @@ class Watch:
     """A monitor that reads ring and process while the loop runs, and prints a line every minute."""
 
     late: list[np.ndarray] = field(default_factory=list)
-    all_late: np.ndarray = field(
-        default_factory=lambda: np.zeros(1_000_001, np.int64)
-    )  # by whole µs; the last: more
+    # By whole µs; the last: more.
+    all_late: np.ndarray = field(default_factory=lambda: np.zeros(1_000_001, np.int64))
     minutes: list[dict[str, float]] = field(default_factory=list)
     totals: dict[str, Any] = field(default_factory=dict)
     seen: int = 0

@@ -20,9 +20,8 @@ from tests.conformance.tolerance import reason_of, too_busy
 SCOPE = "rigConsole.scope"
 START = 0.35  # where the handle begins, as a share of the width
 MACHINE_S = 1.0  # for its processes to get their turn
-BUSY = [
-    f"ended: {why}" for why in ("link silent", "device fault", "stopped")
-]  # the last: a page that no message reached
+# The last: a page that no message reached.
+BUSY = [f"ended: {why}" for why in ("link silent", "device fault", "stopped")]
 
 
 def wait_for_recording(place: Path) -> Recording:

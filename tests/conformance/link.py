@@ -18,9 +18,8 @@ from tests.conformance.host import Host
 
 MakeLink = Callable[[], Link]
 SHORT_S = 0.02
-COMPILED = (
-    not numba.config.DISABLE_JIT
-)  # plug points are function types of compiled code; else only Python's side runs
+# Plug points are function types of compiled code; else only Python's side runs.
+COMPILED = not numba.config.DISABLE_JIT
 
 
 def check_link(make_link: MakeLink, make_silent_link: MakeLink, *, slack_s: float = 0.0) -> None:

@@ -190,9 +190,8 @@ def test_a_time_out_lets_go_or_damps_or_brakes_or_holds_as_configured() -> None:
     damped = expiring_drive(1.0, timeout_mode="12")
     kd = 0.05  # N·m a revolution a second
     assert damped.command == pytest.approx(-kd * damped.read(2), rel=0.02)
-    assert (
-        expiring_drive(0.0, timeout_mode="12").command == 0.0
-    )  # with the last command's kd scale: fw, ISR_DoZeroVelocity
+    # With the last command's kd scale: fw, ISR_DoZeroVelocity.
+    assert expiring_drive(0.0, timeout_mode="12").command == 0.0
     braked = expiring_drive(timeout_mode="15")
     per_turn = TURN * KT**2 / (1.5 * 0.05)
     assert braked.command == pytest.approx(-per_turn * braked.read(2), rel=0.02)

@@ -221,9 +221,8 @@ def test_the_page_starts_the_map_that_the_command_starts(
 
     monkeypatch.setattr(interface, "map_into", map_into)
     CliRunner().invoke(rig.cli.rig, [*options, "-o", str(tmp_path)])
-    held = (
-        {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
-    )  # the page's choice
+    # The page's choice.
+    held = {} if fields.get("domain") else {"trial.kind": "human", "operator.grip": "normal"}
     content = job_content(**{**fields, "changes": {**held, **fields.get("changes", {})}})
     with pytest.raises(ConfigError, match="not in this test"):
         map_jobs.zwidth({**content, "output": str(tmp_path)}, FakeTalk())

@@ -55,9 +55,8 @@ def test_a_command_turns_the_drive_as_the_rig_says(kind: str) -> None:
     assert state.current_measured == pytest.approx(CURRENT, abs=20)  # behind a lag of 1 ms
     assert state.count > 0
     truth = world.drive.motor.count
-    assert state.count == pytest.approx(
-        truth, abs=0.01 * truth + 3
-    )  # behind the drive's own filter of 400 Hz
+    # Behind the drive's own filter of 400 Hz.
+    assert state.count == pytest.approx(truth, abs=0.01 * truth + 3)
 
 
 def test_a_can_socket_in_place_of_an_adapter() -> None:

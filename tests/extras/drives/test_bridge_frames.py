@@ -83,9 +83,8 @@ def test_a_line_with_a_checksum_arrives_or_does_not(
     at = place % (len(sealed) - 2)
     broken = sealed[:at] + bytes((sealed[at] ^ bits,)) + sealed[at + 1 :]
     frames, _ = parse_lines(broken, checksum=True)
-    assert all(
-        frame == CanFrame(identifier, data) for frame in frames
-    )  # a letter may change its case in the star
+    # A letter may change its case in the star.
+    assert all(frame == CanFrame(identifier, data) for frame in frames)
 
 
 def _crc(text: bytes) -> int:

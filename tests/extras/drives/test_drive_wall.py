@@ -334,9 +334,8 @@ def test_a_drive_that_would_render_another_wall_is_offered_none(setting: str, va
     assert host.configure(**run.parameters).status == Status.OUT_OF_RANGE  # a host without its own check
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "damping"), [(9.6, 0.005), (1.0, 0.04)]
-)  # beyond kp; a damper's share above the spring's
+# Beyond kp; a damper's share above the spring's.
+@pytest.mark.parametrize(("stiffness", "damping"), [(9.6, 0.005), (1.0, 0.04)])
 def test_gains_that_are_too_small_are_named_with_those_that_are_enough(
     stiffness: float, damping: float
 ) -> None:

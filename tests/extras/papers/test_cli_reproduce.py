@@ -57,9 +57,8 @@ def test_quick_reproduces_the_paper_in_one_report_and_resumes_from_its_journal(
     assert by_key["levels-off"] == "reproduced only with the electrical lag"
     assert by_key["penetration"] == "reproduced only with fixed point"
 
-    monkeypatch.setattr(
-        "rig.extras.papers.reproduction.draw", lambda found, on_failure: {}
-    )  # of the same results: the same pictures
+    # Of the same results: the same pictures.
+    monkeypatch.setattr("rig.extras.papers.reproduction.draw", lambda found, on_failure: {})
     assert rig.cli.run(["reproduce", "koul", "--quick", "--json", "-o", str(place)]) == 0
     again = json.loads(capfd.readouterr().out)
     assert again["kept"] > 0  # nothing was computed twice

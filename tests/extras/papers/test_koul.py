@@ -62,9 +62,8 @@ def test_rising_wants_every_rate_and_the_whole_way() -> None:
     assert koul_rules.rises({"a": up, "b": flat}, RATES).status is ClaimStatus.NOT
     slightly = [100, 90, 600, 700]
     assert koul_rules.rises({"a": slightly}, RATES).status is ClaimStatus.NOT
-    assert (
-        koul_rules.rises({"a": slightly}, RATES, step=1.15).status is ClaimStatus.REPRODUCED
-    )  # less than a rung
+    # Less than a rung.
+    assert koul_rules.rises({"a": slightly}, RATES, step=1.15).status is ClaimStatus.REPRODUCED
 
 
 def test_levelling_off_needs_the_lag_when_the_control_keeps_rising() -> None:

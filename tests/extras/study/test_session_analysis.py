@@ -249,9 +249,8 @@ def test_every_rule_finds_the_same_half_way_point(tmp_path: Path, rule: str, set
         truth = DUAL if run.condition == "dual" else UNIFORM
         limit = run.limits["K50 person"]
         assert limit.low - 10.0 <= truth <= limit.high + 10.0
-        assert abs(limit.value - truth) < (
-            90.0 if rule == "ascending" else 30.0
-        )  # each series has one end to count
+        # Each series has one end to count.
+        assert abs(limit.value - truth) < (90.0 if rule == "ascending" else 30.0)
         assert (run.limits["rule"].share is None) == (rule == "ascending")
     caught = sum(run.catches for run in found.runs)
     assert (caught > 0) == (share > 0.0)

@@ -220,9 +220,8 @@ def test_an_interval_of_kappa_is_over_people_where_there_are_enough() -> None:
     tables = [(40, 10, 10, 40), (45, 5, 5, 45), (35, 15, 15, 35), (42, 8, 8, 42), (30, 20, 20, 30)]
     rows = [replace(row, participant=f"P{number}") for number, of in enumerate(tables) for row in judged(*of)]
     two = agreement.agreements(rows)[0]
-    own = [
-        agreement.kappa(np.array(of).reshape(2, 2)) for of in tables
-    ]  # κ is linear: margins are all a half
+    # κ is linear: margins are all a half.
+    own = [agreement.kappa(np.array(of).reshape(2, 2)) for of in tables]
     expected = stats.ttest_1samp(own, 0.0).confidence_interval()
     assert two.people == 5
     assert (two.low, two.high) == pytest.approx((expected.low, expected.high))
@@ -709,9 +708,8 @@ def test_fatigue_is_found_and_an_inseparable_slope_has_a_reason() -> None:
     found = {slope.along: slope for slope in slopes if slope.measure == "rule"}
     (alone,) = [slope for slope in slopes if slope.of == "response time"]
     tested = [found["block"], found["order"]]
-    assert [one.holm for one in tested] == kmax.holm(
-        [one.p for one in tested]
-    )  # a correction for each quantity
+    # A correction for each quantity.
+    assert [one.holm for one in tested] == kmax.holm([one.p for one in tested])
     assert alone.holm == alone.p
     assert found["block"].low <= -12.0 <= found["block"].high < 0.0
     assert found["order"].low <= 0.0 <= found["order"].high

@@ -110,9 +110,8 @@ def test_ticks_that_a_long_request_has_held_up_are_counted(powered: Powered) -> 
     session.host.states.clear()
     session.pico.look()
     for _ in range(3):
-        session.configure(
-            position_rate=50_000
-        )  # works out the rig's stall time: a millisecond of soft arithmetic
+        # Works out the rig's stall time: a millisecond of soft arithmetic.
+        session.configure(position_rate=50_000)
     session.listen(0.02)
     states = session.host.states
     time = np.array([state.device_time for state in states]) / UNITS_A_SECOND

@@ -159,9 +159,8 @@ def test_channels_are_aligned_by_the_delays_that_they_declare(late: float) -> No
 def test_an_effort_held_over_its_sample_is_taken_for_what_it_is() -> None:
     """An effort held at 4 kHz but treated as sampled leads by 4.5° at 100 Hz (see REPRODUCTION)."""
     multisine = Multisine.schroeder((1.0, 400.0), rms=1.0)
-    acting = multisine.through(
-        hold(multisine.lines_hz, 1 / RATE)
-    )  # what a staircase has of itself at the lines
+    # What a staircase has of itself at the lines.
+    acting = multisine.through(hold(multisine.lines_hz, 1 / RATE))
     run = replace(excited(multisine), position=acting.position(mass_damper).period(RATE))
     assert periodic([replace(run, effort_hold_s=1 / RATE)]).z == pytest.approx(
         mass_damper(multisine.lines_hz), rel=1e-9

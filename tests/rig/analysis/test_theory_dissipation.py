@@ -59,9 +59,8 @@ def work_matrices(
     rho = math.exp(-step / lag_s) if lag_s else 0.0
     mean = lag_s / step * (1.0 - rho) if lag_s else 0.0
     size, steps = 8 + ticks, n * FINE
-    x = np.hstack([np.eye(size), np.zeros((size, steps))]).astype(
-        complex
-    )  # rows: states in states and inputs
+    # Rows: states in states and inputs.
+    x = np.hstack([np.eye(size), np.zeros((size, steps))]).astype(complex)
     efforts = []
     for i in range(n):
         if i == 0:

@@ -161,9 +161,8 @@ def test_other_current_disagrees_in_each_clear_window(
     whole = len(active) // ticks * ticks
     windows = np.abs(flowing)[:whole].reshape(-1, ticks).sum(axis=1)
     left = distance_outside(active, gain * flowing, rate, lag_s)[:whole].reshape(-1, ticks).sum(axis=1)
-    counted = left - np.abs((gain - 1.0) * flowing)[:whole].reshape(-1, ticks).max(
-        axis=1
-    )  # one might be a spike
+    # One might be a spike.
+    counted = left - np.abs((gain - 1.0) * flowing)[:whole].reshape(-1, ticks).max(axis=1)
     seen = counted > max(1.0, 0.1 * SLACK) * noise + SLACK * ticks
     disagrees = []
     for begin in range(0, len(windows) * ticks, ticks):

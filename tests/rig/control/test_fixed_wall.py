@@ -61,9 +61,8 @@ def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     largest = w.stiffness * DEPTH.limits[1] - w.damping * given["velocity"].limits[0] + abs(w.constant)
     assert largest + 2**w.shift < 2**63
     assert max(w.stiffness, w.damping) <= GAIN_GREATEST
-    assert (
-        largest + 2**w.shift >= 2**61 or max(w.stiffness, w.damping) >= 2**29 or w.shift == 40
-    )  # no bit wasted
+    # No bit wasted.
+    assert largest + 2**w.shift >= 2**61 or max(w.stiffness, w.damping) >= 2**29 or w.shift == 40
 
 
 @settings(max_examples=60)
@@ -85,9 +84,8 @@ def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, 
     reaction = wall.spring_damper(penetration, rate, 1, np.zeros(1), parameters)
     effort = given["constant_effort"] - side * reaction
     expected = guard.current_quanta(guard.clip_effort(effort, w.limit * QUANTUM), QUANTUM)
-    surface = (
-        given["stiffness"] * abs(delta) * 2**-9 / QUANTUM
-    )  # the surface lies within half an LSB of depth
+    # The surface lies within half an LSB of depth.
+    surface = given["stiffness"] * abs(delta) * 2**-9 / QUANTUM
     gains = 1e-3 * (given["stiffness"] * abs(penetration) + given["damping"] * abs(rate)) / QUANTUM
     count = difference(w.reference + offset, 0)
     assert abs(current_quanta(count, velocity, w) - expected) <= 1 + surface + gains

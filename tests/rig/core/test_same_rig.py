@@ -109,6 +109,5 @@ def test_a_board_without_the_index_or_the_switch_of_the_rig_is_refused() -> None
     assert "limit_switch of its board: none on the device, wired in the experiment" in refused.text
     wired = replace(bare, settings=tuple(SettingInfo(info.name, "wired") for info in bare.settings))
     assert check_rig(model, wired).outcome == Outcome.OK
-    assert (
-        check_rig(model, replace(bare, settings=())).outcome == Outcome.OK
-    )  # a board without these settings
+    # A board without these settings.
+    assert check_rig(model, replace(bare, settings=())).outcome == Outcome.OK

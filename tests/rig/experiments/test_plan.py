@@ -49,9 +49,8 @@ def simulate_hit(experiment: Any) -> Any:
     depth = experiment.wall.side * (states[:, plant.sensed_position] - experiment.wall.position)
     first = int(np.argmax(depth > 0.0))
     speed = np.abs(states[: first + 1, plant.sensed_position + 1]).max()
-    out = np.flatnonzero(
-        depth[first:] <= 0.0
-    )  # an undamped sampled wall throws the handle back harder each time
+    # An undamped sampled wall throws the handle back harder each time.
+    out = np.flatnonzero(depth[first:] <= 0.0)
     last = first + int(out[0]) if len(out) else len(depth)
     return speed, depth[first:last].max()
 
@@ -160,9 +159,8 @@ def test_resting_penetration_against_the_least_counts() -> None:
     low, high = values_around(counts)
     name = "resting penetration"
     assert check(change({"trial.minimum_rest_counts": low}), name).outcome == Outcome.OK
-    asked = replace(
-        COMPLIANT.trial, minimum_rest_counts=high
-    )  # a file that asks for it is refused even earlier
+    # A file that asks for it is refused even earlier.
+    asked = replace(COMPLIANT.trial, minimum_rest_counts=high)
     refused = check(replace(COMPLIANT, trial=asked), name)
     assert refused.outcome == Outcome.REFUSED
     assert f"{counts:.2f} counts" in refused.text

@@ -205,9 +205,8 @@ def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
 def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tmp_path: Path) -> None:
     """A brake stronger than the servo holds the handle, so no edge comes; the device or the host ends the search."""
     with powered_up(x) as device:
-        device.configure(
-            {"position_rate": 2000}
-        )  # as the search will: the plant of these ticks, shared by all tests
+        # As the search will: the plant of these ticks, shared by all tests.
+        device.configure({"position_rate": 2000})
         parameters = hardware_of(device)._plant.parameters
 
         def hold(text: str) -> None:

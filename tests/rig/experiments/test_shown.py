@@ -27,9 +27,8 @@ def soft(penetration: float, p: rig.Parameters) -> float:
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     place = tmp_path_factory.mktemp("shown")
     hit = rig.hit("koul-compliant", duration_s=0.25, changes={"verdict.tail_s": 0.1}, output=place)
-    levant = rig.Scheme.parse(
-        "uniform:1k,estimator=levant"
-    )  # linear theory, which takes seconds, does not apply
+    # Linear theory, which takes seconds, does not apply.
+    levant = rig.Scheme.parse("uniform:1k,estimator=levant")
     walls = {"stiffnesses": [1000.0, 2000.0], "dampings": [0.0, 5.0]}
     plan = frequency_plan(rig.load("chawda-linear"), [levant], **walls)
     shape = (len(plan.schemes), plan.realisations + 1, 2, 2)

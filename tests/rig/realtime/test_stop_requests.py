@@ -25,9 +25,8 @@ def handlers() -> list[tuple[Any, bytes]]:
     for number in STOPPING:
         action = ctypes.create_string_buffer(152)
         ctypes.CDLL(None).sigaction(int(number), None, action)
-        found.append(
-            (signal.getsignal(number), action.raw[:16] + action.raw[136:140])
-        )  # the rest of the mask is not set
+        # The rest of the mask is not set.
+        found.append((signal.getsignal(number), action.raw[:16] + action.raw[136:140]))
     return found
 
 

@@ -227,9 +227,8 @@ def test_the_plan_warns_of_a_band_that_the_simulated_hand_does_not_keep(walls: W
     assert found["trial.press"].outcome is Outcome.OK
     assert found["trial.impact_speed"].outcome is Outcome.OK
     changes = {**walls.protocol.study.changes, "operator.press": 1.0, "operator.reach_s": 0.1}
-    own = replace(
-        walls.protocol, study=replace(walls.protocol.study, changes=changes)
-    )  # given by the study: it stays
+    # Given by the study: it stays.
+    own = replace(walls.protocol, study=replace(walls.protocol.study, changes=changes))
     found = {one.name: one for one in check(own, Path()).checks}
     assert found["trial.press"].outcome is Outcome.WARNING
     assert "required 0.17 to 0.23 N·m" in found["trial.press"].text

@@ -464,9 +464,8 @@ def test_each_line_is_printed_once() -> None:
     conversation.see(plain(DeskView(state="hit", lines=("two", "three"))))
     assert printer.lines(conversation, SNAPSHOT, 3.0) == ["log: three"]
     conversation.ask(plain(make_question("verdict", ("judge", "redo"))), 4.0)
-    assert (
-        printer.lines(conversation, SNAPSHOT, 4.0) == first[-1:]
-    )  # the same question once more is a new one
+    # The same question once more is a new one.
+    assert printer.lines(conversation, SNAPSHOT, 4.0) == first[-1:]
 
 
 # The running loop

@@ -196,9 +196,8 @@ def test_a_recording_without_a_log_entry_survives_a_power_cut_while_it_is_set_as
     finish(directory)
     lines = (directory / LOG).read_bytes().splitlines(keepends=True)
     last = max(event.number for event in read(directory / LOG) if event.kind == "trial")
-    (directory / LOG).write_bytes(
-        b"".join(lines[:last])
-    )  # it died with the recording whole, and no word of it
+    # It died with the recording whole, and no word of it.
+    (directory / LOG).write_bytes(b"".join(lines[:last]))
     (loose,) = {path.name for path in (directory / TRIALS).iterdir()} - {
         Path(event.content["recording"]).name for event in read(directory / LOG) if event.kind == "trial"
     }

@@ -68,9 +68,8 @@ def test_a_rig_moves_only_for_one_process_and_a_typed_word(
     typed: tuple[str, ...], refusal: str, bench: Bench, pytester: pytest.Pytester
 ) -> None:
     pytester.makepyfile("def test_it(rig_hit): rig_hit()")
-    pytester.makeini(
-        "[pytest]\naddopts = -p rig.testing.plugin --rig-verified"
-    )  # a file is not a person's consent
+    # A file is not a person's consent.
+    pytester.makeini("[pytest]\naddopts = -p rig.testing.plugin --rig-verified")
     result = pytester.runpytest_inprocess(*typed)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"ERROR: {refusal}"])
