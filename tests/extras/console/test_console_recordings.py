@@ -270,7 +270,7 @@ def test_a_live_run_is_cut_from_its_recording_once_it_has_ended(output: Path) ->
                 await ask(live, page, "cut", first_s=0.0, last_s=1.0)
             seen = SimpleNamespace(ended=False, info={"recording": str(output / "one.rigcap")})
             live._followed = cast("Followed", seen)
-            with pytest.raises(ConfigError, match="needs the complete recording"):
+            with pytest.raises(ConfigError, match="only a part of a complete recording can be saved"):
                 await ask(live, page, "cut", first_s=0.0, last_s=1.0)
             seen.ended = True
             live._history.start_ns = int(whole.rows["device_time"][30])  # the first row that we saw

@@ -138,11 +138,12 @@ CONSTANTS = (
     "Fig. 8a and 8b together", "Fig. 8a", "Fig. 8b", "Figs. 3 and 7", "Figs. 7 and 8", "Fig. 1", "Fig. 3", "Fig. 4",
     "Fig. 5", "Fig. 6", "Fig. 7", "Fig. 8", "equations (10) and (14)", "2013", "50 kHz", "20 kHz",
     "10 kHz", "2 kHz", "1 kHz", "200 Hz", "1 Hz", "from 20 to", "fs/", "20k/2k", "0 < B", "B > 0", "B = 0", "K = 0",
+    "5 kHz", "5 %", "of Chawda et al. 2011",
     "T1/2", "1/T1", "T1", "T2", "μ1", "μ2", "×4", "× 4", "10⁴", "±90°", "2b/T", "2π", "b²", ")²", "m/s²", "g·m²",
     "1.17·α·T", "70 g", "1 µm", "α = 6.6", "λ = 2.45", "1.1·C", "C = 6", "10 ms", "1 ms", "30 Hz", "100 %",
 )  # fmt: skip
 # What other studies of this project found, of which a reproduction computes nothing.
-KNOWN = ("1.5 to 2 g·m²", "2 to 3 kN·m/rad", "0.8 g·m²")
+KNOWN = ("0.1 m/s and 34 Hz", "1.5 to 2 g·m²", "2 to 3 kN·m/rad", "0.8 g·m²")
 
 
 KEY = re.compile(r'"(u2|u20|u20/1k|(figure|table)-.*|extras/papers/.*)"')  # keys in expressions

@@ -325,7 +325,7 @@ import json, os, resource, sys, threading
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import _calls as calls, facts, obtained
 from rig.realtime.scheduling._thread import ThreadState
-from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, is_as, state
+from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, wait_for_state, state
 
 group, rtprio, memlock, user = json.loads(sys.argv[1])
 if group:
@@ -358,7 +358,7 @@ def run_in_child(
     script = (
         CHILD
         + textwrap.dedent(body)
-        + "\nassert is_as(before, now), (before, now())\nprint(json.dumps(found))\n"
+        + "\nassert wait_for_state(before, now), (before, now())\nprint(json.dumps(found))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, json.dumps([group, rtprio, memlock, user])],
@@ -387,7 +387,7 @@ try:
         found["error"] = None
 except RealtimeError as error:
     found["error"] = str(error)
-    found["as before"] = is_as(before, now)
+    found["as before"] = wait_for_state(before, now)
 """
 
 
