@@ -26,7 +26,7 @@ else:  # a strict build fails for the warning
     first = (HERE / "index.md").read_text(encoding="utf-8")
     first = re.sub(r"(?s)## A wall to touch\n.*?(?=## )", "", first)
     (HERE / "index.md").write_text(first, encoding="utf-8")
-    getLogger(__name__).warning("the wall of the first page is left out: pip install ziglang")
+    getLogger(__name__).warning("the wall of the first page is left out: pip install 'haptic-rig[page]'")
 
 project = "haptic-rig"
 author = "haptic-rig"

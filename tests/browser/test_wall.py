@@ -15,7 +15,7 @@ SCREENS = {"desk": (SIZE, "light"), "phone": ({"width": 390, "height": 844}, "da
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The page as a file, which no server serves."""
-    pytest.importorskip("ziglang", reason="no compiler for WebAssembly: pip install 'haptic-rig[docs]'")
+    pytest.importorskip("ziglang", reason="no compiler for WebAssembly: pip install 'haptic-rig[page]'")
     build(place := tmp_path_factory.mktemp("wall"))
     return (place / "index.html").as_uri()
 

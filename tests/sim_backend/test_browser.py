@@ -27,7 +27,7 @@ GROUPS = 125  # with the first: 1000 hits
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The compiled rig and its tables, as the page has them."""
-    pytest.importorskip("ziglang", reason="no compiler for WebAssembly: pip install 'haptic-rig[docs]'")
+    pytest.importorskip("ziglang", reason="no compiler for WebAssembly: pip install 'haptic-rig[page]'")
     if shutil.which("node") is None:
         pytest.skip("no JavaScript: install nodejs")
     browser.build(tmp_path_factory.mktemp("wall"))
