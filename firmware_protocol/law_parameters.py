@@ -14,6 +14,8 @@ _U32 = (0, 2**32 - 1)
 _FLOAT = (-(2.0**30), 2.0**30)
 _POSITIVE = (0.0, 2.0**30)
 _SECTIONS = 4
+_GAINS = ("gain_position", "gain_velocity", "gain_twist", "gain_link", "gain_hand")
+TWO_MASS = tuple(f"two_mass_{name}" for name in ("spring_motor", "spring_link", *_GAINS, "input"))
 _Row = tuple[str, str, str, tuple[Value, Value], Value, str, bool]
 
 
@@ -25,8 +27,8 @@ def _rows() -> list[_Row]:
          "place of the law: 0 host; device: 1 integers, 2 float32, 3 float32 and a wall by the drive", fixed),
         ("batch_layout", "u8", "", (0, 2), 0, "layout of BATCH (BATCH_LAYOUTS)", fixed),
         ("batch_samples", "u8", "tick", (1, 76), 45, "largest number of samples in a frame", fixed),
-        ("estimator", "u8", "", (0, 6), 0, "0 fdm-butterworth in integers; 1 fdm, 2 fdm-butterworth, "
-         "3 foaw-end, 4 foaw-best, 5 levant, 6 kalman", fixed),
+        ("estimator", "u8", "", (0, 7), 0, "0 fdm-butterworth in integers; 1 fdm, 2 fdm-butterworth, "
+         "3 foaw-end, 4 foaw-best, 5 levant, 6 kalman, 7 disturbance-two-mass", fixed),
         ("velocity_divider", "u16", "tick", (1, 1_000), 1, "the velocity is sampled every N ticks, T2 = N T1", fixed),
         ("extrapolate", "u8", "", (0, 1), 0, "1: first-order prediction between velocity samples; float32 only", fixed),
         ("wall_side", "i8", "", (-1, 1), 1, "+1: the wall fills the positions above its surface, -1: below", fixed),
@@ -125,10 +127,11 @@ def _wall_rows() -> list[_Row]:
         ("hold_ticks", "u32", "tick", _U32, 0, "length of the trial from first contact; 0: trial_ticks", fixed),
         ("kalman_input", "f32", "count/period²/quantum", _FLOAT, 0.0, "acceleration for a quantum of active current; "
          "0: the estimator does not use the effort", fixed),
-        ("estimated_position", "u8", "", (0, 1), 0, "1: the wall sees the position that kalman estimates; float32, "
-         "velocity_divider 1", fixed),
+        ("estimated_position", "u8", "", (0, 1), 0, "1: the wall sees the position that the estimator (6 or 7) "
+         "estimates; float32, velocity_divider 1", fixed),
         ("float_passive_damping", "f32", "quantum·period/count", _POSITIVE, 0.0, "largest damping of the passivity "
          "controller; 0: none", fixed),
+        *((name, "f32", "", _FLOAT, 0.0, "see law_two_mass in law.h", fixed) for name in TWO_MASS),
     ]  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from rig.config._table import shown
 from rig.control import estimators, laws
 from rig.control.estimators import Prepared
 from rig.control.verdict import Thresholds
-from rig.core.board import moved_mechanics
 from rig.core.errors import ConfigError
 from rig.core.model import OperatorReach, RigModel
 
@@ -205,9 +204,21 @@ def prepare_estimator(experiment: Experiment, resolution: float, period_s: float
     return estimator.prepare({**own, **experiment.controller.parameters}, resolution, period_s)
 
 
-def settings_of_rig(experiment: Experiment) -> dict[str, float]:
-    """Return the estimator setting ``inertia``, by name: the rig's inertia in a trial, without a hand (kg·m² or kg)."""
-    return {"inertia": moved_mechanics(rig_model(experiment)).inertia}
+def settings_of_rig(rig: Experiment | RigModel) -> dict[str, float]:
+    """Return the properties of a rig that are settings of estimators, in a trial, without a hand (SI units).
+
+    They are ``inertia``, its parts ``motor_inertia`` and ``link_inertia``, and ``transmission_stiffness``, which is 0
+    for a rigid rig.
+    """
+    mechanics = (rig if isinstance(rig, RigModel) else rig_model(rig)).mechanics
+    motor, link = mechanics.motor_inertia, mechanics.loaded_link_inertia
+    stiffness = mechanics.transmission_stiffness if mechanics.structure == "two-mass" else 0.0
+    return {
+        "inertia": motor + link,
+        "motor_inertia": motor,
+        "link_inertia": link,
+        "transmission_stiffness": stiffness,
+    }
 
 
 def _unknown(key: str, name: str, known: Sequence[str]) -> list[Problem]:

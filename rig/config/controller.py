@@ -169,7 +169,7 @@ def _position_state(estimator: Estimator) -> int:
     if estimator.position is None:
         raise ConfigError(
             f'wall.position_from = "estimator": the estimator {estimator.name} estimates no position',
-            remedy='choose tracking, disturbance or kalman, or wall.position_from = "encoder"',
+            remedy='choose tracking, disturbance, disturbance-two-mass or kalman, or wall.position_from = "encoder"',
         )
     return estimator.position + 1
 

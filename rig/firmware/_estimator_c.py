@@ -35,9 +35,9 @@ class _Form:
     wanted: tuple[str, ...]
 
 
-def _observer(effort: str) -> _Form:
-    call = f"e->started ? law_kalman_run(&e->memory, &NUMBERS, (float)moved, slope, {effort}, elapsed) : 0.0f"
-    return _Form("observers.c", "law_kalman", "law_kalman_state", call, ("law_kalman_run",))
+def _observer(effort: str, kind: str = "law_kalman") -> _Form:
+    call = f"e->started ? {kind}_run(&e->memory, &NUMBERS, (float)moved, slope, {effort}, elapsed) : 0.0f"
+    return _Form("observers.c", kind, f"{kind}_state", call, (f"{kind}_run",))
 
 
 _FORMS = {
@@ -65,6 +65,7 @@ _FORMS = {
     "kalman": _observer("0.0f"),
     "tracking": _observer("0.0f"),
     "disturbance": _observer("NUMBERS.input * effort"),
+    "disturbance-two-mass": _observer("NUMBERS.input * effort", "law_two_mass"),
 }  # fmt: skip
 
 
@@ -147,7 +148,7 @@ def _define_numbers(form: _Form, values: dict[str, Value]) -> str:
 def _member_name(parameter: str) -> str:
     """Return the name of the struct member in law.h that corresponds to a device parameter."""
     kind, _, name = parameter.partition("_")
-    return f"gain_{name}" if kind == "kalman" and name != "input" else name
+    return f"gain_{name}" if kind == "kalman" and name != "input" else name.removeprefix("mass_")
 
 
 def _low_pass(values: dict[str, Value]) -> str:

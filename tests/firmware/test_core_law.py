@@ -19,7 +19,7 @@ from rig import config
 from rig.core.sample import Phase
 from tests.conformance.host import RUN_PARAMETERS
 from tests.conformance.tiers import first_by_default
-from tests.firmware.law.law_design import FIXED, FLOAT, structure_of, values_of
+from tests.firmware.law.law_design import ESTIMATORS, FIXED, FLOAT, OWN, structure_of, values_of
 from tests.firmware.law.law_library import LawLibrary, Parameters
 from tests.firmware.law.law_rigs import DUAL, SHORT, START, UNIFORM, controller_of, experiment_of
 from tests.firmware.supervised import RATE, Board, Rig, Sample
@@ -27,7 +27,6 @@ from tests.firmware.supervised import RATE, Board, Rig, Sample
 TRIAL, INSIDE = 2, 4  # enum hr_sync
 U32 = 2**32 - 1
 MOST_TICKS = 10_000
-OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}}
 
 
 def push(**changes: Value) -> dict[str, Value]:
@@ -83,9 +82,7 @@ def content(structure: Any, prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
-@pytest.mark.parametrize(
-    "estimator", ["fdm-butterworth", "foaw-best", "levant", "kalman", "disturbance", "foaw-end", "fdm"]
-)
+@pytest.mark.parametrize("estimator", [*ESTIMATORS[1:], "disturbance"])
 @pytest.mark.parametrize("scheme", [DUAL, UNIFORM], ids=["dual", "uniform"])
 def test_a_law_in_float_arrives_as_it_was_designed(
     library: ctypes.CDLL, estimator: str, scheme: dict[str, object]
@@ -170,6 +167,7 @@ LAWS = [
     ("foaw-best", FLOAT),
     ("levant", FLOAT),
     ("disturbance", FLOAT),
+    ("disturbance-two-mass", FLOAT),
 ]
 
 

@@ -69,6 +69,14 @@ static void read_estimator(const uint32_t *values, law_parameters *law)
     law->kalman.gain_velocity = real(values, HR_PARAMETER_KALMAN_VELOCITY);
     law->kalman.gain_acceleration = real(values, HR_PARAMETER_KALMAN_ACCELERATION);
     law->kalman.input = real(values, HR_PARAMETER_KALMAN_INPUT);
+    law->two_mass.spring_motor = real(values, HR_PARAMETER_TWO_MASS_SPRING_MOTOR);
+    law->two_mass.spring_link = real(values, HR_PARAMETER_TWO_MASS_SPRING_LINK);
+    law->two_mass.gain_position = real(values, HR_PARAMETER_TWO_MASS_GAIN_POSITION);
+    law->two_mass.gain_velocity = real(values, HR_PARAMETER_TWO_MASS_GAIN_VELOCITY);
+    law->two_mass.gain_twist = real(values, HR_PARAMETER_TWO_MASS_GAIN_TWIST);
+    law->two_mass.gain_link = real(values, HR_PARAMETER_TWO_MASS_GAIN_LINK);
+    law->two_mass.gain_hand = real(values, HR_PARAMETER_TWO_MASS_GAIN_HAND);
+    law->two_mass.input = real(values, HR_PARAMETER_TWO_MASS_INPUT);
 }
 
 static void read_live_float(const uint32_t *values, law_float_wall *wall)

@@ -48,7 +48,7 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {32, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000003u, 0x00000000u, 0x00000000u}, /* law */
     {33, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000002u, 0x00000000u, 0x00000000u}, /* batch_layout */
     {34, HR_UNSIGNED, 0, 0, 0x00000001u, 0x0000004Cu, 0x0000002Du, 0x00000000u}, /* batch_samples */
-    {35, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000006u, 0x00000000u, 0x00000000u}, /* estimator */
+    {35, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000007u, 0x00000000u, 0x00000000u}, /* estimator */
     {36, HR_UNSIGNED, 0, 0, 0x00000001u, 0x000003E8u, 0x00000001u, 0x00000000u}, /* velocity_divider */
     {37, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* extrapolate */
     {38, HR_SIGNED, 1, 0, 0xFFFFFFFFu, 0x00000001u, 0x00000001u, 0x00000000u}, /* wall_side */
@@ -144,6 +144,14 @@ const struct hr_parameter hr_parameters[HR_PARAMETERS] = {
     {128, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* kalman_input */
     {129, HR_UNSIGNED, 0, 0, 0x00000000u, 0x00000001u, 0x00000000u, 0x00000000u}, /* estimated_position */
     {130, HR_FLOAT, 0, 0, 0x00000000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* float_passive_damping */
+    {131, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_spring_motor */
+    {132, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_spring_link */
+    {133, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_gain_position */
+    {134, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_gain_velocity */
+    {135, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_gain_twist */
+    {136, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_gain_link */
+    {137, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_gain_hand */
+    {138, HR_FLOAT, 0, 0, 0xCE800000u, 0x4E800000u, 0x00000000u, 0x00000000u}, /* two_mass_input */
 };
 
 const uint8_t hr_transitions[HR_STATES][HR_MESSAGES] = {

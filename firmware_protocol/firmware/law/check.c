@@ -27,11 +27,11 @@ static int64_t size(int64_t value)
 
 static int good_choices(const law_parameters *p)
 {
-    return between(p->arithmetic, LAW_FIXED, LAW_ELSEWHERE) && between(p->estimator, LAW_FDM_BUTTERWORTH_FIXED, LAW_KALMAN)
+    return between(p->arithmetic, LAW_FIXED, LAW_ELSEWHERE) && between(p->estimator, LAW_FDM_BUTTERWORTH_FIXED, LAW_TWO_MASS)
            && is_sign(p->sense) && between(p->may_pull, 0, 1) && between(p->entry_only, 0, 1)
            && between(p->bilateral, 0, 1) && between(p->extrapolate, 0, p->arithmetic != LAW_FIXED)
            && between(p->estimated_position, 0,
-                      p->arithmetic != LAW_FIXED && p->estimator == LAW_KALMAN && p->velocity_divider == 1)
+                      p->arithmetic != LAW_FIXED && p->estimator >= LAW_KALMAN && p->velocity_divider == 1)
            && (p->arithmetic != LAW_FIXED || p->estimator == LAW_FDM_BUTTERWORTH_FIXED);
 }
 
@@ -74,6 +74,7 @@ static int good_filter(const law_parameters *p)
         return between(p->levant.discretisation, LAW_EXPLICIT, LAW_IMPLICIT) && between(p->levant.integrator, 0, 1);
     case LAW_FDM:
     case LAW_KALMAN:
+    case LAW_TWO_MASS:
         break;
     }
     return 1;

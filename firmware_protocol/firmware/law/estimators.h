@@ -19,5 +19,7 @@ float law_foaw_best(law_foaw_state *s, const law_foaw *p, int32_t count, uint32_
 float law_levant_run(law_levant_state *s, const law_levant *p, float slope, uint32_t elapsed);
 float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, float slope,
                      float effort_acceleration, uint32_t elapsed);
+float law_two_mass_run(law_two_mass_state *s, const law_two_mass *p, float moved, float slope,
+                       float effort_acceleration, uint32_t elapsed);
 
 #endif

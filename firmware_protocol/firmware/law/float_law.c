@@ -15,12 +15,13 @@ float law_float_depth(const law_parameters *p, int32_t travel)
 
 /* Step 3. */
 
-/* Acceleration by the mean current that was active since the last estimate, for an estimator that uses the effort. */
-static float effort_acceleration(const law_state *s, const law_parameters *p)
+/* Acceleration by the mean current that was active since the last estimate; input: that for a quantum, 0 for an estimator
+ * that does not use the effort. */
+static float effort_acceleration(const law_state *s, float input)
 {
-    if (p->kalman.input == 0.0f || s->active_sum == 0)
+    if (input == 0.0f || s->active_sum == 0)
         return 0.0f;
-    return p->kalman.input * ((float)s->active_sum / (float)s->velocity_ticks);
+    return input * ((float)s->active_sum / (float)s->velocity_ticks);
 }
 
 static float estimate_of(law_state *s, const law_parameters *p, int32_t count, int32_t moved, uint32_t periods)
@@ -37,7 +38,12 @@ static float estimate_of(law_state *s, const law_parameters *p, int32_t count, i
     case LAW_LEVANT:
         return s->sampled ? law_levant_run(&s->of.levant, &p->levant, slope, periods) : 0.0f;
     case LAW_KALMAN:
-        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope, effort_acceleration(s, p), periods)
+        return s->sampled ? law_kalman_run(&s->of.kalman, &p->kalman, (float)moved, slope,
+                                           effort_acceleration(s, p->kalman.input), periods)
+                          : 0.0f;
+    case LAW_TWO_MASS:
+        return s->sampled ? law_two_mass_run(&s->of.two_mass, &p->two_mass, (float)moved, slope,
+                                             effort_acceleration(s, p->two_mass.input), periods)
                           : 0.0f;
     case LAW_FDM:
     case LAW_FDM_BUTTERWORTH_FIXED:
@@ -149,7 +155,7 @@ static float wanted(law_state *s, const law_parameters *p, float depth, int32_t 
     if (!law_is_rendering(s->phase))
         return 0.0f;
     if (p->estimated_position)
-        depth += w->side * (float)p->sense * s->of.kalman.offset;
+        depth += w->side * (float)p->sense * s->of.kalman.offset; /* LAW_TWO_MASS begins with the same members */
     total = reaction(s, p, depth);
     if (w->passive_damping > 0.0f && s->phase == LAW_TRIAL && depth > 0.0f)
         total = add_damping(s, p, total);

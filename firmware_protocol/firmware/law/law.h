@@ -49,7 +49,8 @@ typedef enum {
     LAW_FOAW_END = 3,
     LAW_FOAW_BEST = 4,
     LAW_LEVANT = 5,
-    LAW_KALMAN = 6
+    LAW_KALMAN = 6,
+    LAW_TWO_MASS = 7
 } law_estimator;
 
 typedef enum { LAW_FLOOR = 0, LAW_ZERO = 1, LAW_NEAREST = 2 } law_rounding; /* rig.control._fixed_point.ROUNDINGS */
@@ -121,6 +122,13 @@ typedef struct {
     float input; /* acceleration for a quantum of active current: counts per period^2; 0: it knows no effort */
 } law_kalman;
 
+/* Disturbance observer of a motor, on which the encoder is, and a link behind a spring; counts and periods. */
+typedef struct {
+    float spring_motor, spring_link; /* acceleration of each mass for a twist of one count */
+    float gain_position, gain_velocity, gain_twist, gain_link, gain_hand;
+    float input; /* acceleration of the motor for a quantum of active current */
+} law_two_mass;
+
 /* The wall in integers: rig.control._fixed_wall.FixedWall, and what the guard and homing need in the same arithmetic. */
 typedef struct {
     int64_t constant;     /* quanta * 2^shift */
@@ -189,7 +197,8 @@ typedef struct {
     int32_t entry_only; /* 1: damping acts on the way in only */
     int32_t bilateral;  /* 1: spring and damper on both sides of the surface (for impedances) */
     int32_t extrapolate; /* 1: first-order prediction between velocity samples; float law only */
-    int32_t estimated_position; /* 1: the spring sees the position of LAW_KALMAN; float law, velocity_divider 1 */
+    int32_t estimated_position; /* 1: the spring sees the position of LAW_KALMAN or LAW_TWO_MASS; float law,
+                                   velocity_divider 1 */
     uint32_t velocity_divider; /* ticks of a velocity period; 1: uniform */
     uint32_t slow_multiple;    /* velocity periods between samples of a slow handle; 1: every one */
     uint32_t settle_ticks, home_timeout_ticks;
@@ -202,6 +211,7 @@ typedef struct {
     law_foaw foaw;
     law_levant levant;
     law_kalman kalman;
+    law_two_mass two_mass;
     law_float_wall wall;
     law_fixed_wall fixed_wall;
     law_excitation excitation;
@@ -235,6 +245,13 @@ typedef struct {
 typedef struct {
     float offset, velocity, acceleration;
 } law_kalman_state;
+
+typedef struct {
+    float offset, velocity; /* of the motor; the same members as in law_kalman_state */
+    float twist;            /* link less motor */
+    float link;             /* velocity */
+    float hand;             /* acceleration of the link by the hand */
+} law_two_mass_state;
 
 typedef struct {
     int32_t at;      /* tick of the period; -1 before the first */
@@ -271,6 +288,7 @@ typedef struct {
         law_foaw_state foaw;
         law_levant_state levant;
         law_kalman_state kalman;
+        law_two_mass_state two_mass;
     } of;
     law_excitation_state excitation; /* at the end: its pointer has another size elsewhere */
 } law_state;

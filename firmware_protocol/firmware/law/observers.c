@@ -1,4 +1,5 @@
-/* Levant's differentiator and the Kalman filter with its steady gain, in float32, counts and periods. */
+/* Levant's differentiator, the Kalman filter with its steady gain and the observer of two masses, in float32, counts and
+ * periods. */
 #include <math.h>
 
 #include "estimators.h"
@@ -73,5 +74,34 @@ float law_kalman_run(law_kalman_state *s, const law_kalman *p, float moved, floa
     s->velocity += p->gain_velocity * innovation;
     s->offset = (p->gain_position - 1.0f) * innovation;
     s->acceleration += p->gain_acceleration * innovation;
+    return s->velocity;
+}
+
+/* See rig.control.estimators._disturbance_two_mass. */
+float law_two_mass_run(law_two_mass_state *s, const law_two_mass *p, float moved, float slope,
+                       float effort_acceleration, uint32_t elapsed)
+{
+    float half, motor, link, innovation;
+
+    if (elapsed > LAW_LONGEST_GAP) {
+        s->offset = s->twist = s->hand = 0.0f;
+        s->velocity = s->link = slope;
+        return slope;
+    }
+    while (elapsed-- > 0) {
+        half = s->twist + 0.5f * (s->link - s->velocity);
+        motor = effort_acceleration + p->spring_motor * half;
+        link = s->hand - p->spring_link * half;
+        s->offset += s->velocity + 0.5f * motor;
+        s->twist += s->link - s->velocity + 0.5f * (link - motor);
+        s->velocity += motor;
+        s->link += link;
+    }
+    innovation = moved - s->offset;
+    s->offset = (p->gain_position - 1.0f) * innovation;
+    s->velocity += p->gain_velocity * innovation;
+    s->twist += p->gain_twist * innovation;
+    s->link += p->gain_link * innovation;
+    s->hand += p->gain_hand * innovation;
     return s->velocity;
 }

@@ -159,8 +159,7 @@ def linear_loop(
     model = subject.model
     tick_s = 1.0 / controller.position_rate
     resolution, name = model.encoder.sign * model.encoder.resolution, controller.estimator
-    x = subject.experiment
-    of_rig = {"inertia": subject.inertia} if x is None else config.settings_of_rig(x)
+    of_rig = config.settings_of_rig(subject.experiment or model)
     settings = {**estimators.get(name).settings_of(of_rig), **controller.parameters}
     continuous = state_space(model.mechanics, model.amplifier, subject.operator)
     least, most = cogging_stiffness(subject)

@@ -21,6 +21,7 @@ BUILT_IN = {
     "optimal": "rig.control.estimators._optimal",
     "tracking": "rig.control.estimators._tracking",
     "disturbance": "rig.control.estimators._disturbance",
+    "disturbance-two-mass": "rig.control.estimators._disturbance_two_mass",
 }
 
 

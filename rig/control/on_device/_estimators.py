@@ -1,15 +1,16 @@
 """Device parameters of an estimator, converted from those of the host's kernel.
 
 A device has the finite difference, its Butterworth low pass (float32, or order 2 in integers), `foaw-end`, `foaw-best`,
-Levant's differentiator, and the Kalman filter with its steady gain, which also runs `tracking` and `disturbance`.
-Others are rejected: `period` and `period-frequency` need edge times, a recursive gain takes longer than a tick allows,
-and `optimal` and `foaw-levant` are not implemented in firmware. `rig.config.device_law` and exports of an estimator use
-it. Change it only together with firmware/law.
+Levant's differentiator, the Kalman filter with its steady gain, which also runs `tracking` and `disturbance`, and the
+disturbance observer of two masses. Others are rejected: `period` and `period-frequency` need edge times, a recursive
+gain takes longer than a tick allows, and `optimal` and `foaw-levant` are not implemented in firmware.
+`rig.config.device_law` and exports of an estimator use it. Change it only together with firmware/law.
 """
 
 import math
 from collections.abc import Callable
 
+from firmware_protocol.law_parameters import TWO_MASS
 from firmware_protocol.parameter import Value
 from rig.control._fixed_point import Format
 from rig.control.estimators import _fdm_butterworth as fdm_butterworth
@@ -18,7 +19,7 @@ from rig.control.estimators import _foaw as foaw
 from rig.control.estimators import _foaw_best as foaw_best
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _levant as levant
-from rig.control.estimators.estimator import Floats, Prepared
+from rig.control.estimators.estimator import COMMON, Floats, Prepared
 from rig.control.on_device._errors import refusal
 
 ESTIMATORS = (  # in the order of the parameter `estimator`
@@ -29,6 +30,7 @@ ESTIMATORS = (  # in the order of the parameter `estimator`
     "foaw-best",
     "levant",
     "kalman",
+    "disturbance-two-mass",
 )
 _SAME_RECURSION = {"tracking": "kalman", "disturbance": "kalman"}  # with other gains, and an input
 _EDGES = ": it needs the time of each encoder edge"
@@ -69,6 +71,8 @@ def estimator_parameters(prepared: Prepared, effort_quantum: float = 1.0) -> Val
         # Sent although it is 0 for `kalman` and `tracking`: a device keeps what a block does not contain, and the input
         # of a `disturbance` that ran before would remain.
         own["kalman_input"] = float(prepared.parameters[kalman.INPUT]) * effort_quantum
+    if runs_as == "disturbance-two-mass":
+        own[TWO_MASS[-1]] = float(prepared.parameters[-1]) * effort_quantum
     return {"estimator": ESTIMATORS.index(runs_as), **own}
 
 
@@ -156,6 +160,10 @@ def _kalman(own: Floats) -> Values:
     return {"kalman_position": position, "kalman_velocity": velocity, "kalman_acceleration": acceleration}
 
 
+def _two_mass(own: Floats) -> Values:
+    return dict(zip(TWO_MASS, own[COMMON:].tolist(), strict=True))
+
+
 _NUMBERS: dict[str, Callable[[Floats], Values]] = {
     "fdm-butterworth-fixed": _biquad,
     "fdm-butterworth": _low_pass,
@@ -163,4 +171,5 @@ _NUMBERS: dict[str, Callable[[Floats], Values]] = {
     "foaw-best": _foaw_best,
     "levant": _levant,
     "kalman": _kalman,
+    "disturbance-two-mass": _two_mass,
 }

@@ -37,6 +37,7 @@ ROUNDINGS = {
     "kalman": 64.0,
     "tracking": 64.0,
     "disturbance": 64.0,
+    "disturbance-two-mass": 64.0,
     "levant": 64.0,
 }
 TRIED = 8.0  # tolerance over the measured effect of a rounded memory

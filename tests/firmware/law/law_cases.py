@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.control.excitation_table import ExcitationTable
 from tests.conformance.fixed_law import GoldenVectors, golden_vectors
-from tests.firmware.law.law_design import ELSEWHERE, ESTIMATORS, FIXED, FLOAT, copy_wall, parameters_of
+from tests.firmware.law.law_design import ELSEWHERE, ESTIMATORS, FIXED, FLOAT, OWN, copy_wall, parameters_of
 from tests.firmware.law.law_library import Parameters, inputs
 from tests.firmware.law.law_rigs import DUAL, SHORT, controller_of, experiment_of
 
@@ -46,7 +46,7 @@ def excited(arithmetic: int, excitation: ExcitationTable) -> ct.Structure:
 # In the order of law_verdict: what must be refused.
 BREAKS = {
     "choice": [
-        ("estimator", 7),
+        ("estimator", 8),
         ("estimator", 3),
         ("arithmetic", 3),
         ("sense", 0),
@@ -101,7 +101,7 @@ def broken(field: str, value: int) -> ct.Structure:
 
 def of_estimator(name: str, **settings: float | str) -> ct.Structure:
     """Return the float law with an estimator, in a trial of a few ticks without limits."""
-    settings |= {"gain": "steady"} if name == "kalman" else {}
+    settings |= OWN.get(name, {})
     p = parameters_of(controller_of(experiment_of(name, settings, DUAL, SHORT)))
     p.settle_ticks, p.trial_ticks, p.release_ticks, p.home_step = 2, 20, 7, 2**34
     p.window_minimum, p.window_maximum = p.home_minimum, p.home_maximum = -(2**31), 2**31 - 1
@@ -136,10 +136,11 @@ def cases() -> Iterator[tuple[ct.Structure, np.ndarray]]:
             p.levant.discretisation, p.levant.integrator = scheme, stop
             good.append(p)
     good.append(of_estimator("disturbance"))
-    passive = of_estimator("kalman")  # and the position of the estimator, on which it acts
-    passive.estimated_position, passive.velocity_divider = 1, 1
-    passive.wall.passive_damping, passive.wall.constant = 1e3, 1e9
-    good.append(passive)
+    for name in ("kalman", "disturbance-two-mass"):
+        passive = of_estimator(name)  # and the position of the estimator, on which it acts
+        passive.estimated_position, passive.velocity_divider = 1, 1
+        passive.wall.passive_damping, passive.wall.constant = 1e3, 1e9
+        good.append(passive)
     elsewhere = of_estimator("kalman")
     elsewhere.arithmetic = ELSEWHERE
     good.append(elsewhere)

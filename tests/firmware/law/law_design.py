@@ -14,14 +14,16 @@ from rig.control._fixed_wall import FixedWall
 from rig.control.estimators.estimator import PERIOD, RESOLUTION, Prepared
 from rig.control.on_device._estimators import ESTIMATORS, estimator_parameters
 from rig.control.step import ControllerState
+from tests.conformance.estimator import MASSES
 from tests.firmware.law.law_library import Parameters
 
-__all__ = ["ELSEWHERE", "ESTIMATORS", "FIXED", "FLOAT"]  # of the design: for other tests
+__all__ = ["ELSEWHERE", "ESTIMATORS", "FIXED", "FLOAT", "OWN"]  # of the design: for other tests
 FIXED, FLOAT, ELSEWHERE = 0, 1, 2
+OWN: dict[str, dict[str, float | str]] = {"kalman": {"gain": "steady"}, "disturbance-two-mass": MASSES}
 ARITHMETICS = ("fixed", "float32")
 SECTIONS = 4
 # Where a parameter's name differs from the structure's: the beginning of it, and the structure inside.
-_PARTS = {"biquad_": "biquad", "foaw_": "foaw", "levant_": "levant", "excitation_": "excitation"}
+_PARTS = {f"{name}_": name for name in ("biquad", "foaw", "levant", "two_mass", "excitation")}
 _OF_KALMAN = {
     "kalman_position": "gain_position",
     "kalman_velocity": "gain_velocity",

@@ -53,6 +53,10 @@ LowPass = _structure("LowPass", (i32, "sections"), (Section * SECTIONS, "section
 Foaw = _structure("Foaw", (i32, "band limit stop_first least_squares"))
 Levant = _structure("Levant", (f32, "alpha lambda_"), (i32, "discretisation integrator"))
 Kalman = _structure("Kalman", (f32, "gain_position gain_velocity gain_acceleration input"))
+TwoMass = _structure(
+    "TwoMass",
+    (f32, "spring_motor spring_link gain_position gain_velocity gain_twist gain_link gain_hand input"),
+)
 Fixed = _structure(
     "Fixed",
     (i64, "constant home_effort"),
@@ -79,6 +83,7 @@ Parameters = _structure(
     (Foaw, "foaw"),
     (Levant, "levant"),
     (Kalman, "kalman"),
+    (TwoMass, "two_mass"),
     (Wall, "wall"),
     (Fixed, "fixed_wall"),
     (Excitation, "excitation"),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rig.control import estimators
 from rig.control.estimators.arrays import inputs as estimator_inputs
 from rig.control.estimators.arrays import run
+from tests.conformance.estimator import REQUIRED
 from tests.conformance.fixed_law import ExactFilter, golden_vectors
 from tests.conformance.tiers import first_by_default
 from tests.firmware.law.law_design import FLOAT, scale_of, set_estimator
@@ -76,7 +77,8 @@ CASES = {
     "kalman-steady-slow": ("kalman", {"gain": "steady", "bandwidth_hz": 20.0}, 32),
     "kalman-steady-double": ("kalman", {"gain": "steady", "model": "double"}, 12),
     "tracking": ("tracking", {}, 12),
-    "disturbance": ("disturbance", {"inertia": 0.5}, 32),
+    "disturbance": ("disturbance", REQUIRED["disturbance"], 32),
+    "disturbance-two-mass": ("disturbance-two-mass", REQUIRED["disturbance-two-mass"], 32),
 }
 
 

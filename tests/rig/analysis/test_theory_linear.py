@@ -16,6 +16,7 @@ from rig.control.estimators import _family as family
 from rig.control.estimators._kalman_model import steady_gain
 from rig.control.estimators.estimator import Estimator
 from rig.core.errors import ConfigError
+from tests.conformance.estimator import REQUIRED
 
 RESOLUTION = 1.5708e-4
 BUTTERWORTH = [
@@ -154,7 +155,11 @@ def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> f
 
 @pytest.mark.parametrize(
     ("estimator", "settings"),
-    [(fed, {}), (estimators.get("disturbance"), {"frequency_hz": 90.0, "inertia": 1e-3})],
+    [
+        (fed, {}),
+        (estimators.get("disturbance"), {"frequency_hz": 90.0, "inertia": 1e-3}),
+        (estimators.get("disturbance-two-mass"), REQUIRED["disturbance-two-mass"]),
+    ],
 )
 def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
     estimator: Estimator, settings: Any, monkeypatch: pytest.MonkeyPatch

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rig.control import estimators
 from rig.control.estimators import estimate, quantise
 from rig.core.errors import ConfigError
+from tests.conformance.estimator import REQUIRED
 
 DT, DELTA = 1e-3, 1e-5
 SPEED = 7  # counts in a period
@@ -162,7 +163,7 @@ def test_elapsed_is_made_of_times_as_the_remedy_says(case: str, wrap: Any) -> No
     assert speeds(COUNTS[kept], **given) == pytest.approx(TRUE)
 
 
-@pytest.mark.parametrize("name", sorted(set(estimators.names()) - {"disturbance"}))
+@pytest.mark.parametrize("name", sorted(set(estimators.names()) - {*REQUIRED}))
 @pytest.mark.parametrize(("width", "signed"), [(8, False), (12, False), (12, True), (16, True), (32, True)])
 def test_counter_of_any_width_gives_the_same_velocity(name: str, width: int, signed: bool) -> None:
     k = np.arange(3000)

@@ -238,7 +238,7 @@ def test_a_recording_gives_the_estimates_of_the_signal_it_came_from() -> None:
     assert case.effort[5] == pytest.approx(50.0 - 4.5)
     direct = replace(signal_case(signal, 2000, delta), effort=case.effort, rig=case.rig)
     assert case.counts.tolist() == direct.counts.tolist()
-    for name in estimators.names():
+    for name in sorted(set(estimators.names()) - {"disturbance-two-mass"}):  # the rig is rigid
         expected = estimates(direct, Variant(name))
         ours = estimates(case, Variant(name))
         assert ours == pytest.approx(expected, abs=0.02 * case.speed_rms), name  # edge ages are whole ns

@@ -15,6 +15,7 @@ from rig.experiments.estimation._estimator_export import EstimatorExport, Tolera
 from rig.experiments.estimation._signals import SIGNALS
 from rig.experiments.estimation.cases import signal_case
 from rig.experiments.estimation.estimators import Variant
+from tests.conformance.estimator import REQUIRED
 from tests.conformance.tiers import first_by_default
 from tests.firmware.build import compile_c
 
@@ -37,6 +38,7 @@ VARIANTS = [
     Variant("kalman", {"gain": "steady", "model": "double", "bandwidth_hz": 20.0}),
     Variant("tracking"),
     Variant("disturbance"),
+    Variant("disturbance-two-mass", REQUIRED["disturbance-two-mass"]),
 ]
 REFUSED = {
     "period": "time of each encoder edge",

@@ -1,0 +1,74 @@
+"""Disturbance observer of two masses: the plug-in of the ranking's page, its poles, and what it refuses."""
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.analysis import theory
+from rig.config import prepare_estimator
+from rig.control import estimators
+from rig.control.estimators import inputs, run
+from rig.core.errors import ConfigError
+from tests.conformance.guides import ROOT
+
+NAME, RATE = "disturbance-two-mass", 20_000
+PAGE = ROOT / "rig" / "docs" / "reference" / "ranking-entries.md"
+HELD = {"trial.kind": "human", "operator.grip": "normal", "rig.limits.human": False}
+MASSES = {"motor_inertia": 1.9e-4, "link_inertia": 1.58e-3, "transmission_stiffness": 2310.0}
+
+
+@pytest.mark.parametrize("resolution", [1.5708e-4, -1.5708e-4])
+def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path, resolution: float) -> None:
+    """The results on the page are those of the plug-in; both have the same steps in other units."""
+    code, file = PAGE.read_text(encoding="utf-8").split("```python\n")[1], tmp_path / "entry.py"
+    file.write_text(code.split("\nhit = ")[0], encoding="utf-8")
+    plug_in = runpy.run_path(str(file))["two_mass"]
+    random = np.random.default_rng(5)
+    samples = inputs(np.cumsum(random.integers(-9, 10, 4000)), 1.0 / RATE)
+    effort = random.normal(size=4000)
+    expected, _ = run(plug_in.prepare({"frequency_hz": 215.0}, resolution, 1.0 / RATE), *samples, effort)
+    own = estimators.get(NAME).prepare({"frequency_hz": 215.0, **MASSES}, resolution, 1.0 / RATE)
+    found, _ = run(own, *samples, effort)
+    assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
+
+
+def velocity_error(name: str, frequency_hz: float, changes: dict[str, Any]) -> float:
+    """Return the rms error of the velocity (rad/s) in the trial phase of a hit on koul-compliant."""
+    own: Any = {"estimator": name, "parameters": {"frequency_hz": frequency_hz}, "changes": changes}
+    own |= {"position_rate": RATE, "velocity_rate": RATE, "stiffness": 100.0, "damping": 0.1}
+    rows = rig.hit("koul-compliant", **own).recording.rows
+    rows = rows[rows["phase"] == 3]
+    return float(np.sqrt(np.nanmean((rows["velocity"] - rows["velocity_true"]) ** 2)))
+
+
+@pytest.mark.parametrize("changes", [{}, HELD], ids=["no hand", "normal grip"])
+def test_its_velocity_on_two_masses_is_nearer_than_that_of_one_mass(changes: dict[str, Any]) -> None:
+    """Both have the values that the ranking tuned for them."""
+    assert velocity_error(NAME, 215.0, changes) < 0.7 * velocity_error("disturbance", 825.404, changes)
+
+
+def test_an_experiment_gives_inertias_and_stiffness_of_its_rig_and_a_rigid_one_is_refused() -> None:
+    held = rig.load("koul-compliant", changes={"controller.estimator": NAME, **HELD})
+    expected = estimators.get(NAME).prepare(MASSES, 1e-4, 1.0 / RATE).parameters
+    assert prepare_estimator(held, 1e-4, 1.0 / RATE).parameters == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(ConfigError, match="not two masses joined by a spring") as refused:
+        rig.hit("koul-rigid", estimator=NAME)
+    assert "choose the estimator disturbance" in refused.value.remedy
+
+
+@pytest.mark.parametrize(("frequency_hz", "rate"), [(150.0, 2_000), (1_000.0, 10_000)])
+def test_a_velocity_rate_at_which_it_is_unstable_is_refused(frequency_hz: float, rate: int) -> None:
+    with pytest.raises(ConfigError, match=rf"unstable at a velocity rate of {rate} Hz .* mode of 587 Hz"):
+        estimators.get(NAME).prepare({"frequency_hz": frequency_hz, **MASSES}, 1e-4, 1.0 / rate)
+
+
+def test_the_poles_of_its_velocity_are_those_of_the_design_for_a_high_rate() -> None:
+    found = theory.realise(NAME, {"frequency_hz": 150.0, **MASSES}, 1e-5, 1e-4)
+    poles = np.log(np.linalg.eigvals(found.a)) / 1e-5
+    mode = np.sqrt(2310.0 / 1.9e-4 + 2310.0 / 1.58e-3)
+    wanted = [*np.roots([1.0, 2.0, 2.0, 1.0]) * 2.0 * np.pi * 150.0, *np.roots([1.0, 1.0, 1.0]) * mode]
+    assert sorted(abs(poles)) == pytest.approx(sorted(abs(np.array(wanted))), rel=0.08)
