@@ -77,11 +77,6 @@ class Worker:
         answer: dict[str, Any] = json.loads(line)
         return answer
 
-    def _read_stderr_tail(self) -> str:
-        self._stderr.seek(0, 2)
-        self._stderr.seek(max(0, self._stderr.tell() - 2000))
-        return self._stderr.read().decode("utf-8", "replace")
-
     def close(self) -> None:
         """End the process and everything that it started."""
         self._context.__exit__(None, None, None)

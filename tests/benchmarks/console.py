@@ -40,11 +40,6 @@ PAGES = 4
 STOPS = 50
 DRAWS = 10_000
 FEWEST = 6  # pairs: of fewer no interval of a median has 95 % (1 - 2 · 0.5^n)
-CONCLUSIONS = {
-    True: "shows a cost",
-    False: "shows no cost, and excludes none below its upper end",
-    None: "is of too few pairs to show anything",
-}
 
 
 def arguments() -> argparse.Namespace:

@@ -6,8 +6,6 @@ Areas by the rule of the ranking on koul-rigid without variations, at the offset
 under the same change: the observer over the better of two estimators of the counts alone, which the ranking finds best.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

@@ -30,14 +30,7 @@ from rig.core.present import plain
 from rig.core.same_rig import check_rig
 from rig.firmware import _boards as boards
 from rig.firmware._board_config import configure
-from rig.firmware._build import (
-    PORT_CHECK,
-    BuildRequest,
-    build,
-    package_version,
-    shared_sources,
-    sources_hash,
-)
+from rig.firmware._build import PORT_CHECK, BuildRequest, build, package_version, shared_sources, sources_hash
 from rig.firmware._elf import read_segments
 from rig.firmware._flash import read_image
 from rig.firmware._info import info

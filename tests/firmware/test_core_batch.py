@@ -22,10 +22,7 @@ WIDE_OPEN = {"window_minimum": -(2**31), "window_maximum": 2**31 - 1, "speed_lim
 moves = st.one_of(st.integers(-3, 3), st.integers(-128, 127), st.sampled_from([0, 127, -128]))
 # A tick: how far the handle moves, measured current, ticks missed before it, whether the link is stuck.
 ticks = st.tuples(
-    moves,
-    st.integers(-4_000, 4_000),
-    st.sampled_from([0] * 20 + [1]),
-    st.sampled_from([False] * 9 + [True]),
+    moves, st.integers(-4_000, 4_000), st.sampled_from([0] * 20 + [1]), st.sampled_from([False] * 9 + [True])
 )
 
 

@@ -174,11 +174,7 @@ LAWS = [
 @pytest.mark.parametrize(("estimator", "arithmetic"), LAWS)
 @pytest.mark.parametrize("scheme", first_by_default([DUAL, UNIFORM]), ids=["dual", "uniform"])
 def test_a_supervised_hit_is_the_hit_of_the_law_alone(
-    library: ctypes.CDLL,
-    law: LawLibrary,
-    scheme: dict[str, object],
-    estimator: str,
-    arithmetic: int,
+    library: ctypes.CDLL, law: LawLibrary, scheme: dict[str, object], estimator: str, arithmetic: int
 ) -> None:
     experiment = experiment_of(
         estimator, OWN.get(estimator, {}), scheme, SHORT, {"trial.start": START - 0.002}

@@ -75,9 +75,7 @@ def was_on(board: ctypes.CDLL) -> tuple[bool, bool]:
     return ever, now
 
 
-def test_check_without_consent_switches_nothing_on_and_names_the_missing_options(
-    board: ctypes.CDLL,
-) -> None:
+def test_check_without_consent_switches_nothing_on_and_names_the_missing_options(board: ctypes.CDLL) -> None:
     found = checked(board, "watch_enable", PortCheckRequest(seconds=0.1))
     assert was_on(board) == (False, False)
     unseen = {one.name: one.text for one in found.checks if one.outcome is not Outcome.OK}

@@ -29,11 +29,6 @@ TINY = [*BRIEF, "--search", "bisection", "--ratio", "3", "--scheme", "uniform:10
 WAIT_S = 60.0
 
 
-def the_map(directory: Any) -> Any:
-    (found,) = directory.iterdir()
-    return found
-
-
 # --- results --------------------------------------------------------------------------------------------------
 
 

@@ -312,8 +312,7 @@ def to_csv(study: Study, directory: Path) -> Exported:
 
 
 @pytest.mark.parametrize(
-    ("export", "codes"),
-    [(export_bids, ("P-1", "P_1")), (to_csv, ("P!1", "P?1")), (to_csv, ("P1", "p1"))],
+    ("export", "codes"), [(export_bids, ("P-1", "P_1")), (to_csv, ("P!1", "P?1")), (to_csv, ("P1", "p1"))]
 )
 def test_codes_that_an_export_cannot_tell_apart_are_refused(
     export: Callable[[Study, Path], Any], codes: tuple[str, str], tmp_path: Path

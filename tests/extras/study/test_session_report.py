@@ -19,13 +19,7 @@ from rig.config._table import parameters
 from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
 from rig.extras.study.plots import draw_session, pictures, tracks_name, zwidth_figure
-from rig.extras.study.report import (
-    NUMBERS,
-    PAGE,
-    numbers,
-    render,
-    write_session_report,
-)
+from rig.extras.study.report import NUMBERS, PAGE, numbers, render, write_session_report
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
 from rig.extras.study.report_tables import drop_empty_columns, psychometric, summarise_differences
@@ -288,7 +282,7 @@ def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_
             "2 degrees of freedom",
         ],
         "Psychometric functions and agreement": [
-            ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %",
+            ", ".join(f"{100 * rate:g}" for rate in LAPSE_RATES[:-1]) + f" and {100 * LAPSE_RATES[-1]:g} %"
         ],
         "Software": ["haptic-rig 0.1.0"],
     }
@@ -312,11 +306,7 @@ def protocol_keys() -> Iterator[Any]:
 @pytest.mark.parametrize(
     ("rule", "settings", "words"),
     [
-        (
-            "ascending",
-            {"repeats": 4},
-            "Each of 4 ascending series began at the softest level",
-        ),
+        ("ascending", {"repeats": 4}, "Each of 4 ascending series began at the softest level"),
         (
             "staircase",
             {"stable_to_rise": 2, "start": 400.0},

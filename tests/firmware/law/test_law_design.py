@@ -232,8 +232,7 @@ def test_a_foreign_law_and_a_table_of_the_host_are_refused() -> None:
 
 def test_values_beyond_the_wire_name_what_is_behind_them() -> None:
     x = config.override(
-        PRESETS["chawda-linear"],
-        {"controller.loop": "device", "homing.speed": 2.0, "rig.limits.speed": 3.0},
+        PRESETS["chawda-linear"], {"controller.loop": "device", "homing.speed": 2.0, "rig.limits.speed": 3.0}
     )
     slow = config.override(x, {"controller.position_rate": 1000, "controller.velocity_rate": 1000})
     with pytest.raises(PlanError, match=r"homing.speed: home_step = .* is out of range for the device"):

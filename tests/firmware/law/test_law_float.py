@@ -42,11 +42,8 @@ SCHEMES = {
     "estimated": {**ESTIMATED, **PASSIVE},
     "position": {**ESTIMATED, "wall.stiffness": 400.0},
 }
-SUITS = {
-    "estimated": ("kalman", "disturbance"),
-    "passive": ("butterworth", "disturbance"),
-    "position": ("two-mass",),  # with PASSIVE the quotient by a low velocity multiplies the rounding by 20
-}
+SUITS = {"estimated": ("kalman", "disturbance"), "passive": ("butterworth", "disturbance")}
+SUITS["position"] = ("two-mass",)  # with PASSIVE the quotient by a low velocity multiplies the rounding by 20
 APART = {("levant", "uniform"), ("two-mass", "dual")}  # the latter is unstable at 2 kHz
 EPS = 2.0**-24  # half a unit in the last place of float32, relative
 WALK_ERROR = 0.02  # quanta; the set point is rounded to 2^-24 counts a tick

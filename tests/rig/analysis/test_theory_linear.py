@@ -155,11 +155,7 @@ def fed(travel: float, elapsed_s: float, effort: float, memory: rig.Memory) -> f
 
 @pytest.mark.parametrize(
     ("estimator", "settings"),
-    [
-        (fed, {}),
-        (estimators.get("disturbance"), {"frequency_hz": 90.0, "inertia": 1e-3}),
-        (estimators.get("disturbance-two-mass"), REQUIRED["disturbance-two-mass"]),
-    ],
+    [(fed, {}), *((estimators.get(name), settings) for name, settings in REQUIRED.items())],
 )
 def test_an_estimator_of_the_effort_is_the_sum_of_two_state_spaces(
     estimator: Estimator, settings: Any, monkeypatch: pytest.MonkeyPatch

@@ -11,7 +11,6 @@ import rig
 from rig.analysis import theory
 from rig.config import prepare_estimator
 from rig.control import estimators
-from rig.control.estimators import inputs, run
 from rig.core.errors import ConfigError
 from tests.conformance.guides import ROOT
 
@@ -28,11 +27,12 @@ def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path,
     file.write_text(code.split("\nhit = ")[0], encoding="utf-8")
     plug_in = runpy.run_path(str(file))["two_mass"]
     random = np.random.default_rng(5)
-    samples = inputs(np.cumsum(random.integers(-9, 10, 4000)), 1.0 / RATE)
+    samples = estimators.inputs(np.cumsum(random.integers(-9, 10, 4000)), 1.0 / RATE)
     effort = random.normal(size=4000)
-    expected, _ = run(plug_in.prepare({"frequency_hz": 215.0}, resolution, 1.0 / RATE), *samples, effort)
+    theirs = plug_in.prepare({"frequency_hz": 215.0}, resolution, 1.0 / RATE)
+    expected, _ = estimators.run(theirs, *samples, effort)
     own = estimators.get(NAME).prepare({"frequency_hz": 215.0, **MASSES}, resolution, 1.0 / RATE)
-    found, _ = run(own, *samples, effort)
+    found, _ = estimators.run(own, *samples, effort)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
@@ -51,24 +51,18 @@ def test_its_velocity_on_two_masses_is_nearer_than_that_of_one_mass(changes: dic
     assert velocity_error(NAME, 215.0, changes) < 0.7 * velocity_error("disturbance", 825.404, changes)
 
 
-def test_an_experiment_gives_inertias_and_stiffness_of_its_rig_and_a_rigid_one_is_refused() -> None:
+def test_it_has_the_masses_of_its_rig_and_a_rigid_rig_or_a_low_rate_is_refused() -> None:
     held = rig.load("koul-compliant", changes={"controller.estimator": NAME, **HELD})
     expected = estimators.get(NAME).prepare(MASSES, 1e-4, 1.0 / RATE).parameters
     assert prepare_estimator(held, 1e-4, 1.0 / RATE).parameters == pytest.approx(expected, rel=1e-12)
     with pytest.raises(ConfigError, match="not two masses joined by a spring") as refused:
         rig.hit("koul-rigid", estimator=NAME)
     assert "choose the estimator disturbance" in refused.value.remedy
-
-
-@pytest.mark.parametrize(("frequency_hz", "rate"), [(150.0, 2_000), (1_000.0, 10_000)])
-def test_a_velocity_rate_at_which_it_is_unstable_is_refused(frequency_hz: float, rate: int) -> None:
-    with pytest.raises(ConfigError, match=rf"unstable at a velocity rate of {rate} Hz .* mode of 587 Hz"):
-        estimators.get(NAME).prepare({"frequency_hz": frequency_hz, **MASSES}, 1e-4, 1.0 / rate)
+    with pytest.raises(ConfigError, match=r"unstable at a velocity rate of 2000 Hz .* mode of 587 Hz"):
+        estimators.get(NAME).prepare(MASSES, 1e-4, 1.0 / 2_000)
 
 
 def test_the_poles_of_its_velocity_are_those_of_the_design_for_a_high_rate() -> None:
     found = theory.realise(NAME, {"frequency_hz": 150.0, **MASSES}, 1e-5, 1e-4)
-    poles = np.log(np.linalg.eigvals(found.a)) / 1e-5
-    mode = np.sqrt(2310.0 / 1.9e-4 + 2310.0 / 1.58e-3)
-    wanted = [*np.roots([1.0, 2.0, 2.0, 1.0]) * 2.0 * np.pi * 150.0, *np.roots([1.0, 1.0, 1.0]) * mode]
-    assert sorted(abs(poles)) == pytest.approx(sorted(abs(np.array(wanted))), rel=0.08)
+    poles, mode = np.log(np.linalg.eigvals(found.a)) / 1e-5, np.sqrt(2310.0 / 1.9e-4 + 2310.0 / 1.58e-3)
+    assert sorted(abs(poles)) == pytest.approx([*3 * [2.0 * np.pi * 150.0], *2 * [mode]], rel=0.08)

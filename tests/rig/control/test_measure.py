@@ -160,10 +160,6 @@ def telegraph(changes_per_s: Any, seed: int = 0) -> Any:
     return DELTA * (np.cumsum(np.random.default_rng(seed).random(RATE) < changes_per_s / RATE) % 2)
 
 
-def floor_of(position: Any) -> Any:
-    return float(measure_counts(position)["felt_floor"])
-
-
 def floor_at(hz: Any) -> Any:
     return toggling_floor(hz, DELTA, LIMITS.highpass_hz, LIMITS.lowpass_hz)
 

@@ -118,9 +118,7 @@ CHANGES = st.one_of(
 
 @settings(max_examples=20)
 @given(st.lists(CHANGES, min_size=1, max_size=4))
-def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(
-    changes: list[tuple[str, Any]],
-) -> None:
+def test_any_sequence_of_changes_ends_where_all_of_them_at_once_would(changes: list[tuple[str, Any]]) -> None:
     ring = Ring.allocate(1, info=info_of())
     for name, value in changes:
         live._post(ring, {f"wall.{name}": value})

@@ -109,9 +109,7 @@ def test_a_push_in_coarse_steps_of_current_shows_the_scale(
     assert {check.name: check.outcome for check in found.checks}["size"] is outcome
 
 
-def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current(
-    tmp_path: Path,
-) -> None:
+def test_the_described_friction_gives_the_scale_of_a_push_within_one_step_of_current(tmp_path: Path) -> None:
     """The push ends in the step in which the handle starts to move, so inertia and friction show only together."""
     sheets = rig.new_rig(
         mechanism="lever", torque_constant=0.0385, rotor_inertia=1.1e-5, nominal_current=2.5, encoder_lines=2048,

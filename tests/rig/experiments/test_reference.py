@@ -116,9 +116,7 @@ def test_a_run_behind_it_has_its_wall_in_the_mechanism_and_names_the_reference(t
 
 
 @pytest.mark.usefixtures("real")
-def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
-    tmp_path: Path,
-) -> None:
+def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(tmp_path: Path) -> None:
     with powered_up(MARKED) as device:
         with pytest.raises(DeviceRefusedError, match=r"position zero of .* is unknown") as refused:
             position_zero(device, MARKED)
@@ -133,9 +131,7 @@ def test_a_new_host_takes_the_reference_from_the_device_until_it_is_lost(
 
 
 @pytest.mark.usefixtures("real")
-def test_a_real_rig_whose_polarity_is_not_verified_does_not_search(
-    tmp_path: Path,
-) -> None:
+def test_a_real_rig_whose_polarity_is_not_verified_does_not_search(tmp_path: Path) -> None:
     with powered_up(MARKED) as device:
         before = hardware_of(device).count
         with pytest.raises(ConfigError, match="polarity"):

@@ -344,11 +344,7 @@ def assert_stopped(bench: Any, caught: Any) -> None:
 
 @pytest.mark.parametrize(
     "numbers",
-    [
-        [signal.SIGINT],
-        [signal.SIGTERM],
-        [signal.SIGINT, signal.SIGTERM, signal.SIGINT],
-    ],
+    [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGTERM, signal.SIGINT]],
     ids=["once", "term", "impatient"],
 )
 @pytest.mark.signals

@@ -34,8 +34,6 @@ from tests.rig.loop.test_loop import PERIOD_NS, SESSION, WAIT_S, Script, state_f
 from tests.rig.loop.test_loop import at_rest as controlled
 from tests.rig.loop.test_loop import settings as settings_of
 
-TIMING = int(RowFlag.GAP | RowFlag.LATE)
-
 
 def loop_settings(**changes: Any) -> LoopSettings:
     supervised = {
@@ -363,10 +361,7 @@ def test_a_link_that_takes_no_command_is_closed() -> None:
 
 @pytest.mark.parametrize(
     ("control", "reason"),
-    [
-        ({}, EndReason.DEVICE_ENDED),
-        ({"trial_ticks": 60, "release_ticks": 1000}, EndReason.FINISHED),
-    ],
+    [({}, EndReason.DEVICE_ENDED), ({"trial_ticks": 60, "release_ticks": 1000}, EndReason.FINISHED)],
 )
 def test_a_device_whose_law_ended_is_not_followed_for_ever(control: Any, reason: Any) -> None:
     device = BatchDevice([0] * 500)
