@@ -46,7 +46,7 @@ QUIET_SHARE = 0.9
 
 
 def predict_checks(experiment: Experiment, ticks: int) -> list[Check]:
-    """Return all checks that an experiment's description allows, for commands that act `ticks` late."""
+    """Return the checks of homing, approach and currents of an experiment whose commands act `ticks` late."""
     return [*homing_checks(experiment, ticks), *_approach_checks(experiment), *_current_checks(experiment)]
 
 

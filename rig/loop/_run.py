@@ -1,8 +1,8 @@
 """Thread that runs the compiled loop: start, supervise and stop it, and report its end.
 
 Trials and motions start it. To stop the loop, any process or thread writes one control word of the ring, which the loop
-reads within a tick, whichever thread has the GIL. The main thread must stay free for Ctrl-C. This file must not touch
-the link while the loop runs.
+reads within a tick, whichever thread has the GIL. The main thread must stay free for Ctrl-C. This file must not send
+or receive on the link while the loop runs.
 """
 
 import threading

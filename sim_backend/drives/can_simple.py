@@ -9,7 +9,7 @@ import struct
 from enum import IntEnum
 
 # An identifier is ``node << 5 | command``.
-NODE_BITS = 5
+COMMAND_BITS = 5
 
 
 class CanSimpleCommand(IntEnum):

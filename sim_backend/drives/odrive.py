@@ -18,12 +18,12 @@ from rig.core.model import RigModel
 from sim_backend.drives.bus import Frame
 from sim_backend.drives.can_simple import (
     ADDRESS,
+    COMMAND_BITS,
     ERRORS,
     FEED_FORWARD_STEP,
     FLOATS,
     FORMS,
     HEARTBEAT,
-    NODE_BITS,
     READ,
     SDO,
     WRITE,
@@ -252,14 +252,14 @@ class SimulatedOdrive:
         return int(self.values["axis0.config.can.node_id"])
 
     def _identifier(self, command: CanSimpleCommand) -> int:
-        return self._node << NODE_BITS | command
+        return self._node << COMMAND_BITS | command
 
     def receive(self, frame: Frame) -> list[Frame]:
         """Process a CAN frame at the present time and return the reply: at most one frame."""
-        if self._is_off or frame.extended or frame.identifier >> NODE_BITS != self._node:
+        if self._is_off or frame.extended or frame.identifier >> COMMAND_BITS != self._node:
             return []
         try:
-            command = CanSimpleCommand(frame.identifier & (1 << NODE_BITS) - 1)
+            command = CanSimpleCommand(frame.identifier & (1 << COMMAND_BITS) - 1)
         except ValueError:
             return []
         if command in _REQUESTS:

@@ -135,8 +135,8 @@ class UsbPort:
 
     def write(self, frames: bytes) -> None:
         """Send frames now, or when the host reads; discard them if more than 8 KiB (`PENDING_BYTES`) are unread."""
-        # As on the wire, packets that the host does not fetch stay with the device: it holds a few and discards what
-        # follows, newest first, whole frames only.
+        # As on the wire, packets that the host does not fetch stay with the device: it keeps the frames that it
+        # holds, and discards each new one whole.
         if self.unplugged or len(self._pending) + len(frames) > PENDING_BYTES:
             return
         self._pending += frames

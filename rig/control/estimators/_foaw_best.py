@@ -47,7 +47,7 @@ def update(
     position, period = state_i[COUNTS + newest], state_i[PERIODS + newest]
     band, limit, anchor = parameters[BAND], int(parameters[LIMIT]), int(parameters[ANCHOR])
     stop_first = parameters[STOP] == STOP_FIRST
-    # Equation (5) tests i = 1…n. The newest sample (0) lies on the line unless that is the least-squares one.
+    # Equation (5) tests i = 1…n, as `literal` does; `last` contains the newest sample (0), `lsq` tests it too.
     first = 0 if anchor == LSQ else 1
     state_f[RISE], state_f[SPAN] = 0.0, 0.0
     sum_rise, sum_span, sum_product, sum_square = 0.0, 0.0, 0.0, 0.0

@@ -1,7 +1,8 @@
 """The process that reads, draws and computes for a page (runs *errands*, see `rig.extras.console.errands`).
 
 ``python -P -m rig.extras.console errands``: each line of standard input is an errand. Its reply is one line, with the
-result and the number of bytes that follow, or with the error. The process ends when its input ends.
+result and the number of bytes that follow, or with the error; lines ``{"compiling": …}`` may come before. The process
+ends when its input ends.
 """
 
 import json

@@ -26,7 +26,7 @@ if sys.platform == "linux":
 
 assert sys.platform == "linux"
 
-NODE_BITS = 5
+COMMAND_BITS = 5
 GENERATION = (0, 6)  # of the firmware
 LISTEN_S = 0.05  # for others on the bus, before the first frame
 REPLY_S, TRIES = 0.2, 3
@@ -195,7 +195,7 @@ class OdriveConversation:
             reply = self._bus.receive(left)
             if reply is None:
                 return
-            node, command = reply.id >> NODE_BITS, reply.id & (1 << NODE_BITS) - 1
+            node, command = reply.id >> COMMAND_BITS, reply.id & (1 << COMMAND_BITS) - 1
             if node == self.node and command in COMMANDS:
                 raise DeviceRefusedError(
                     f"another program sends commands to {self.name}: a second bus master",
@@ -205,7 +205,7 @@ class OdriveConversation:
 
     def request(self, command: OdriveCommand) -> bytes:
         """Request a message from the drive; return its 8 bytes, or raise `DeviceNotFoundError` without a reply."""
-        frame = CanFrame(self.node << NODE_BITS | command, b"", classic=True, remote=True)
+        frame = CanFrame(self.node << COMMAND_BITS | command, b"", classic=True, remote=True)
         return self._request(frame, command, lambda data: len(data) == 8)
 
     def parameter(self, path: str) -> float:
@@ -218,7 +218,7 @@ class OdriveConversation:
             )
         number, form = found
         question = struct.pack("<BHB", 0, number, 0)
-        frame = CanFrame(self.node << NODE_BITS | OdriveCommand.RX_SDO, question, classic=True)
+        frame = CanFrame(self.node << COMMAND_BITS | OdriveCommand.RX_SDO, question, classic=True)
         answer = self._request(
             frame,
             OdriveCommand.TX_SDO,
@@ -236,10 +236,10 @@ class OdriveConversation:
                 reply = self._bus.receive(left)
                 if reply is None:
                     break
-                if reply.id == self.node << NODE_BITS | command and is_answer(reply.data):
+                if reply.id == self.node << COMMAND_BITS | command and is_answer(reply.data):
                     self.quickest_s = min(self.quickest_s, time.monotonic() - asked)
                     return reply.data
-                self._others.add(reply.id >> NODE_BITS)
+                self._others.add(reply.id >> COMMAND_BITS)
         others = sorted(self._others - {self.node})
         found = f"; nodes seen on this bus: {', '.join(map(str, others))}" if others else ""
         raise DeviceNotFoundError(

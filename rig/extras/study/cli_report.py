@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rig.cli import output
 from rig.extras.study import StudyAnalysis
-from rig.extras.study.plots import draw_session
+from rig.extras.study.plots import draw_study
 from rig.extras.study.report import write_session_report
 from rig.recording.files import plain_errors
 
@@ -23,7 +23,7 @@ def write_report(
     place = directory / PICTURES
     with plain_errors("make", place):
         place.mkdir(parents=True, exist_ok=True)
-    drawn = draw_session(
+    drawn = draw_study(
         found,
         place,
         ("png", ending),

@@ -78,7 +78,7 @@ def pictures(found: StudyAnalysis) -> dict[str, Draw]:
     return chosen
 
 
-def draw_session(
+def draw_study(
     found: StudyAnalysis,
     directory: Path,
     endings: Iterable[str] = ("png", "svg"),

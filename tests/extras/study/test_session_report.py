@@ -18,7 +18,7 @@ from rig.config._sections import OSCILLATIONS
 from rig.config._table import parameters
 from rig.core.present import Table
 from rig.extras.study import AnalysisOptions, analyse, cli_report
-from rig.extras.study.plots import draw_session, pictures, tracks_name, zwidth_figure
+from rig.extras.study.plots import draw_study, pictures, tracks_name, zwidth_figure
 from rig.extras.study.report import NUMBERS, PAGE, numbers, render, write_session_report
 from rig.extras.study.report_events import _with_units, deviations, invalid_trials, notes
 from rig.extras.study.report_methods import effective, methods
@@ -103,7 +103,7 @@ def found(study: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def drawn(found: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return draw_session(found, tmp_path_factory.mktemp("pictures"), ("png",))
+    return draw_study(found, tmp_path_factory.mktemp("pictures"), ("png",))
 
 
 @pytest.fixture(scope="module")
@@ -583,7 +583,7 @@ def test_the_command_writes_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyP
         asked.append(endings)
         return {png.name: png}
 
-    monkeypatch.setattr(cli_report, "draw_session", draws)
+    monkeypatch.setattr(cli_report, "draw_study", draws)
     words = ["session", "analyse", str(tmp_path), "--json", "-o", str(tmp_path / "out"), "--format", "pdf"]
     result = CliRunner().invoke(rig, words)
     assert result.exit_code == 0, result.output
