@@ -68,7 +68,15 @@ def _rows() -> list[_Row]:
         ("foaw_band", "i32", "2⁻⁸ count", (0, _I32[1]), 0, "noise margin", fixed),
         ("foaw_limit", "u8", "period", (1, 64), 1, "longest window", fixed),
         ("foaw_stop_first", "u8", "", (0, 1), 0, "1: window before the first that fails, 0: longest", fixed),
-        ("foaw_least_squares", "u8", "", (0, 1), 0, "1: least-squares line, 0: line through the newest sample", fixed),
+        (
+            "foaw_least_squares",
+            "u8",
+            "",
+            (0, 1),
+            0,
+            "1: least-squares line, 0: line through the newest sample",
+            fixed,
+        ),
         ("levant_alpha", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
         ("levant_lambda", "f32", "", _FLOAT, 0.0, "in counts and periods", fixed),
         ("levant_discretisation", "u8", "", (0, 2), 0, "0 explicit, 1 semi-implicit, 2 implicit", fixed),
@@ -76,7 +84,7 @@ def _rows() -> list[_Row]:
         ("kalman_position", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
         ("kalman_velocity", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
         ("kalman_acceleration", "f32", "", _FLOAT, 0.0, "steady gain", fixed),
-    ]  # fmt: skip
+    ]
     return rows + _wall_rows()
 
 

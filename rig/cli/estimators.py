@@ -291,8 +291,15 @@ def _headline(case: Case) -> str:
 
 def _print_table(case: Case, scores: Sequence[Score], names: Sequence[str]) -> None:
     unit = unit_of("velocity", case.motion)
-    head = ("", f"error ({unit})", "delay (ms)", f"without delay ({unit})", f"at rest ({unit})", f"toggling ({unit})",
-            "cost (ns)")  # fmt: skip
+    head = (
+        "",
+        f"error ({unit})",
+        "delay (ms)",
+        f"without delay ({unit})",
+        f"at rest ({unit})",
+        f"toggling ({unit})",
+        "cost (ns)",
+    )
     scored = [(name, each) for name, each in zip(names, scores, strict=True) if each.refused is None]
     output.print_table(Table(head, [(name, *_cells(each)) for name, each in scored]))
     output.print_rows([Row(n, each.refused) for n, each in zip(names, scores, strict=True) if each.refused])

@@ -130,15 +130,31 @@ def _scheme_lines(name: str, row: SchemeRow, realisations: int) -> list[tuple[st
     widths, whole = row.widths, row.widths.together
     lines = [
         (name, "all together", *_width_cells(whole), str(len(whole.islands)), str(len(row.tuned))),
-        ("", f"each of {realisations}", _spread(widths.stiffness), "", _spread(widths.damping),
-         _spread(widths.worst_fidelity), "", ""),
-    ]  # fmt: skip
+        (
+            "",
+            f"each of {realisations}",
+            _spread(widths.stiffness),
+            "",
+            _spread(widths.damping),
+            _spread(widths.worst_fidelity),
+            "",
+            "",
+        ),
+    ]
     if row.paper is not None:
         paper = row.paper
         lines.append(
-            ("", "paper, on its rig", _number(paper.stiffness), "", _number(paper.damping),
-             _number(paper.worst_fidelity), "", str(paper.tunable))
-        )  # fmt: skip
+            (
+                "",
+                "paper, on its rig",
+                _number(paper.stiffness),
+                "",
+                _number(paper.damping),
+                _number(paper.worst_fidelity),
+                "",
+                str(paper.tunable),
+            )
+        )
     return lines
 
 

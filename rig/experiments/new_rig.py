@@ -87,9 +87,19 @@ SERVO = "[computed] from friction, inertia, resolution and delays"
 REALTIME = "realtime."
 SOFT = {"wall.stiffness": 1e-9, "realtime.wall.stiffness": 1e-9}  # until a wall is chosen
 SECTIONS = (
-    "rig", "rig.mechanics", "rig.amplifier", "rig.encoder", "rig.limits", "rig.board", "controller", "wall", "homing",
-    "trial", "verdict", "realtime",
-)  # fmt: skip
+    "rig",
+    "rig.mechanics",
+    "rig.amplifier",
+    "rig.encoder",
+    "rig.limits",
+    "rig.board",
+    "controller",
+    "wall",
+    "homing",
+    "trial",
+    "verdict",
+    "realtime",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,10 +480,15 @@ def _set_push(draft: _Draft, push: float, held: float) -> bool:
     start = min(max(start, START_COUNTS * delta, HELD_OF_WAY * held), LARGEST_SHARE * half)
     speed, unseen = (math.sqrt(2.0 * net * way / inertia) for way in (start, UNMOVED_COUNTS * delta))
     count = COUNT_PEAK * float(experiment.controller.parameters["cutoff_hz"]) * delta
-    draft.set("[chosen]", {
-        "rig.limits.speed": _round_digits(max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil),
-        "trial.start": -_round_digits(start),
-    })  # fmt: skip
+    draft.set(
+        "[chosen]",
+        {
+            "rig.limits.speed": _round_digits(
+                max(LIMIT_M_S / radius, 4.0 * speed, 2.5 * unseen, 4.0 * count), math.ceil
+            ),
+            "trial.start": -_round_digits(start),
+        },
+    )
     draft.set(SERVO, {"homing.tolerance_counts": homing.nearest_tolerance(draft.experiment())})
     holds, settles_s = True, 0.0
     for before, seen in (("", draft.experiment()), (REALTIME, draft.in_real_time(PORT_TICKS))):
@@ -509,26 +524,43 @@ def _provisional(draft: _Draft, push: float) -> Experiment:
         },
     )
     draft.set("[chosen]", {**SOFT, "wall.damping": 0.0, "wall.position": 0.0, "wall.side": 1})
-    draft.set(SERVO, {
-        "homing.stiffness": 1.0, "homing.damping": 1.0, "homing.effort": push, "homing.slew": 1.0,
-        "homing.tolerance_counts": 1.0,
-    })  # fmt: skip
-    draft.set("[chosen]", {
-        "homing.speed": _round_digits(speed), "homing.settle_s": 0.1,
-        "homing.timeout_s": _round_digits(2.0 * half / speed + 15.0),
-        "trial.effort": push, "trial.start": -0.5 * half, "trial.duration_s": 1.0,
-    })  # fmt: skip
+    draft.set(
+        SERVO,
+        {
+            "homing.stiffness": 1.0,
+            "homing.damping": 1.0,
+            "homing.effort": push,
+            "homing.slew": 1.0,
+            "homing.tolerance_counts": 1.0,
+        },
+    )
+    draft.set(
+        "[chosen]",
+        {
+            "homing.speed": _round_digits(speed),
+            "homing.settle_s": 0.1,
+            "homing.timeout_s": _round_digits(2.0 * half / speed + 15.0),
+            "trial.effort": push,
+            "trial.start": -0.5 * half,
+            "trial.duration_s": 1.0,
+        },
+    )
     draft.set(
         "[chosen] a tenth of the nominal force, at most 1 N",
         {"verdict.heard_force": _round_digits(min(1.0, 0.1 * nominal_force))},
     )
     draft.set("[chosen] the band ends below half of the slowest rate", {"verdict.lowpass_hz": 400.0})
-    draft.set("[chosen] what a computer can run behind a port", {
-        "realtime.controller.position_rate": PORT_RATE, "realtime.controller.velocity_rate": PORT_RATE,
-        "realtime.controller.parameters.cutoff_hz": CUTOFF_SHARE * PORT_RATE,
-        "realtime.homing.stiffness": 1.0, "realtime.homing.damping": 1.0,
-        "realtime.wall.damping": 0.0,
-    })  # fmt: skip
+    draft.set(
+        "[chosen] what a computer can run behind a port",
+        {
+            "realtime.controller.position_rate": PORT_RATE,
+            "realtime.controller.velocity_rate": PORT_RATE,
+            "realtime.controller.parameters.cutoff_hz": CUTOFF_SHARE * PORT_RATE,
+            "realtime.homing.stiffness": 1.0,
+            "realtime.homing.damping": 1.0,
+            "realtime.wall.damping": 0.0,
+        },
+    )
     return draft.experiment()
 
 

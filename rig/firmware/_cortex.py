@@ -24,9 +24,18 @@ RETURN = FLASH + SIZE - 0x100  # return address of a called function: empty flas
 # The stack is filled with this byte before the first call: bytes that still have it were never used.
 PAINT = b"\xa5"
 STRICT = (
-    "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Wdouble-promotion",
-    "-Wstrict-prototypes", "-Wmissing-prototypes", "-Werror", "-ffp-contract=off",
-)  # fmt: skip
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wshadow",
+    "-Wpedantic",
+    "-Wdouble-promotion",
+    "-Wstrict-prototypes",
+    "-Wmissing-prototypes",
+    "-Werror",
+    "-ffp-contract=off",
+)
 
 
 @dataclass(frozen=True)

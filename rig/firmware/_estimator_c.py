@@ -42,31 +42,46 @@ def _observer(effort: str, kind: str = "law_kalman") -> _Form:
 
 _FORMS = {
     FIXED: _Form(
-        "filters.c", "law_biquad", "law_biquad_state", "law_biquad_run(&e->memory, &NUMBERS, moved, elapsed)",
+        "filters.c",
+        "law_biquad",
+        "law_biquad_state",
+        "law_biquad_run(&e->memory, &NUMBERS, moved, elapsed)",
         ("law_biquad_run", "law_biquad_reset", "law_shifts_must_be_arithmetic"),
     ),
     "fdm": _Form("filters.c", "", "", "slope", ()),
     "fdm-butterworth": _Form(
-        "filters.c", "law_low_pass", "law_low_pass_state",
-        "law_low_pass_run(&e->memory, &NUMBERS, slope, elapsed)", ("law_low_pass_run",),
+        "filters.c",
+        "law_low_pass",
+        "law_low_pass_state",
+        "law_low_pass_run(&e->memory, &NUMBERS, slope, elapsed)",
+        ("law_low_pass_run",),
     ),
     "foaw-end": _Form(
-        "foaw.c", "law_foaw", "law_foaw_state",
-        "law_foaw_end(&e->memory, &NUMBERS, count, elapsed, &e->window)", ("law_foaw_end",),
+        "foaw.c",
+        "law_foaw",
+        "law_foaw_state",
+        "law_foaw_end(&e->memory, &NUMBERS, count, elapsed, &e->window)",
+        ("law_foaw_end",),
     ),
     "foaw-best": _Form(
-        "foaw.c", "law_foaw", "law_foaw_state",
-        "law_foaw_best(&e->memory, &NUMBERS, count, elapsed, &e->window)", ("law_foaw_best",),
+        "foaw.c",
+        "law_foaw",
+        "law_foaw_state",
+        "law_foaw_best(&e->memory, &NUMBERS, count, elapsed, &e->window)",
+        ("law_foaw_best",),
     ),
     "levant": _Form(
-        "observers.c", "law_levant", "law_levant_state",
-        "e->started ? law_levant_run(&e->memory, &NUMBERS, slope, elapsed) : 0.0f", ("law_levant_run",),
+        "observers.c",
+        "law_levant",
+        "law_levant_state",
+        "e->started ? law_levant_run(&e->memory, &NUMBERS, slope, elapsed) : 0.0f",
+        ("law_levant_run",),
     ),
     "kalman": _observer("0.0f"),
     "tracking": _observer("0.0f"),
     "disturbance": _observer("NUMBERS.input * effort"),
     "disturbance-two-mass": _observer("NUMBERS.input * effort", "law_two_mass"),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,24 +24,56 @@ INTEGERS = "fdm-butterworth-fixed"
 # tests/firmware/test_core_cortex.py. Both windowings with 16 periods, the longest of a design's listed set.
 CALLS: Mapping[str, Mapping[str, int]] = {
     "M0+": {
-        "fdm": 245, "fdm-butterworth": 1644, INTEGERS: 197, "foaw-end": 8888, "foaw-best": 43_183, "levant": 2790,
-        "kalman": 1560, "tracking": 1355, "disturbance": 1701, "disturbance-two-mass": 3529,
+        "fdm": 245,
+        "fdm-butterworth": 1644,
+        INTEGERS: 197,
+        "foaw-end": 8888,
+        "foaw-best": 43_183,
+        "levant": 2790,
+        "kalman": 1560,
+        "tracking": 1355,
+        "disturbance": 1701,
+        "disturbance-two-mass": 3529,
     },
     "M4F": {
-        "fdm": 26, "fdm-butterworth": 57, INTEGERS: 118, "foaw-end": 2410, "foaw-best": 7471, "levant": 108,
-        "kalman": 57, "tracking": 57, "disturbance": 60, "disturbance-two-mass": 91,
+        "fdm": 26,
+        "fdm-butterworth": 57,
+        INTEGERS: 118,
+        "foaw-end": 2410,
+        "foaw-best": 7471,
+        "levant": 108,
+        "kalman": 57,
+        "tracking": 57,
+        "disturbance": 60,
+        "disturbance-two-mass": 91,
     },
-}  # fmt: skip
+}
 TICKS: Mapping[str, Mapping[str, int]] = {
     "M0+": {
-        "fdm": 5604, "fdm-butterworth": 7121, INTEGERS: 2702, "foaw-end": 14_436, "foaw-best": 51_450, "levant": 8352,
-        "kalman": 7237, "tracking": 6999, "disturbance": 8760, "disturbance-two-mass": 10_503,
+        "fdm": 5604,
+        "fdm-butterworth": 7121,
+        INTEGERS: 2702,
+        "foaw-end": 14_436,
+        "foaw-best": 51_450,
+        "levant": 8352,
+        "kalman": 7237,
+        "tracking": 6999,
+        "disturbance": 8760,
+        "disturbance-two-mass": 10_503,
     },
     "M4F": {
-        "fdm": 1685, "fdm-butterworth": 1737, INTEGERS: 1718, "foaw-end": 4449, "foaw-best": 12_106, "levant": 1786,
-        "kalman": 1745, "tracking": 1745, "disturbance": 1806, "disturbance-two-mass": 1838,
+        "fdm": 1685,
+        "fdm-butterworth": 1737,
+        INTEGERS: 1718,
+        "foaw-end": 4449,
+        "foaw-best": 12_106,
+        "levant": 1786,
+        "kalman": 1745,
+        "tracking": 1745,
+        "disturbance": 1806,
+        "disturbance-two-mass": 1838,
     },
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,10 +27,20 @@ class Counters(ctypes.Structure):
     _fields_ = [
         (name, ctypes.c_uint32)
         for name in (
-            "frames", "framing_errors", "crc_errors", "malformed", "unknown_type", "wrong_direction",
-            "foreign_major", "stale_session", "out_of_state", "lost", "duplicated", "reordered",
+            "frames",
+            "framing_errors",
+            "crc_errors",
+            "malformed",
+            "unknown_type",
+            "wrong_direction",
+            "foreign_major",
+            "stale_session",
+            "out_of_state",
+            "lost",
+            "duplicated",
+            "reordered",
         )
-    ]  # fmt: skip
+    ]
 
 
 class HostStatus(ctypes.Structure):

@@ -94,9 +94,15 @@ class Lifted:
         position, velocity = np.zeros(size), np.zeros(size)
         position[loop.sensed], velocity[held] = 1.0, 1.0
         return cls(
-            loop, tick, into, _sampling(loop, position, plant), _between(loop, size, plant), position,
-            velocity, None if loop.softest is None else cls.of(loop.softest),
-        )  # fmt: skip
+            loop,
+            tick,
+            into,
+            _sampling(loop, position, plant),
+            _between(loop, size, plant),
+            position,
+            velocity,
+            None if loop.softest is None else cls.of(loop.softest),
+        )
 
     @cached_property
     def size(self) -> int:

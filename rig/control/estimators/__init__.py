@@ -72,13 +72,23 @@ __all__ = [
 # Imported on first use: compiled code over arrays, and counts of other loggers.
 _LATER = {
     "rig.control.estimators.arrays": (
-        "checked_efforts", "estimate", "estimate_with_window", "inputs", "own_inputs", "quantise", "require_effort",
+        "checked_efforts",
+        "estimate",
+        "estimate_with_window",
+        "inputs",
+        "own_inputs",
+        "quantise",
+        "require_effort",
         "run",
     ),
     "rig.control.estimators._own_counts": (
-        "COUNTS", "age_of_last_change", "real_numbers", "unwrap", "whole_numbers",
+        "COUNTS",
+        "age_of_last_change",
+        "real_numbers",
+        "unwrap",
+        "whole_numbers",
     ),
-}  # fmt: skip
+}
 
 
 # Hidden from mypy, which would accept every name of a module that has one: a renamed function was imported in vain.

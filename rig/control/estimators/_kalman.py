@@ -225,10 +225,21 @@ def design(settings: Mapping[str, Any], resolution: float, period_s: float) -> l
     q = np.zeros((3, 3))  # the double integrator is the triple one that never has an acceleration
     q[:order, :order] = noise
     return [
-        r, q[0, 0], q[0, 1], q[0, 2], q[1, 1], q[1, 2], q[2, 2], PRIOR if order == 3 else 0.0,
-        float(FADINGS.index(settings["fading"])), settings["fading_window"], settings["forgetting"],
-        float(steady), *gain.tolist(), 0.0,
-    ]  # fmt: skip
+        r,
+        q[0, 0],
+        q[0, 1],
+        q[0, 2],
+        q[1, 1],
+        q[1, 2],
+        q[2, 2],
+        PRIOR if order == 3 else 0.0,
+        float(FADINGS.index(settings["fading"])),
+        settings["fading_window"],
+        settings["forgetting"],
+        float(steady),
+        *gain.tolist(),
+        0.0,
+    ]
 
 
 def steady_parameters(gains: Sequence[float], acceleration: float = 0.0) -> list[float]:

@@ -192,15 +192,23 @@ def own_parameters(
 
 SETTINGS: tuple[Setting | Choice, ...] = (
     Setting(
-        "lipschitz", DEFAULT_LIPSCHITZ, 1e-6, 1e9, "position unit/s²",
+        "lipschitz",
+        DEFAULT_LIPSCHITZ,
+        1e-6,
+        1e9,
+        "position unit/s²",
         "C, largest acceleration to follow; identify it from a hit of your rig",
     ),
-    Choice("gains", "levant", (*levant_regions.NAMED_GAINS, "hba", "lfba", "custom"), "μ1 and μ2: named or given"),
+    Choice(
+        "gains", "levant", (*levant_regions.NAMED_GAINS, "hba", "lfba", "custom"), "μ1 and μ2: named or given"
+    ),
     Setting("mu1", 0.0, 0.0, 1e3, "1", "α/C, for gains hba, lfba and custom"),
     Setting("mu2", 0.0, 0.0, 1e3, "1", "λ/√C, for gains hba, lfba and custom"),
-    Choice("discretisation", "implicit", SCHEMES, "discretisation of the sign at zero; the explicit ones chatter"),
+    Choice(
+        "discretisation", "implicit", SCHEMES, "discretisation of the sign at zero; the explicit ones chatter"
+    ),
     Choice("output", "u", OUTPUTS, "u, which follows at once, or u1, its integrator, smoother and later"),
-)  # fmt: skip
+)
 
 ESTIMATOR = Estimator(
     name="levant",

@@ -116,11 +116,19 @@ ESTIMATOR = Estimator(
     ints=foaw.INTS,
     settings=(
         Setting(
-            "lipschitz", DEFAULT_LIPSCHITZ, 1e-6, 1e9, "position unit/s²",
+            "lipschitz",
+            DEFAULT_LIPSCHITZ,
+            1e-6,
+            1e9,
+            "position unit/s²",
             "C, largest acceleration to follow; identify it from a hit of your rig",
         ),
-        Setting("noise", 0.5, 0.01, 1e6, "counts", "largest error of a sample; an ideal encoder has half a count"),
-        Setting("window_limit", 32.0, 2.0, foaw.LONGEST, "velocity periods", "upper bound of the chord's length"),
+        Setting(
+            "noise", 0.5, 0.01, 1e6, "counts", "largest error of a sample; an ideal encoder has half a count"
+        ),
+        Setting(
+            "window_limit", 32.0, 2.0, foaw.LONGEST, "velocity periods", "upper bound of the chord's length"
+        ),
     ),
     design=design,
-)  # fmt: skip
+)

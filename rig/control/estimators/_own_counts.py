@@ -26,8 +26,15 @@ LEAST_JUMP = 127
 SHOWN = 5  # indices of missing values in a message
 
 COUNTS, ELAPSED, EDGE_TIME = "counts", "elapsed", "edge_time"
-_KINDS = {"b": "truth values", "U": "text", "S": "text", "T": "text", "M": "dates", "m": "durations",
-          "c": "complex numbers"}  # fmt: skip
+_KINDS = {
+    "b": "truth values",
+    "U": "text",
+    "S": "text",
+    "T": "text",
+    "M": "dates",
+    "m": "durations",
+    "c": "complex numbers",
+}
 _STEPS = "give elapsed=numpy.rint(numpy.diff(times, prepend=times[0] - dt) / dt)"
 FROM_SECONDS = (
     f"compute velocity periods since the sample before from times (s): times = numpy.asarray(times); {_STEPS}"

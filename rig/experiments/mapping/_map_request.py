@@ -25,21 +25,37 @@ class MapRequest:
 
     stiffness: Annotated[
         Text,
-        Keyword("Range of stiffness. [up to where the push rests trial.minimum_rest_counts deep]",
-                "", ("-K", "--stiffness"), "Experiment", metavar="FROM:TO"),
-    ] = ""  # fmt: skip
+        Keyword(
+            "Range of stiffness. [up to where the push rests trial.minimum_rest_counts deep]",
+            "",
+            ("-K", "--stiffness"),
+            "Experiment",
+            metavar="FROM:TO",
+        ),
+    ] = ""
     damping: Annotated[
         Text,
-        Keyword("Dampings. [17, to beyond the limit of the linear theory]",
-                "", ("-B", "--damping"), "Experiment", metavar="B,…|FROM:TO:N"),
-    ] = ""  # fmt: skip
+        Keyword(
+            "Dampings. [17, to beyond the limit of the linear theory]",
+            "",
+            ("-B", "--damping"),
+            "Experiment",
+            metavar="B,…|FROM:TO:N",
+        ),
+    ] = ""
     schemes: Annotated[
         tuple[Text, ...],
         MaxLen(32),
-        Keyword("dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [the experiment's "
-                "and the uniform ones of its rates; at B = 0 uniform ones, 100 Hz to 50 kHz]",
-                "", ("--scheme",), "Experiment", "scheme", "SCHEME"),
-    ] = ()  # fmt: skip
+        Keyword(
+            "dual:20k/2k; uniform:20k,cutoff_hz=1000; dual:20k/2k,estimator=kalman …; repeat it. [the experiment's "
+            "and the uniform ones of its rates; at B = 0 uniform ones, 100 Hz to 50 kHz]",
+            "",
+            ("--scheme",),
+            "Experiment",
+            "scheme",
+            "SCHEME",
+        ),
+    ] = ()
     way: Annotated[Way, Keyword("Method of the search for K.", names=("--search",))] = "ladder"
     ratio: Annotated[float, Keyword("Ratio between two stiffnesses.")] = 1.06
     offsets: Annotated[

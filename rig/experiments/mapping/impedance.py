@@ -452,10 +452,18 @@ def conclude(
     if len(records) < len(runs):
         stopped = next(run for run in runs if run.record is None)
         return ImpedanceResult(
-            experiment=experiment, impedance=None, judgement=None, fidelity=None, fitted=None,
-            method=method, signal=signal, ended=stopped.ended, ended_s=stopped.ended_s, saturated=saturated,
+            experiment=experiment,
+            impedance=None,
+            judgement=None,
+            fidelity=None,
+            fitted=None,
+            method=method,
+            signal=signal,
+            ended=stopped.ended,
+            ended_s=stopped.ended_s,
+            saturated=saturated,
             recordings=recordings,
-        )  # fmt: skip
+        )
     impedance = (periodic if method == "periodic" else estimate_welch)(records)
     bare = (wall.stiffness, wall.damping) == (0.0, 0.0)
     device = known_device(experiment)

@@ -125,23 +125,40 @@ def identification_plan(
     rms_load = multisine.rms / limits.nominal_effort
     travel, top_speed = TRAVEL_SHARE * 2.0 * half, max(abs(s.velocity) for s in strokes_of(experiment)[1])
     settings: tuple[Step, ...] = (
-        Step("pushes", f"{PUSHES} pushes of at most {most_push(experiment):.3g} {effort}, each until the handle has "
-             f"moved {push_way(experiment):.3g} {position}", pushes_s()),
-        Step("strokes", f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
-             strokes_of(experiment)[0][-1][0]),
-        Step("excitation", f"{realisations} × {excited_s(period_s):.3g} s, {multisine.lines_hz[0]:g} to "
-             f"{multisine.lines_hz[-1]:g} Hz, {multisine.rms:.3g} {effort} rms",
-             realisations * excited_s(period_s)),
-    )  # fmt: skip
+        Step(
+            "pushes",
+            f"{PUSHES} pushes of at most {most_push(experiment):.3g} {effort}, each until the handle has "
+            f"moved {push_way(experiment):.3g} {position}",
+            pushes_s(),
+        ),
+        Step(
+            "strokes",
+            f"± {travel:.3g} {position} about the middle of the window at up to {top_speed:.3g} {speed}",
+            strokes_of(experiment)[0][-1][0],
+        ),
+        Step(
+            "excitation",
+            f"{realisations} × {excited_s(period_s):.3g} s, {multisine.lines_hz[0]:g} to "
+            f"{multisine.lines_hz[-1]:g} Hz, {multisine.rms:.3g} {effort} rms",
+            realisations * excited_s(period_s),
+        ),
+    )
     checks: tuple[Check, ...] = (
         _check("push", most_push(experiment), limits.effort, effort, "raise rig.limits.effort"),
         _check("stroke speed", top_speed, limits.speed, speed, "raise rig.limits.speed"),
         _check_following(experiment, HELD_OF_TRAVEL * travel),
         _check_stroke_counts(experiment, travel),
         _check_excitation_counts(experiment, multisine.position(impedance).rms),
-        _check("peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"),
-        _check("peak position of the excitation", multisine.position(impedance).peak, half, position,
-               "widen the window"),
+        _check(
+            "peak effort of the excitation", multisine.peak, limits.effort, effort, "raise rig.limits.effort"
+        ),
+        _check(
+            "peak position of the excitation",
+            multisine.position(impedance).peak,
+            half,
+            position,
+            "widen the window",
+        ),
         _check("peak speed of the excitation", fastest, limits.speed, speed, "raise rig.limits.speed"),
         _check("motor heat", rms_load, 1.0, "of the nominal effort, rms", "lower rig.limits.effort"),
         Check(
@@ -150,7 +167,7 @@ def identification_plan(
             f"{multisine.rms:.3g} {effort} rms, Coulomb friction {coulomb:.3g}",
             "the intervals of inertia and delay will be wide: raise rig.limits (effort, speed, positions)",
         ),
-    )  # fmt: skip
+    )
     if cogging is not None:
         sweeps = cogging_sweeps(experiment, cogging)[1]
         way, most = sweeps[0].velocity * (sweeps[0].end_s - sweeps[0].begin_s), abs(sweeps[0].velocity)

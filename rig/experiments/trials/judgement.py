@@ -23,9 +23,20 @@ from rig.recording.data import Recording
 from rig.recording.origin import cut_facts, refuse_counts
 
 JUDGED = (  # columns that `judge` takes
-    "phase", "elapsed_ticks", "flags", "position", "penetration", "effort_sent", "effort_applied", "limits",
-    "command_age", "position_true", "handle_position_true", "handle_velocity_true", "effort_true",
-)  # fmt: skip
+    "phase",
+    "elapsed_ticks",
+    "flags",
+    "position",
+    "penetration",
+    "effort_sent",
+    "effort_applied",
+    "limits",
+    "command_age",
+    "position_true",
+    "handle_position_true",
+    "handle_velocity_true",
+    "effort_true",
+)
 # Longest lag of the motor as a fraction of a window of the motion balance.
 LATE_SHARE = 0.2
 # The motion balance uses this time before and after the contact (s): later the handle rests, and memory is limited.

@@ -116,10 +116,16 @@ class Watched:
         """Return a JSON message with results (`columns`) and the map's progress; `anew`: drop older results."""
         return json.dumps(
             {
-                "say": "cells", "map": self.path.name, "anew": anew, "columns": columns, "state": self.state,
-                "done": len(self.columns), "total": self.total, "left_s": self._left_s(now_s),
+                "say": "cells",
+                "map": self.path.name,
+                "anew": anew,
+                "columns": columns,
+                "state": self.state,
+                "done": len(self.columns),
+                "total": self.total,
+                "left_s": self._left_s(now_s),
             }
-        )  # fmt: skip
+        )
 
     def _weight(self) -> float:
         schemes = self.facts["schemes"]
@@ -180,9 +186,14 @@ class MapService(Service):
 
     async def _hit(self, client: Client, request: AskHit) -> object:
         return self._errand(
-            client, request, "map hit", directory=str(self._named(request.map)), key=request.key,
-            stiffness=request.stiffness, output=str(self._shared.output),
-        )  # fmt: skip
+            client,
+            request,
+            "map hit",
+            directory=str(self._named(request.map)),
+            key=request.key,
+            stiffness=request.stiffness,
+            output=str(self._shared.output),
+        )
 
     async def _watch(self, client: Client, request: WatchMap) -> object:
         for watched in self._watched.values():

@@ -73,10 +73,15 @@ class Runs(Service):
 
     async def _start(self, request: asked.Run, digest: str | None = None) -> dict[str, Any]:
         content: dict[str, Any] = {
-            "rig": request.rig, "url": request.url, "changes": request.changes, "output": str(self._shared.output),
-            "duration_s": request.duration_s, "hand": str(self._hand.path), "verified": self._verified,
+            "rig": request.rig,
+            "url": request.url,
+            "changes": request.changes,
+            "output": str(self._shared.output),
+            "duration_s": request.duration_s,
+            "hand": str(self._hand.path),
+            "verified": self._verified,
             "digest": digest,
-        }  # fmt: skip
+        }
         is_detached = request.is_detached and request.job != PLAY
         job = await self._shared.jobs.start(request.job, content, is_detached=is_detached)
         self._live.look_at_newest()

@@ -94,12 +94,25 @@ class BridgeFacts(ctypes.Structure):
         *(
             (name, ctypes.c_int64)
             for name in (
-                "replies", "lost", "late", "foreign", "invalid", "refused", "unsent", "skipped", "limited",
-                "longest_us", "temperature", "hottest", "millivolts", "mode", "code",
+                "replies",
+                "lost",
+                "late",
+                "foreign",
+                "invalid",
+                "refused",
+                "unsent",
+                "skipped",
+                "limited",
+                "longest_us",
+                "temperature",
+                "hottest",
+                "millivolts",
+                "mode",
+                "code",
             )
         ),
         ("round_trips", ctypes.c_int64 * BINS),
-    ]  # fmt: skip
+    ]
 
     def quantile_us(self, share: float) -> float:
         """Return a quantile of the round-trip time to the drive (µs, rounded up to a bin); 0 without replies.

@@ -71,10 +71,16 @@ class BridgeLink(DescriptorLink):
             try:
                 found: Found = self._running.enter_context(
                     start_announced(
-                        _serve, url, model, *ends, self.cpu,
-                        name="rig-bridge", by_hand=f"rig serve {url.scheme}", descriptors=ends,
+                        _serve,
+                        url,
+                        model,
+                        *ends,
+                        self.cpu,
+                        name="rig-bridge",
+                        by_hand=f"rig serve {url.scheme}",
+                        descriptors=ends,
                     )
-                )  # fmt: skip
+                )
             except BaseException:
                 # The other end is the child's; without an error `super().__init__` takes this one over.
                 ours.close()

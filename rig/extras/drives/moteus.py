@@ -53,8 +53,13 @@ MODE, FAULT, VERSION, MAP_VERSION = 0x000, 0x00F, 0x101, 0x102
 AUX = {1: 0x05E, 2: 0x05F}
 STOPPED, FAULTED, TIMED_OUT = 0, 1, 11
 MODES = {5: "PWM", 6: "voltage", 7: "voltage FOC", 8: "voltage DQ", 9: "current", 10: "position"} | {
-    2: "preparing", 3: "preparing", 4: "preparing", 12: "zero velocity", 13: "stay within", 15: "brake"
-}  # fmt: skip
+    2: "preparing",
+    3: "preparing",
+    4: "preparing",
+    12: "zero velocity",
+    13: "stay within",
+    15: "brake",
+}
 
 
 class Asked(Protocol):

@@ -42,8 +42,15 @@ WHERE_TO_GET = (
     "and name it in the URL: ?endpoints=FILE"
 )
 FORMS = {
-    "bool": "?", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "float": "f",
-}  # fmt: skip
+    "bool": "?",
+    "uint8": "B",
+    "int8": "b",
+    "uint16": "H",
+    "int16": "h",
+    "uint32": "I",
+    "int32": "i",
+    "float": "f",
+}
 
 
 class OdriveCommand(IntEnum):
@@ -77,9 +84,19 @@ TORQUE_CONSTANT = f"{_CONFIG}.motor.torque_constant"
 CURRENT = f"{_CONFIG}.motor.current_soft_max"
 LEAST_TORQUE, MOST_TORQUE = f"{_CONFIG}.torque_soft_min", f"{_CONFIG}.torque_soft_max"
 READ = (
-    *(ENCODER_MS, TORQUES_MS, HEARTBEAT_MS, WATCHDOG, WATCHDOG_S, VELOCITY_LIMITED, OVERSPEED, VELOCITY, TOLERANCE),
+    *(
+        ENCODER_MS,
+        TORQUES_MS,
+        HEARTBEAT_MS,
+        WATCHDOG,
+        WATCHDOG_S,
+        VELOCITY_LIMITED,
+        OVERSPEED,
+        VELOCITY,
+        TOLERANCE,
+    ),
     *(ENCODER, COUNTS, BANDWIDTH, TORQUE_CONSTANT, CURRENT, LEAST_TORQUE, MOST_TORQUE),
-)  # fmt: skip
+)
 
 
 class RequiredParameter(NamedTuple):
@@ -136,7 +153,7 @@ REQUIRED = (
         f"{ONBOARD}",
         f"this encoder is not supported; allowed: {ONBOARD} (onboard encoder) and {INCREMENTAL} (incremental encoder)",
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True)

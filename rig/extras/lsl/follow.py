@@ -35,10 +35,24 @@ from rig.realtime.row_reader import RowReader
 HOLD_S = 0.5  # how long rows wait for the first clock exchange
 SECRETS = frozenset(
     (
-        "stiffness", "damping", "wall", "condition", "scheme", "estimator", "encoder", "catch", "track", "level",
-        "set", "K", "B", "position_rate", "velocity_rate", "rate",
+        "stiffness",
+        "damping",
+        "wall",
+        "condition",
+        "scheme",
+        "estimator",
+        "encoder",
+        "catch",
+        "track",
+        "level",
+        "set",
+        "K",
+        "B",
+        "position_rate",
+        "velocity_rate",
+        "rate",
     )
-)  # fmt: skip
+)
 _INSIDE = int(RowFlag.INSIDE)
 
 

@@ -19,9 +19,13 @@ from rig.recording.files import plain_errors
 
 WIDEST = 110  # characters of a verdict
 COLOURS = {
-    ClaimStatus.REPRODUCED: "green", ClaimStatus.ONLY_WITH: "yellow", ClaimStatus.PARTLY: "yellow",
-    ClaimStatus.FOLLOWS: "yellow", ClaimStatus.UNDECIDED: "yellow", ClaimStatus.NOT: "red",
-}  # fmt: skip
+    ClaimStatus.REPRODUCED: "green",
+    ClaimStatus.ONLY_WITH: "yellow",
+    ClaimStatus.PARTLY: "yellow",
+    ClaimStatus.FOLLOWS: "yellow",
+    ClaimStatus.UNDECIDED: "yellow",
+    ClaimStatus.NOT: "red",
+}
 COUNTS = {
     ClaimStatus.REPRODUCED: "reproduced",
     ClaimStatus.ONLY_WITH: "reproduced under a condition",

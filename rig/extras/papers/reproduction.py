@@ -103,9 +103,14 @@ class Reproduction:
     def as_mapping(self) -> dict[str, Any]:
         """Return claims, numbers and provenance for JSON; numbers that are not finite become None."""
         mapping = {
-            "name": self.paper.name, "title": self.title, "claims": self.claims, "numbers": self.numbers,
-            "provenance": self.provenance, "seconds": self.seconds, "kept": self.kept,
-        }  # fmt: skip
+            "name": self.paper.name,
+            "title": self.title,
+            "claims": self.claims,
+            "numbers": self.numbers,
+            "provenance": self.provenance,
+            "seconds": self.seconds,
+            "kept": self.kept,
+        }
         return dict(plain(mapping))
 
     def count(self, status: ClaimStatus) -> int:

@@ -37,10 +37,20 @@ _SCHEME = tuple(
     for name in ("position_rate", "velocity_rate", "estimator", "parameters", "prediction")
 )
 _ELSEWHERE = (
-    *_SCHEME, "rig.limits.", "homing.", "verdict.", "trial.duration_s", "trial.baseline_s",
-    "trial.foreperiod_s", "trial.hold_s", "trial.release_s", "trial.effort",
-    "trial.start", "operator.begin_s", "operator.reach_s",
-)  # fmt: skip
+    *_SCHEME,
+    "rig.limits.",
+    "homing.",
+    "verdict.",
+    "trial.duration_s",
+    "trial.baseline_s",
+    "trial.foreperiod_s",
+    "trial.hold_s",
+    "trial.release_s",
+    "trial.effort",
+    "trial.start",
+    "operator.begin_s",
+    "operator.reach_s",
+)
 _NONE_AT_ZERO = ("trial.minimum_rest_counts",)
 _CAPS = {"stiffness": "stiffness", "effort": "effort", "speed": "velocity", "energy": "J"}
 

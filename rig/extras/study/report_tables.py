@@ -210,11 +210,17 @@ def blocks(found: StudyAnalysis) -> Table:
     """Return a table of the trials of each block, without practice."""
     rows = [
         (
-            one.participant, one.block, one.trials, one.invalid, one.redone, one.aborted, one.unsure,
+            one.participant,
+            one.block,
+            one.trials,
+            one.invalid,
+            one.redone,
+            one.aborted,
+            one.unsure,
             number(one.response_s, 3),
         )
         for one in found.blocks
-    ]  # fmt: skip
+    ]
     head = ("participant", "block", "trials", "invalid", "redone", "cut off", "unsure", "response time (s)")
     return Table(head, rows, "Blocks, practice aside")
 
@@ -326,10 +332,20 @@ def tracks(found: StudyAnalysis) -> Table:
         state = "; ".join(filter(None, (run.state, run.note, mark)))
         rows.append(
             (
-                run.participant, run.condition, run.rule, state, run.run, run.block, shortest(run.damping),
-                run.repeat, value, ends, run.hits, f"{run.lapses} of {run.catches}",
+                run.participant,
+                run.condition,
+                run.rule,
+                state,
+                run.run,
+                run.block,
+                shortest(run.damping),
+                run.repeat,
+                value,
+                ends,
+                run.hits,
+                f"{run.lapses} of {run.catches}",
             )
-        )  # fmt: skip
+        )
     unit, damping = found.study.unit("stiffness"), found.study.unit("damping")
     head = ("participant", "condition", "rule", "state", "run", "block", f"B ({damping})", "repeat")
     return Table((*head, f"limit ({unit})", "95 %", "hits", "lapses"), rows, "Searches", words=4)

@@ -19,10 +19,27 @@ _FINAL = {"A": "up", "B": "down", "C": "right", "D": "left", "H": "home", "F": "
 _FUNCTION = {"P": "f1", "Q": "f2", "R": "f3", "S": "f4"}  # after SS3
 _LINUX = {"A": "f1", "B": "f2", "C": "f3", "D": "f4", "E": "f5"}  # after CSI [, on the console of Linux
 _TILDE = {
-    "1": "home", "2": "insert", "3": "delete", "4": "end", "5": "pageup", "6": "pagedown", "7": "home", "8": "end",
-    "11": "f1", "12": "f2", "13": "f3", "14": "f4", "15": "f5", "17": "f6", "18": "f7", "19": "f8", "20": "f9",
-    "21": "f10", "23": "f11", "24": "f12",
-}  # fmt: skip
+    "1": "home",
+    "2": "insert",
+    "3": "delete",
+    "4": "end",
+    "5": "pageup",
+    "6": "pagedown",
+    "7": "home",
+    "8": "end",
+    "11": "f1",
+    "12": "f2",
+    "13": "f3",
+    "14": "f4",
+    "15": "f5",
+    "17": "f6",
+    "18": "f7",
+    "19": "f8",
+    "20": "f9",
+    "21": "f10",
+    "23": "f11",
+    "24": "f12",
+}
 _CONTROL = {
     13: "enter",
     10: "enter",

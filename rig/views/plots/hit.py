@@ -21,9 +21,19 @@ from rig.views.plots import style
 from rig.views.plots.column import column_figure
 
 DRAWN = (  # columns that the figure takes
-    "phase", "device_time", "received_at", "flags", "penetration", "position", "velocity", "effort_wall", "effort_sent",
-    "position_true", "handle_position_true", "handle_velocity_true",
-)  # fmt: skip
+    "phase",
+    "device_time",
+    "received_at",
+    "flags",
+    "penetration",
+    "position",
+    "velocity",
+    "effort_wall",
+    "effort_sent",
+    "position_true",
+    "handle_position_true",
+    "handle_velocity_true",
+)
 BEFORE_CONTACT_S = 0.02
 SHORTEST_IMPACT_S, LONGEST_IMPACT_S = 0.05, 0.2
 

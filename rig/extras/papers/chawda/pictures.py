@@ -292,7 +292,15 @@ def _by_damping(axes: Any, title: str, label: str) -> None:
 
 
 PICTURES: Mapping[str, Callable[[Chawda, Path], None]] = {
-    "figure-1": _figure_1, "figure-3": _figure_3, "figure-3-gains": _figure_3_gains, "hits": _hits,
-    "figure-4": _figure_4, "figure-5": _figure_5, "figure-6": _figure_6, "figure-7": _figure_7,
-    "readings": _readings, "theory": _theory, "dual": _dual,
-}  # fmt: skip
+    "figure-1": _figure_1,
+    "figure-3": _figure_3,
+    "figure-3-gains": _figure_3_gains,
+    "hits": _hits,
+    "figure-4": _figure_4,
+    "figure-5": _figure_5,
+    "figure-6": _figure_6,
+    "figure-7": _figure_7,
+    "readings": _readings,
+    "theory": _theory,
+    "dual": _dual,
+}

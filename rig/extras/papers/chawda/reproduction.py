@@ -194,14 +194,27 @@ def _impedances(scale: rigs.ChawdaScale) -> tuple[Any, ...]:
 def words(chawda: Chawda) -> dict[str, Any]:
     """Return the values that the templates of the report use, by name."""
     return {
-        "chawda": chawda, "rigs": rigs, "rules": rules, "of": derived, "most_share": MOST,
-        "acquisition_hz": excitation_run.ACQUISITION_HZ, "levant": levant_regions,
-        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S), "nominal_wall": WALLS[0],
+        "chawda": chawda,
+        "rigs": rigs,
+        "rules": rules,
+        "of": derived,
+        "most_share": MOST,
+        "acquisition_hz": excitation_run.ACQUISITION_HZ,
+        "levant": levant_regions,
+        "around_contact_s": (BEFORE_CONTACT_S, AFTER_CONTACT_S),
+        "nominal_wall": WALLS[0],
         "verdict": presets.load(rigs.RIG).verdict,
-    }  # fmt: skip
+    }
 
 
 CHAWDA = Paper(
-    name="chawda", quick=rigs.QUICK, full=rigs.FULL, plan=ChawdaPlan, rulings=rulings, words=words,
-    numbers=numbers, provenance=provenance, pictures=PICTURES,
-)  # fmt: skip
+    name="chawda",
+    quick=rigs.QUICK,
+    full=rigs.FULL,
+    plan=ChawdaPlan,
+    rulings=rulings,
+    words=words,
+    numbers=numbers,
+    provenance=provenance,
+    pictures=PICTURES,
+)

@@ -243,10 +243,14 @@ def provenance(chawda: Chawda) -> dict[str, Any]:
     """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     experiment = rigs.excited_rig(chawda.scale)
     return {
-        "haptic-rig": code_version(), "scale": asdict(chawda.scale), "seed": rigs.SEED,
-        "runs": chawda.runs, "hits": chawda.hits.hits + chawda.slow_hits.hits,
+        "haptic-rig": code_version(),
+        "scale": asdict(chawda.scale),
+        "seed": rigs.SEED,
+        "runs": chawda.runs,
+        "hits": chawda.hits.hits + chawda.slow_hits.hits,
         "schemes": {name: scheme.text for name, scheme in rigs.SCHEMES.items()},
-        "readings": [reading.text for reading in rigs.READINGS], "excitation": asdict(experiment.excitation),
+        "readings": [reading.text for reading in rigs.READINGS],
+        "excitation": asdict(experiment.excitation),
         "push": dict(rigs.PUSH),
         "presets": {name: config.as_mapping(presets.load(name)) for name in (rigs.RIG, *rigs.KOUL)},
-    }  # fmt: skip
+    }

@@ -148,8 +148,15 @@ DUAL_RATES = ("dual:20k/2k", "dual:20k/5k")
 PAPERS_DUAL = "dual:20k/2k,estimator=fdm-butterworth"
 REFERENCES = ("uniform:20k,estimator=fdm-butterworth", "uniform:2k,estimator=fdm-butterworth")
 DUAL_ESTIMATORS = (
-    "fdm", "fdm-butterworth", "foaw-best", "foaw-end", "kalman", "levant", "optimal", "foaw-levant",
-)  # fmt: skip
+    "fdm",
+    "fdm-butterworth",
+    "foaw-best",
+    "foaw-end",
+    "kalman",
+    "levant",
+    "optimal",
+    "foaw-levant",
+)
 DUAL_READINGS = tuple(Reading(low_hz=2.0, high_hz=high, tolerance=2.0) for high in (50.0, 100.0, 250.0))
 
 
@@ -205,12 +212,23 @@ FULL = ChawdaScale(
     theory_points=41,
 )  # fmt: skip
 QUICK = ChawdaScale(
-    name="quick", stiffnesses=_rungs(4000.0, 1.7, 8), dampings=(0.0, 20.0, 60.0, 200.0, 700.0),
-    measurements=2, realisations=3, coarse=3, periods=2,
-    hit_dampings=(0.0, 50.0, 100.0, 250.0, 400.0, 800.0), hit_ratio=1.5, offsets=(0.1,),
-    constants=(3.0, 12.0, 50.0), dual_stiffnesses=_rungs(10.0, 8.0, 3), dual_dampings=(0.0, 0.2),
-    dual_measurements=1, dual_realisations=2, theory_points=7,
-)  # fmt: skip
+    name="quick",
+    stiffnesses=_rungs(4000.0, 1.7, 8),
+    dampings=(0.0, 20.0, 60.0, 200.0, 700.0),
+    measurements=2,
+    realisations=3,
+    coarse=3,
+    periods=2,
+    hit_dampings=(0.0, 50.0, 100.0, 250.0, 400.0, 800.0),
+    hit_ratio=1.5,
+    offsets=(0.1,),
+    constants=(3.0, 12.0, 50.0),
+    dual_stiffnesses=_rungs(10.0, 8.0, 3),
+    dual_dampings=(0.0, 0.2),
+    dual_measurements=1,
+    dual_realisations=2,
+    theory_points=7,
+)
 
 
 def excited_rig(scale: ChawdaScale, changes: Mapping[str, Any] | None = None) -> Experiment:

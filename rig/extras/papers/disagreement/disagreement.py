@@ -318,11 +318,18 @@ class Disagreement(Shown, Drawn):
         """Return settings and shares for JSON, without the results of single walls."""
         plan = self.plan
         return {
-            "rig": plan.experiment.rig.name, "schemes": plain(self.schemes), "walls": len(self.walls),
-            "unknown": self.unknown, "hits": self.hits, "dampings": list(plan.dampings),
-            "search": asdict(plan.search), "offsets": list(plan.offsets), "repeats": plan.repeats,
-            "judged": plan.judged, "experiment": config.as_mapping(plan.experiment),
-        }  # fmt: skip
+            "rig": plan.experiment.rig.name,
+            "schemes": plain(self.schemes),
+            "walls": len(self.walls),
+            "unknown": self.unknown,
+            "hits": self.hits,
+            "dampings": list(plan.dampings),
+            "search": asdict(plan.search),
+            "offsets": list(plan.offsets),
+            "repeats": plan.repeats,
+            "judged": plan.judged,
+            "experiment": config.as_mapping(plan.experiment),
+        }
 
 
 def _share(part: Iterable[ComparedWall], whole: Iterable[ComparedWall]) -> float:

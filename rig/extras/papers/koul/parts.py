@@ -225,9 +225,13 @@ def _passivity(lifted: theory.Lifted) -> dict[str, Any]:
 
 # What is drawn, log-uniformly, at the link; the hand is one of the three grips or none.
 PLANT_RANGES = {
-    "motor_inertia": (1e-4, 3e-4), "link_inertia": (2e-4, 4e-3), "transmission_stiffness": (500.0, 2e4),
-    "transmission_damping_ratio": (0.01, 0.1), "motor_damping": (1e-3, 3e-2), "link_damping": (3e-4, 3e-3),
-}  # fmt: skip
+    "motor_inertia": (1e-4, 3e-4),
+    "link_inertia": (2e-4, 4e-3),
+    "transmission_stiffness": (500.0, 2e4),
+    "transmission_damping_ratio": (0.01, 0.1),
+    "motor_damping": (1e-3, 3e-2),
+    "link_damping": (3e-4, 3e-3),
+}
 LAGS_S = (3e-5, 3e-4)
 
 

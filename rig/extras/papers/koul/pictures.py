@@ -34,9 +34,13 @@ def _figure_5(koul: Koul, path: Path) -> None:
             colour, found = style.SERIES[number], koul.kmax[preset, lag]
             draw_boundaries(axes, rates, found.curve("any"), colour, f"simulated, {lag}")
             axes.plot(
-                rates, koul.kmax_theory[preset, lag], color=colour, linewidth=0.9, linestyle="--",
+                rates,
+                koul.kmax_theory[preset, lag],
+                color=colour,
+                linewidth=0.9,
+                linestyle="--",
                 label=f"linear theory, {lag}",
-            )  # fmt: skip
+            )
         axes.plot([20_000], [LEVEL], "k*", markersize=11, label="Koul et al.")
         axes.set_xscale("log")
         top = max(b.highest for p in rigs.PRESETS for b in koul.kmax[p, rigs.WITH_LAG].curve("any"))
@@ -249,6 +253,13 @@ def _label(axes: Any, title: str) -> None:
 PICTURES: dict[str, Callable[[Koul, Path], None]] = {
     "figure-5": _figure_5,
     **{f"figure-6-{preset}": partial(_figure_6, preset=preset) for preset in rigs.PRESETS},
-    "hands": _hands, "ways": _ways, "figure-7": _figure_7, "figure-8": _figure_8, "theory": _theory,
-    "effects": _effects, "plants": _plants, "ranking": _ranking, "ideas": _ideas,
-}  # fmt: skip
+    "hands": _hands,
+    "ways": _ways,
+    "figure-7": _figure_7,
+    "figure-8": _figure_8,
+    "theory": _theory,
+    "effects": _effects,
+    "plants": _plants,
+    "ranking": _ranking,
+    "ideas": _ideas,
+}

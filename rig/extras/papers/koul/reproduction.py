@@ -259,13 +259,26 @@ def _dampings(experiment: Experiment, columns: int) -> tuple[float, ...]:
 def words(koul: Koul) -> dict[str, Any]:
     """Return the values that the templates of the report use, by name."""
     return {
-        "koul": koul, "rigs": rigs, "rules": rules, "parts": koul_parts, "ideas": koul_ideas,
-        "compare": compare_koul, "verdict": presets.load(rigs.COMPLIANT).verdict, "by_cutoff": by_cutoff,
+        "koul": koul,
+        "rigs": rigs,
+        "rules": rules,
+        "parts": koul_parts,
+        "ideas": koul_ideas,
+        "compare": compare_koul,
+        "verdict": presets.load(rigs.COMPLIANT).verdict,
+        "by_cutoff": by_cutoff,
         "cutoff": cutoff,
-    }  # fmt: skip
+    }
 
 
 KOUL = Paper(
-    name="koul", quick=rigs.QUICK, full=rigs.FULL, plan=KoulPlan, rulings=rulings, words=words,
-    numbers=numbers, provenance=provenance, pictures=PICTURES,
-)  # fmt: skip
+    name="koul",
+    quick=rigs.QUICK,
+    full=rigs.FULL,
+    plan=KoulPlan,
+    rulings=rulings,
+    words=words,
+    numbers=numbers,
+    provenance=provenance,
+    pictures=PICTURES,
+)

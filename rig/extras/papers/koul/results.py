@@ -171,9 +171,10 @@ class Koul:
         whole = [plant["with_islands"][0] / plant["with_islands"][1] for plant in self.plants]
         return {
             "quartiles": [float(q) for q in np.percentile(ratios, (25, 50, 75))],
-            "larger": float((ratios > 1.0).mean()), "same": _share_of_ones(dual / slow),
+            "larger": float((ratios > 1.0).mean()),
+            "same": _share_of_ones(dual / slow),
             "same_with_islands": _share_of_ones(whole),
-        }  # fmt: skip
+        }
 
     def against(self, key: str) -> Change:
         """Return limits and area of an idea for a larger Z-width, divided by those of the paper's dual-rate wall."""
@@ -277,7 +278,12 @@ def provenance(koul: Koul) -> dict[str, Any]:
     """Return where the numbers come from: code version, grid sizes, seed, settings; the same on every machine."""
     limits = presets.load(rigs.COMPLIANT).verdict
     return {
-        "haptic-rig": code_version(), "scale": asdict(koul.scale), "seed": rigs.SEED, "hits": koul.hits,
+        "haptic-rig": code_version(),
+        "scale": asdict(koul.scale),
+        "seed": rigs.SEED,
+        "hits": koul.hits,
         "presets": {name: config.as_mapping(presets.load(name)) for name in rigs.PRESETS},
-        "verdict": asdict(limits), "lowest_stiffness": rigs.LOWEST_STIFFNESS, "automated_trial": rigs.PUSH,
-    }  # fmt: skip
+        "verdict": asdict(limits),
+        "lowest_stiffness": rigs.LOWEST_STIFFNESS,
+        "automated_trial": rigs.PUSH,
+    }

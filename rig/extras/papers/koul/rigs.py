@@ -63,17 +63,41 @@ class KoulScale:
 
 
 FULL = KoulScale(
-    name="full", rates=(100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000), kmax_ratio=1.02,
-    columns=9, ratio=1.08, offsets=(0.1, 0.6), range_ratio=1.015,
-    idea_dampings=(0.0, 0.1, 0.2, 0.4, 0.8, 1.4, 2.0, 2.6, 3.2, 4.0), effect_s=3.0, idea_points=17,
-    idea_ratio=1.1, idea_offsets=(0.1, 0.6), plants=200, state_bits=(0, 1, 2, 3, 4, 5, 6, 8, 16),
-    theory_points=41, impact_offsets=OFFSETS,
-)  # fmt: skip
+    name="full",
+    rates=(100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
+    kmax_ratio=1.02,
+    columns=9,
+    ratio=1.08,
+    offsets=(0.1, 0.6),
+    range_ratio=1.015,
+    idea_dampings=(0.0, 0.1, 0.2, 0.4, 0.8, 1.4, 2.0, 2.6, 3.2, 4.0),
+    effect_s=3.0,
+    idea_points=17,
+    idea_ratio=1.1,
+    idea_offsets=(0.1, 0.6),
+    plants=200,
+    state_bits=(0, 1, 2, 3, 4, 5, 6, 8, 16),
+    theory_points=41,
+    impact_offsets=OFFSETS,
+)
 QUICK = KoulScale(
-    name="quick", rates=(500, 2000, 10_000, 20_000, 50_000), kmax_ratio=1.15, columns=2, ratio=1.5,
-    offsets=(0.1,), range_ratio=1.4, idea_dampings=(0.0, 0.4), effect_s=1.5, idea_points=3, idea_ratio=1.7,
-    idea_offsets=(0.1,), plants=10, state_bits=(2, 4, 16), theory_points=8, impact_offsets=(0.1, 0.7),
-)  # fmt: skip
+    name="quick",
+    rates=(500, 2000, 10_000, 20_000, 50_000),
+    kmax_ratio=1.15,
+    columns=2,
+    ratio=1.5,
+    offsets=(0.1,),
+    range_ratio=1.4,
+    idea_dampings=(0.0, 0.4),
+    effect_s=1.5,
+    idea_points=3,
+    idea_ratio=1.7,
+    idea_offsets=(0.1,),
+    plants=10,
+    state_bits=(2, 4, 16),
+    theory_points=8,
+    impact_offsets=(0.1, 0.7),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
