@@ -72,4 +72,4 @@ def test_a_refused_rule_is_printed_and_ends_with_an_error(run: Any, tmp_path: Pa
     code, out, err = run("session", "check", "study.toml")
     assert code == 2
     assert "no stop.trials" in out
-    assert "refused: stop.trials" in err
+    assert "refused by the checks stop.trials" in err

@@ -110,7 +110,7 @@ ROWS = (
     Row("compare", "--rig koul-rigid --duration 0.2 --set verdict.tail_s=0.05",
         "start outcomes rig motion wall cutoffs picture", "encoder offsets", (
         ("--scheme none --scheme none", 2, "given twice"),
-        ("--set trial.repeats=3", 2, "without noise"), ("--scheme triple:20k", 2, "must begin with .uniform:"),
+        ("--set trial.repeats=3", 2, "without noise"), ("--scheme triple:20k", 2, "must begin with 'uniform:'"),
     ), "recordings/*.png"),
     Row("zwidth", f"{TINY} --search bisection --ratio 3",
         "rig motion trial schemes search offsets repeats judged hits invalid cutoffs note experiment "

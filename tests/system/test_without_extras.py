@@ -58,12 +58,12 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / name, place / name, ignore=left_out)
     for name in ("README.md", "LICENSE", "pyproject.toml"):
         shutil.copy(ROOT / name, place)
-    for path in tests_with_extras(place / "tests"):
+    for path in files_that_need_extras(place / "tests"):
         path.unlink()
     return place
 
 
-def tests_with_extras(tests: Path) -> set[Path]:
+def files_that_need_extras(tests: Path) -> set[Path]:
     """Return the test files that import from an extra, directly or through another test file."""
     names = {
         ".".join(path.relative_to(tests.parent).with_suffix("").parts): path for path in tests.rglob("*.py")

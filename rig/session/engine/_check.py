@@ -2,7 +2,7 @@
 
 Numbers of trials and times are expected ranges (`rig.session.planning._expected`, `rig.session.planning._times`). Every
 wall that a search rule may present is checked like a single hit (`rig.experiments.trials.plan`) and compared with
-linear theory. `rig session check`, `rig session plan` and the start of each session use it. It writes nothing.
+linear theory. `rig session check` and the start of each session use it. It writes nothing.
 """
 
 import math

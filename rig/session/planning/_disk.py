@@ -1,6 +1,6 @@
 """Compute the disk space for the recordings of a session, and check that it is available.
 
-`rig session plan` shows it; a session does not begin on a disk with too little space.
+`rig session check` shows it; a session does not begin on a disk with too little space.
 """
 
 import shutil

@@ -1,6 +1,6 @@
 """Data classes for the plan of a study: searches, trials, durations, order and results of checks.
 
-`rig.session.engine._check` fills them; `rig session plan` and the page show them.
+`rig.session.engine._check` fills them; `rig session check` and the page show them.
 """
 
 from dataclasses import dataclass

@@ -43,7 +43,9 @@ def test_of_a_filtered_difference_the_pulse_of_the_filter_is_cut_off() -> None:
         assert rendered_share(rig_under("dual:20k/2k"), damping) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize("estimator", sorted(set(names()) - {"fdm-butterworth-fixed"}))
+@pytest.mark.parametrize(
+    "estimator", sorted(set(names()) - {"fdm-butterworth-fixed", "disturbance-two-mass"})
+)
 def test_no_damping_is_rendered_whole_and_a_small_one_is(estimator: str) -> None:
     experiment = config.override(RIG, {"controller.estimator": estimator, "controller.parameters": {}})
     assert rendered_share(experiment, 0.0) == 1.0
