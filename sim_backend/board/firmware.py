@@ -5,6 +5,8 @@
 are left to the C code. `make_device` creates it, and the files of `sim_backend.ends` run it.
 """
 
+from __future__ import annotations
+
 import ctypes
 import struct
 from typing import Any
