@@ -4,6 +4,8 @@ Options of all commands use them, and `complete` replies to shells with them. Th
 such as numpy.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path

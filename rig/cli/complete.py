@@ -5,6 +5,8 @@ A shell must not wait, and most commands import numpy and a compiler, so the rep
 It must not import a command.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Mapping
 from typing import Any
