@@ -211,12 +211,11 @@ def settings_of_rig(rig: Experiment | RigModel) -> dict[str, float]:
     for a rigid rig.
     """
     mechanics = (rig if isinstance(rig, RigModel) else rig_model(rig)).mechanics
-    motor, link = mechanics.motor_inertia, mechanics.loaded_link_inertia
     stiffness = mechanics.transmission_stiffness if mechanics.structure == "two-mass" else 0.0
     return {
-        "inertia": motor + link,
-        "motor_inertia": motor,
-        "link_inertia": link,
+        "inertia": mechanics.inertia,
+        "motor_inertia": mechanics.motor_inertia,
+        "link_inertia": mechanics.loaded_link_inertia,
         "transmission_stiffness": stiffness,
     }
 

@@ -107,7 +107,7 @@ def moved_mechanics(model: RigModel) -> MovedMechanics:
         effort_limit=amplifier.effort_limit,
         friction=mechanics.motor_coulomb + mechanics.link_coulomb + abs(mechanics.gravity_effort),
         travel=STALL_COUNTS * model.encoder.resolution,
-        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        inertia=mechanics.inertia,
         damping=model.damping,
         lag_s=amplifier.lag_s + amplifier.set_point_delay_s,
     )

@@ -78,6 +78,11 @@ class Mechanics:
         return self.link_inertia + self.end_mass * self.handle_radius**2
 
     @property
+    def inertia(self) -> float:
+        """Return the inertia of motor, link and end mass together (kg·m² or kg)."""
+        return self.motor_inertia + self.loaded_link_inertia
+
+    @property
     def gravity_effort(self) -> float:
         """Return the constant effort (N·m or N) of the end mass's weight on the link, positive along the motion."""
         return self.end_mass * self.gravity * self.handle_radius

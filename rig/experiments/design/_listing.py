@@ -234,8 +234,7 @@ def _estimators(experiment: Experiment, rate: int) -> Iterator[tuple[str, Settin
     for window in WINDOWS:
         yield "foaw-end", {"window_limit": window}
         yield "foaw-best", {"window_limit": window}
-    mechanics = experiment.rig.mechanics
-    largest = experiment.rig.limits.effort / (mechanics.motor_inertia + mechanics.loaded_link_inertia)
+    largest = experiment.rig.limits.effort / experiment.rig.mechanics.inertia
     for share in ACCELERATIONS:
         lipschitz = float(f"{share * largest:.2g}")
         yield "levant", {"lipschitz": lipschitz}

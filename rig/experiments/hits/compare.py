@@ -382,7 +382,7 @@ def _one_tick_before(experiment: Experiment, start: Start, tick_s: float) -> tup
     friction = math.copysign(m.motor_coulomb + m.link_coulomb, start.velocity)
     drag = config.rig_model(experiment).damping * start.velocity
     effort = start.external_effort + m.gravity_effort - friction - drag
-    acceleration = effort / (m.motor_inertia + m.loaded_link_inertia)
+    acceleration = effort / m.inertia
     return (
         start.position - (start.velocity - 0.5 * acceleration * tick_s) * tick_s,
         start.velocity - acceleration * tick_s,

@@ -84,7 +84,6 @@ from rig.experiments.trials._identify_motions import (
     excitation_motion,
     excited_s,
     identification_plan,
-    inertia_of,
     loaded_plan,
     most_push,
     pushes_motion,
@@ -441,7 +440,7 @@ class _Session:
         request = self._request
         # The smaller of both inertias determines the excitation: a too large effort could move the handle out of its
         # window, a too small effort only widens the intervals.
-        inertia = inertia_of(experiment)
+        inertia = experiment.rig.mechanics.inertia
         if math.isfinite(signs.inertia):
             inertia = min(inertia, signs.inertia)
         runs, lates = [], []
@@ -482,7 +481,9 @@ class _Session:
         """Run slow sweeps and fit cogging with the rig's described inertia; later motions compensate this cogging."""
         self._swept = self._sweeps(experiment, most_order, "cogging")
         self._swept_in = (cogging_period(experiment), most_order)
-        self._cogging = self.cogging(inertia_of(experiment), config.rig_model(experiment).damping).cogging
+        self._cogging = self.cogging(
+            experiment.rig.mechanics.inertia, config.rig_model(experiment).damping
+        ).cogging
 
     def cogging(self, inertia: float, damping: float) -> CoggingMap:
         """Fit cogging to the recorded sweeps with this inertia and damping (SI units)."""

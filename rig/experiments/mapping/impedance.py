@@ -528,7 +528,7 @@ def known_device(experiment: Experiment) -> RigidRig:
     """Return the rig's description without a wall, as rigid body: mass, damping, back-EMF and amplifier lag."""
     mechanics, amplifier = experiment.rig.mechanics, experiment.rig.amplifier
     return RigidRig(
-        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        inertia=mechanics.inertia,
         damping=mechanics.motor_damping + mechanics.link_damping,
         back_emf=amplifier.back_emf,
         lag_s=amplifier.lag_s,

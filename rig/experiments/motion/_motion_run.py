@@ -27,7 +27,6 @@ from rig.experiments.trials._identify_motions import (
     REST_S,
     IdentificationMotion,
     coulomb_of,
-    inertia_of,
 )
 from rig.experiments.trials._trial import TrialRequest, end_of, run_trial
 from rig.experiments.trials.preparation import prepared_on
@@ -271,7 +270,7 @@ def signs_of(experiment: Experiment, rows: NDArray[np.void], rate: float) -> Sig
         np.append(rows["effort_applied"][1:], rows["effort_sent"][-1]),
         rows["position"],
         resolution=experiment.rig.encoder.resolution,
-        expected_inertia=inertia_of(experiment),
+        expected_inertia=experiment.rig.mechanics.inertia,
         rest_s=0.25 * REST_S,
         damping=config.rig_model(experiment).damping,
         friction=coulomb_of(experiment),

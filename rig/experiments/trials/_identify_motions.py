@@ -117,8 +117,8 @@ def identification_plan(
     """
     limits = experiment.rig.limits
     effort, position, speed = (_unit(experiment, quantity) for quantity in ("effort", "position", "velocity"))
-    multisine = excitation(experiment, seed, period_s, inertia_of(experiment))
-    impedance = _free_impedance(experiment, inertia_of(experiment))
+    multisine = excitation(experiment, seed, period_s, experiment.rig.mechanics.inertia)
+    impedance = _free_impedance(experiment, experiment.rig.mechanics.inertia)
     fastest = multisine.velocity(impedance).peak
     half = 0.5 * (limits.position_maximum - limits.position_minimum)
     coulomb = coulomb_of(experiment)
@@ -310,7 +310,7 @@ def pushes_motion(experiment: Experiment, at: float, pushes: int = PUSHES) -> Id
         most_effort=most_push(experiment),
         moved=way,
         rest_s=REST_S,
-        brake=inertia_of(experiment) / BRAKE_S,
+        brake=experiment.rig.mechanics.inertia / BRAKE_S,
         pulses=pushes,
         rate_hz=rate,
     )
@@ -480,8 +480,10 @@ def servo_of(experiment: Experiment, rate: int) -> tuple[float, float]:
     delay_s = ticks / rate + FILTER_DELAY / _cutoff_hz(experiment, rate)
     # The servo of homing is not used, because it may need an end mass that is not mounted now. Its damping is an upper
     # bound, because a resonance may limit it.
-    corner = min(SERVO_PHASE / delay_s, (experiment.homing.damping or math.inf) / inertia_of(experiment))
-    return 0.25 * inertia_of(experiment) * corner**2, inertia_of(experiment) * corner
+    corner = min(
+        SERVO_PHASE / delay_s, (experiment.homing.damping or math.inf) / experiment.rig.mechanics.inertia
+    )
+    return 0.25 * experiment.rig.mechanics.inertia * corner**2, experiment.rig.mechanics.inertia * corner
 
 
 def _cutoff_hz(experiment: Experiment, rate: int) -> float:
@@ -528,7 +530,7 @@ def _settles(experiment: Experiment, length_s: float, travel: float) -> bool:
     `length_s` is the duration (s) and `travel` half of the length (rad or m) of the stroke.
     """
     stiffness, damping = servo_of(experiment, slow_rate(experiment))
-    damping, mass = damping + config.rig_model(experiment).damping, inertia_of(experiment)
+    damping, mass = damping + config.rig_model(experiment).damping, experiment.rig.mechanics.inertia
     pole = 2.0 * stiffness / (damping + math.sqrt(max(0.0, damping**2 - 4.0 * mass * stiffness)))
     # After a reversal friction holds the handle until the servo's spring is reversed, too. Then the error of the speed
     # decays with the slower pole of servo, mass and viscous damping.
@@ -574,11 +576,6 @@ def centring(inertia: float) -> float:
     return inertia * (2.0 * math.pi * CENTRING_HZ) ** 2
 
 
-def inertia_of(experiment: Experiment) -> float:
-    """Return the inertia of motor, link and load together by the rig's description (kg·m² or kg)."""
-    return experiment.rig.mechanics.motor_inertia + experiment.rig.mechanics.loaded_link_inertia
-
-
 def coulomb_of(experiment: Experiment) -> float:
     """Return the Coulomb friction of motor and link together by the rig's description (N·m or N)."""
     return experiment.rig.mechanics.motor_coulomb + experiment.rig.mechanics.link_coulomb
@@ -586,7 +583,7 @@ def coulomb_of(experiment: Experiment) -> float:
 
 def push_growth(experiment: Experiment) -> float:
     """Return how fast the effort of a test push grows (N·m/s or N/s), so that it exceeds friction within 1.5 s."""
-    gentle = 6.0 * inertia_of(experiment) * push_way(experiment) / PUSH_RISE_S**3 * PUSH_S
+    gentle = 6.0 * experiment.rig.mechanics.inertia * push_way(experiment) / PUSH_RISE_S**3 * PUSH_S
     bound = PUSH_SHARE * min(experiment.rig.limits.nominal_effort, experiment.rig.limits.effort)
     return min(bound, max(gentle, PUSH_COULOMB * coulomb_of(experiment))) / PUSH_S
 
@@ -596,7 +593,7 @@ def most_push(experiment: Experiment) -> float:
     # With a dead encoder a free handle must stay below the speed limit: under an effort g·t a handle of inertia m and
     # Coulomb friction F has the speed (g·t − F)²/(2·g·m).
     growth, speed = push_growth(experiment), UNSEEN_SPEED * experiment.rig.limits.speed
-    unseen = coulomb_of(experiment) + math.sqrt(2.0 * growth * inertia_of(experiment) * speed)
+    unseen = coulomb_of(experiment) + math.sqrt(2.0 * growth * experiment.rig.mechanics.inertia * speed)
     return min(growth * PUSH_S, unseen)
 
 
@@ -639,7 +636,7 @@ def _observable_limits(experiment: Experiment) -> dict[str, float]:
     raised = replace(limits, nominal_effort=max(limits.nominal_effort, most), effort=max(limits.effort, most))
     growth = push_growth(replace(experiment, rig=replace(experiment.rig, limits=raised)))
     beyond = max(0.0, wanted - coulomb_of(experiment))
-    speed = round_up(beyond**2 / (2.0 * growth * inertia_of(experiment) * UNSEEN_SPEED))
+    speed = round_up(beyond**2 / (2.0 * growth * experiment.rig.mechanics.inertia * UNSEEN_SPEED))
     raised = replace(raised, speed=max(limits.speed, speed))
     names = ("nominal_effort", "effort", "speed")
     return {

@@ -275,7 +275,7 @@ def _motion(recording: Recording, experiment: Experiment, *, elsewhere: bool) ->
         contact,
         tick_s=tick_s,
         resolution=rig.encoder.resolution,
-        inertia=mechanics.motor_inertia + mechanics.loaded_link_inertia,
+        inertia=mechanics.inertia,
         coulomb=mechanics.motor_coulomb + mechanics.link_coulomb,
         damping=mechanics.motor_damping + mechanics.link_damping + rig.amplifier.back_emf,
     )

@@ -331,7 +331,7 @@ class PredictedImpact:
 def predict_impact(experiment: Experiment) -> PredictedImpact:
     """Predict the hit by energy balance: the wall's spring absorbs the work of the push minus Coulomb friction."""
     mechanics, wall, push = rig_model(experiment).mechanics, experiment.wall, push_at_rest(experiment)
-    inertia = mechanics.motor_inertia + mechanics.loaded_link_inertia
+    inertia = mechanics.inertia
     distance = abs(wall.position - experiment.trial.start)
     # A hand follows the intended motion without lag, and is so soft that its mass can be neglected.
     if experiment.trial.kind == "human":

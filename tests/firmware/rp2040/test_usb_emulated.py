@@ -19,7 +19,7 @@ from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.motion._board_pushes import board_pushes
 from rig.experiments.motion._motion_run import signs_of
 from rig.experiments.motion.pulse import SAME_SCALE
-from rig.experiments.trials._identify_motions import PUSH_COUNTS, inertia_of, slow_rate
+from rig.experiments.trials._identify_motions import PUSH_COUNTS, slow_rate
 from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
@@ -226,4 +226,4 @@ def test_a_push_of_a_torque_pulse_by_the_board_itself(built: BuildResult, tmp_pa
     (push,) = signs_of(bare, rows, slow_rate(bare)).pushes
     assert (push.direction, push.moved) == (1, True)
     assert PUSH_COUNTS < rows["count"][-1] - rows["count"][0] < 2 * PUSH_COUNTS
-    assert push.inertia == pytest.approx(inertia_of(bare), rel=SAME_SCALE - 1.0)
+    assert push.inertia == pytest.approx(bare.rig.mechanics.inertia, rel=SAME_SCALE - 1.0)

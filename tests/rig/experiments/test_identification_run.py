@@ -401,11 +401,11 @@ def test_motions_stay_far_within_effort_speed_and_window(
     described = config.override(experiment, {"rig.mechanics.end_mass": 0.0})
     limits = described.rig.limits
     low, high = limits.position_minimum, limits.position_maximum
-    multisine = motions.excitation(described, 0, 0.5, motions.inertia_of(described))
+    multisine = motions.excitation(described, 0, 0.5, described.rig.mechanics.inertia)
     for motion in (
         motions.pushes_motion(described, 0.1 * high),
         motions.strokes_motion(described),
-        motions.excitation_motion(described, multisine, motions.inertia_of(described)),
+        motions.excitation_motion(described, multisine, described.rig.mechanics.inertia),
     ):
         x = motion.experiment
         slippery = {f"rig.mechanics.{side}_{name}": 0.1 * getattr(x.rig.mechanics, f"{side}_{name}")
@@ -444,7 +444,7 @@ def test_pushes_raise_no_false_alarm_wherever_zero_lies_between_two_counts(exper
             trace.currents[trial] * x.rig.amplifier.effort_quantum,
             trace.counts[trial] * controller.resolution(x),
             resolution=x.rig.encoder.resolution,
-            expected_inertia=motions.inertia_of(x),
+            expected_inertia=x.rig.mechanics.inertia,
             rest_s=0.05,
         )
         assert found.ok

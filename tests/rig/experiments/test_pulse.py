@@ -26,7 +26,7 @@ from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.motion._motion_run import FreeRigRequest
 from rig.experiments.motion.pulse import NO_HANDS, PUSHES, Pulse, check_rig_moves, energy_of, judged, pulse
-from rig.experiments.trials._identify_motions import coulomb_of, inertia_of, most_push, push_growth, push_way
+from rig.experiments.trials._identify_motions import coulomb_of, most_push, push_growth, push_way
 from rig.experiments.trials.plan import make_plan
 from rig.recording.reader import open_recording
 from sim_backend.board.firmware import FirmwareDevice
@@ -158,7 +158,7 @@ def test_a_push_against_friction_shows_the_inertia_and_when_it_began(friction: f
 def test_the_most_effort_moves_the_described_rig() -> None:
     for name in presets.names():
         x = presets.load(name)
-        rises = (6.0 * inertia_of(x) * push_way(x) * push_growth(x) ** 2) ** (1 / 3)
+        rises = (6.0 * x.rig.mechanics.inertia * push_way(x) * push_growth(x) ** 2) ** (1 / 3)
         assert 2.0 * coulomb_of(x) + rises < most_push(x)  # with twice the friction, too
 
 
