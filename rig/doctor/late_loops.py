@@ -70,8 +70,9 @@ class LateLoops:
 
     experiment: Experiment
     stand_in: str
-    # One loop without a hand for each velocity rate: it holds the estimator's realisation, which all hands share.
-    _free: tuple[tuple[Scheme, LinearLoop], ...]
+    # The experiment's own loop for each velocity rate. It holds the estimator: the device runs this one, with the
+    # inertia of the experiment's trial, whichever hand is on the handle.
+    _own: tuple[tuple[Scheme, LinearLoop], ...]
 
     @classmethod
     def of(cls, experiment: Experiment, delay_ticks: int) -> LateLoops:
@@ -99,16 +100,15 @@ class LateLoops:
             )
         late = late_by(experiment, delay_ticks)
         schemes, reason = _linear_schemes(late)
-        free = tuple((scheme, linear_loop(late, scheme, operator=NO_OPERATOR)) for scheme in schemes)
-        return cls(late, reason, free)
+        return cls(late, reason, tuple((scheme, linear_loop(late, scheme)) for scheme in schemes))
 
     @cached_property
     def by_hand(self) -> Mapping[str, tuple[Lifted, ...]]:
         """Return the closed loop's linear models by name of the modelled hand: one for each velocity rate."""
         return {
             name: tuple(
-                Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=free.estimator))
-                for scheme, free in self._free
+                Lifted.of(linear_loop(self.experiment, scheme, operator=hand, estimator=own.estimator))
+                for scheme, own in self._own
             )
             for name, hand in hands_of(self.experiment).items()
         }
@@ -149,7 +149,7 @@ def _linear_schemes(experiment: Experiment) -> tuple[tuple[Scheme, ...], str]:
     # at the slow rate the same coefficients run more rarely: without settings a cut-off keeps its share of the rate
     schemes = [own, *(replace(own, velocity_rate=rate, parameters={}) for rate in rates[1:])]
     try:
-        linear_loop(experiment, own, operator=NO_OPERATOR)
+        linear_loop(experiment, own)
     except NotLinearError as error:
         usual = [replace(scheme, estimator=STAND_IN, parameters=_cutoff_of(scheme)) for scheme in schemes]
         return tuple(usual), f"{own.estimator} is not linear ({error.reason}): theory uses {STAND_IN} instead"

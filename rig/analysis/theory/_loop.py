@@ -67,7 +67,7 @@ class Subject:
     @property
     def inertia(self) -> float:
         """Return the inertia of a rigid motion of motor and link, without a hand on the handle (kg·m² or kg)."""
-        return self.model.mechanics.motor_inertia + self.model.mechanics.loaded_link_inertia
+        return self.model.mechanics.inertia
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +142,7 @@ def linear_loop(
     """Return the linear model of a rig under a sampling scheme; None selects the experiment's own sampling scheme.
 
     `rig` is a preset name, TOML file, experiment or model, `operator` the model of a hand. `estimator` is the
-    estimator's state space if another call on this rig and scheme has computed it, which takes most of the time.
+    estimator's state space from another call, if it is not that for this rig in this hand, or to save time.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def linear_loop(
     model = subject.model
     tick_s = 1.0 / controller.position_rate
     resolution, name = model.encoder.sign * model.encoder.resolution, controller.estimator
-    of_rig = config.settings_of_rig(subject.experiment or model)
+    of_rig = config.settings_of_rig(model)  # with the end mass, or without where a hand is on the handle
     settings = {**estimators.get(name).settings_of(of_rig), **controller.parameters}
     continuous = state_space(model.mechanics, model.amplifier, subject.operator)
     least, most = cogging_stiffness(subject)

@@ -258,6 +258,18 @@ def test_a_hand_takes_the_end_mass_off_and_none_leaves_it_on() -> None:
     assert theory.resolve(KOUL, GRIPS["firm"]).operator == GRIPS["firm"]
 
 
+def test_an_observer_has_the_inertia_of_the_rig_in_the_hand() -> None:
+    """A bug gave an observer in a chosen hand the end mass of a trial without a person: 3.2 times the inertia."""
+    for kind in ("constant-effort", "human"):
+        changes = {"trial.kind": kind, "rig.limits.human": False, "controller.estimator": "disturbance"}
+        x = config.override(presets.load("koul-rigid"), changes)
+        loops = [theory.linear_loop(x, operator=hand) for hand in ("normal", "none", None)]
+        gains = [
+            loop.estimator.of_effort.d * loop.subject.inertia for loop in loops if loop.estimator.of_effort
+        ]
+        assert gains == pytest.approx([4.294e-4] * 3, rel=1e-3)
+
+
 def test_invalid_rigs_and_schemes_are_refused() -> None:
     for rig, scheme, operator, message in (
         ("koul-stiff", "uniform:1k", None, "koul-stiff"),

@@ -177,6 +177,13 @@ def test_the_hand_of_the_experiment_is_checked_too() -> None:
     assert len(LateLoops.of(own, 1).radius(60.0, 0.2)) == 5
 
 
+@pytest.mark.parametrize("kind", ["constant-effort", "human"])
+def test_each_hand_meets_the_one_observer_that_the_experiment_runs(kind: str) -> None:
+    x = config.override(CALM, {"trial.kind": kind, "controller.estimator": "disturbance"})
+    by_hand, own = LateLoops.of(x, 1).by_hand, theory.linear_loop(x).estimator
+    assert all(loop.loop.estimator is own for loops in by_hand.values() for loop in loops)
+
+
 # ---------------------------------------------------------------------- before arming
 
 
