@@ -111,9 +111,7 @@ def test_a_file_that_is_open_or_mapped_stays_on_windows(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_emulation_hides_names_from_our_packages_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_emulation_hides_names_from_our_packages_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builtins, "__import__", emulated.import_of("win32", builtins.__import__))
     ours = {"__name__": "rig.core.made_up"}
     theirs = {"__name__": "numpy.made_up"}

@@ -217,10 +217,7 @@ def running_loop(
 
     It must have run without an error then, and stopped on request.
     """
-    with (
-        obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime,
-        stop_on_signals() as signals,
-    ):
+    with obtained(Host(realtime="try", priority=PRIORITY, cpu=cpu)) as realtime, stop_on_signals() as signals:
         requests = {"stop_requests": address(), "stop_requests_before": signals.series.since}
         given = loop_settings(rate, **requests, **settings)
         loop = LoopThread(link, pushing_for_ever(rate), given, ring, realtime=realtime)

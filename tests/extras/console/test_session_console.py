@@ -280,8 +280,7 @@ def begin_to_press(operator: Operator, *, by_keys: bool) -> None:
             return
         terminal.type(REACH)
         eventually(
-            lambda: is_pressing(engine) or "[g] go" in terminal.fresh or operator.over,
-            "a hand on the wall",
+            lambda: is_pressing(engine) or "[g] go" in terminal.fresh or operator.over, "a hand on the wall"
         )
         if is_pressing(engine):
             return

@@ -330,7 +330,4 @@ def test_lost_markers_are_reported_once_for_each_reason(
         marks.push("note", text="gone")
     os.close(writer)
     assert marks.lost == 4
-    assert [record.message.split(" ")[0:2] for record in caplog.records] == [
-        ["a", "marker"],
-        ["the", "LSL"],
-    ]
+    assert [record.message.split(" ")[0:2] for record in caplog.records] == [["a", "marker"], ["the", "LSL"]]

@@ -229,11 +229,7 @@ def motor_of(model: RigModel, position: float | None) -> dict[str, Any]:
 
 def plant_of(model: RigModel) -> dict[str, Any]:
     plant = DiscretePlant.build(model, PLANT_STEP_S)
-    return {
-        "phi": plant.phi.tolist(),
-        "gamma": plant.gamma.tolist(),
-        "parameters": plant.parameters.tolist(),
-    }
+    return {"phi": plant.phi.tolist(), "gamma": plant.gamma.tolist(), "parameters": plant.parameters.tolist()}
 
 
 def plant_states(model: RigModel, position: float, efforts: list[float]) -> list[list[float]]:

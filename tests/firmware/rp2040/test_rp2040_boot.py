@@ -27,9 +27,7 @@ def test_it_listens_within_a_fifth_of_a_second(built: BuildResult) -> None:
     assert first < BOOT_S
 
 
-def test_crystal_and_regulator_get_their_time_after_every_reset(
-    powered: Callable[..., Session],
-) -> None:
+def test_crystal_and_regulator_get_their_time_after_every_reset(powered: Callable[..., Session]) -> None:
     pico = powered().pico
     for resets in range(2):
         look = pico.look()

@@ -66,9 +66,7 @@ sys.exit(cli.run(sys.argv[1:]))
 
 
 @pytest.mark.exhaustive("::test_a_package_in_place_of_another_is_named_with_its_remedy")
-def test_an_overwritten_init_is_named_and_a_stop_still_works(
-    tmp_path: Path,
-) -> None:
+def test_an_overwritten_init_is_named_and_a_stop_still_works(tmp_path: Path) -> None:
     done = run(tmp_path, "-c", OVERWRITTEN, "plan")
     assert done.returncode == 2
     assert done.stderr.startswith(

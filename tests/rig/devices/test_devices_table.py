@@ -196,9 +196,7 @@ def test_a_server_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -
         local.serve(rotary_rig())
 
 
-def test_a_device_is_built_before_its_scheduling(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_device_is_built_before_its_scheduling(monkeypatch: pytest.MonkeyPatch) -> None:
     happened: list[str] = []
 
     def server(model: Any, *, announce: Any) -> None:

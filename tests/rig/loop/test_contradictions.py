@@ -94,10 +94,9 @@ def test_with_the_law_on_the_device_a_contradiction_ends_the_run(name: str) -> N
 
     device.at[100] = lie
     thread, end = test_supervise.ran(device)
-    expected = {
-        "time": EndReason.DEVICE_CONTRADICTS,
-        "index and time": EndReason.DEVICE_RESTARTED,
-    }.get(name, EndReason.DEVICE_FAULT)
+    expected = {"time": EndReason.DEVICE_CONTRADICTS, "index and time": EndReason.DEVICE_RESTARTED}.get(
+        name, EndReason.DEVICE_FAULT
+    )
     assert end.reason == expected
     rows = test_supervise.rows_of(thread)
     assert 90 <= len(rows) <= 110

@@ -88,10 +88,7 @@ def test_driven_hand_without_real_time_or_operator_is_refused(tmp_path: Path) ->
         open_link(DeviceUrl.parse(url), rotary_rig())
     with pytest.raises(ConfigError, match="the experiment has no hand"), serve_locally(url, rotary_rig()):
         pass
-    with (
-        pytest.raises(ConfigError, match="cannot open this file"),
-        serve_locally(f"{url}less", rotary_rig()),
-    ):
+    with pytest.raises(ConfigError, match="cannot open this file"), serve_locally(f"{url}less", rotary_rig()):
         pass
 
 
