@@ -24,7 +24,7 @@ from numba import types
 
 from rig.core.errors import StoppedError
 from rig.realtime.atomics import add_word, load_word, read_word, static_words, store_word, write_word
-from rig.realtime.kernel import kernel
+from rig.realtime.kernel import kernel, prepare
 from rig.realtime.native import address_of, native_call
 
 if sys.platform == "win32":
@@ -146,6 +146,7 @@ class _Process:
         self.listeners = 0
         self.leaving = False
         write_word(self.table + 8 * _PROCESS, os.getpid())
+        prepare(_add_request)  # else a handler compiles it, and a second signal waits for that compilation
 
     def forget(self) -> None:
         """Reset the stop requests in a forked child process, which runs none of its parent's threads."""
@@ -163,12 +164,13 @@ _of_thread = threading.local()
 
 
 def _process() -> _Process:
-    if not _processes:
+    if not _processes:  # without the lock, which a thread of the parent may hold at a fork
         with _creation_lock:
-            process = _Process()
-            if hasattr(os, "register_at_fork"):
-                os.register_at_fork(after_in_child=process.forget)
-            _processes.append(process)
+            if not _processes:
+                process = _Process()
+                if hasattr(os, "register_at_fork"):
+                    os.register_at_fork(after_in_child=process.forget)
+                _processes.append(process)
     return _processes[0]
 
 

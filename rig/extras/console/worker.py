@@ -52,7 +52,9 @@ def main() -> int:
         talk.tell("failed", **error.as_mapping())
         return error.exit_code
     except KeyboardInterrupt:
-        talk.tell("failed", **StoppedError("stopped before anything moved").as_mapping())
+        talk.tell(
+            "failed", **StoppedError("stopped outside of a run; earlier recordings are complete").as_mapping()
+        )
         return 130
     talk.tell("done", result=result)
     return 0

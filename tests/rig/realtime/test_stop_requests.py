@@ -112,6 +112,11 @@ def test_a_handler_that_the_program_sets_meanwhile_is_called_and_the_signal_stil
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def test_a_handler_compiles_nothing() -> None:
+    stop_requests.count()  # once, before any handler is installed
+    assert stop_requests._add_request.prepared  # type: ignore[attr-defined]
+
+
 def test_an_ignored_signal_stays_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with in_a_thread(stop_requests.run) as series:
