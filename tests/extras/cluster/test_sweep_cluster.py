@@ -300,12 +300,3 @@ def test_without_a_scheduler_the_remedy_is_to_start_one(
         ConfigError, match=r"no reply from a Dask scheduler at .*start one with `dask scheduler`"
     ):
         sweep.run(sines_of(2), scheduler=address)
-
-
-@pytest.mark.exhaustive(
-    "tests/rig/cli/test_command_line.py::test_each_command_explains_itself_without_its_libraries_and_names_what_to_install"
-)
-def test_without_distributed_the_remedy_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ConfigError, match=r"install it: pip install 'haptic-rig\[cluster\]'"):
-        sweep.run(sines_of(2), scheduler="tcp://127.0.0.1:1")

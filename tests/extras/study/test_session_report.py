@@ -236,25 +236,6 @@ def test_every_deviation_is_listed(found: Any, page: Any) -> None:
         assert one.detail in text
 
 
-def test_a_difference_that_is_the_same_for_all_has_no_interval(found: Any) -> None:
-    alike = [
-        replace(
-            one,
-            difference=25.0,
-            low=math.nan,
-            high=math.nan,
-            p=math.nan,
-            holm=math.nan,
-            problem="they are alike",
-        )
-        for one in found.paired
-        if one.measure == "rule"
-    ]
-    text = ParsedPage(render(replace(found, paired=tuple(alike), mixed=()), {})).flat_text
-    assert "+25 N·m/rad without interval and p value: they are alike." in text
-    assert "p = –" not in text
-
-
 def test_methods_have_every_number_of_protocol_experiment_and_result_and_no_key_of_ours(found: Any) -> None:
     paragraphs = {paragraph.heading: paragraph.text for paragraph in methods(found)}
     study, counts = found.study, found.counts()
@@ -353,17 +334,6 @@ def test_pictures_are_drawn_with_units_in_their_labels(found: Any, drawn: Any) -
             assert "N·m/rad" in axes[0].get_ylabel() + axes[-1].get_xlabel()
 
 
-def test_the_same_study_gives_the_same_pictures(alone: Any, tmp_path: Path) -> None:
-    for ending in ("png", "svg"):
-        first, again = (
-            style.save(
-                zwidth_figure(alone, alone.options.measure), tmp_path / f"{name}.{ending}"
-            ).read_bytes()
-            for name in ("first", "again")
-        )
-        assert first == again
-
-
 def one_person(where: Path, trials: int = 10_000, *, invalid: float = 0.0, repeats: int = 1) -> Any:
     mapping = protocol(
         search={"step": 50.0, "settings": {"turns": 2, "most": 10}},
@@ -380,58 +350,11 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return one_person(tmp_path_factory.mktemp("alone"))
 
 
-def test_rounding_is_no_effect(alone: Any) -> None:
-    """One run minus its own mean is zero; its axis must not scale to the rounding error."""
-    figure = pictures(alone)["effects"](alone)
-    limit = alone.runs[0].limits["rule"].value
-    for axes in (*figure.axes[:3], figure.axes[5]):
-        low, high = axes.get_ylim()
-        assert 0.09 * limit <= high - low <= 0.5 * limit
-    assert all(list(axes.lines[0].get_ydata()) == [0.0] for axes in figure.axes[:3])
-
-
-@pytest.mark.parametrize("trials", [1, 3])
-def test_axes_that_count_have_whole_ticks(trials: int, tmp_path: Path) -> None:
-    found = one_person(tmp_path, trials)
-    panels = [*pictures(found)["effects"](found).axes, *pictures(found)[tracks_name("P01")](found).axes]
-    for axes in (axes for axes in panels if axes.get_xlabel()):
-        low, high = axes.get_xlim()
-        ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
-        assert all(tick == round(tick) for tick in ticks), axes.get_xlabel()
-        assert ticks or axes.texts, axes.get_xlabel()  # a panel without ticks states why it is empty
-
-
 def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
     figure = pictures(found := one_person(tmp_path, 1))["effects"](found)
     texts = [[text.get_text() for text in axes.texts] for axes in figure.axes]
     empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
     assert texts == [empty, empty, empty, [], useless, empty]
-
-
-def test_a_circle_has_the_area_of_its_verdicts(found: Any) -> None:
-    figure = pictures(found)["psychometric"](found)
-    shown = {
-        round(float(size), 6) for axes in figure.axes for c in axes.collections for size in c.get_sizes()
-    }
-    counts = {count for one in found.psychometrics if not one.participant for count in one.verdicts}
-    area = max(shown) / max(count for one in found.psychometrics for count in one.verdicts)
-    assert shown <= {round(area * count, 6) for count in counts | {1}}
-
-
-def test_legends_lie_within_their_picture(found: Any, alone: Any) -> None:
-    for some, name in ((found, "psychometric"), (alone, tracks_name("P01"))):
-        figure = pictures(some)[name](some)
-        figure.get_layout_engine().execute(figure)
-        (legend,) = figure.legends
-        box = legend.get_window_extent()
-        assert box.x0 >= 0.0
-        assert box.x1 <= figure.bbox.width
-        assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes if axes.axison)
-
-
-def test_a_single_damping_is_no_z_width(found: Any, alone: Any) -> None:
-    assert zwidth_figure(found, "rule")._suptitle.get_text().startswith("Z-width, limit by the search rule")
-    assert "Z-width" not in zwidth_figure(alone, "rule")._suptitle.get_text()
 
 
 def test_no_column_is_dashes_only(found: Any, alone: Any, tmp_path: Path) -> None:

@@ -188,30 +188,19 @@ def test_a_staircase_that_had_no_time_for_its_turns_says_so(name: str, mark: str
 # ---------------------------------------------------------------------- each in its own way
 
 
-def test_the_interval_of_ascending_series_is_students() -> None:
+def test_ascending_series_begin_at_the_softest_wall_and_their_interval_is_students() -> None:
     rule = search.make("ascending", levels=LEVELS, repeats=3)
     answers: list[JudgedProbe] = []
-    for stable in (3, 5, 10):
+    for track, stable in enumerate((3, 5, 10)):
         for place in range(stable + 1):
-            answers.append(JudgedProbe(rule.next(answers), place < stable))
+            probe = rule.next(answers)
+            assert (probe.track, probe.level) == (track, LEVELS[place])
+            answers.append(JudgedProbe(probe, place < stable))
     estimate = rule.estimate(answers)
     limits = [LEVELS[stable - 1] for stable in (3, 5, 10)]
     expected = stats.ttest_1samp(limits, 0.0).confidence_interval()
     assert estimate.value == pytest.approx(np.mean(limits))
     assert (estimate.low, estimate.high) == pytest.approx((max(0.0, expected.low), expected.high))
-
-
-def test_the_ascending_rule_starts_from_the_softest_wall_so_often() -> None:
-    rule = search.make("ascending", levels=(10.0, 20.0, 30.0), repeats=2)
-    answers: list[JudgedProbe] = []
-    asked = []
-    for verdict in (True, True, False, False):
-        probe = rule.next(answers)
-        asked.append((probe.track, probe.level))
-        answers.append(JudgedProbe(probe, verdict))
-    assert asked == [(0, 10.0), (0, 20.0), (0, 30.0), (1, 10.0)]
-    estimate = rule.estimate(answers)
-    assert (estimate.value, estimate.censored) == (15.0, "")  # limits 20 and 10
 
 
 def test_a_series_that_fails_at_the_softest_wall_is_marked_and_bounds_no_other() -> None:

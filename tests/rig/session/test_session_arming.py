@@ -102,15 +102,6 @@ def test_a_blinded_operator_sees_how_many_walls_are_refused_and_none_of_them(tmp
     assert not any(word in text for word in ("hidden", "0.211", "60", "120"))
 
 
-def test_with_consent_given_once_a_session_goes_through_all_walls(tmp_path: Path) -> None:
-    runner = RealRunner(arm_anyway=True)
-    result = run_session(
-        written(tmp_path), "P01", at(ScriptedDesk()), runner=runner, study=tmp_path / "study"
-    )
-    assert result.ended == "complete"
-    assert any(stiffness >= 60.0 for _, stiffness in runner.hits)
-
-
 def test_a_session_is_resumed_with_consent_too_or_not_at_all(tmp_path: Path) -> None:
     leaves = ScriptedDesk(_abort)
     runner = RealRunner(arm_anyway=True)

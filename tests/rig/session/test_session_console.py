@@ -90,14 +90,6 @@ def test_bytes_are_keys(data: bytes, names: list[str]) -> None:
     assert Keyboard().feed(data) == names
 
 
-def test_an_escape_that_nothing_follows_is_the_key() -> None:
-    keyboard = Keyboard()
-    assert keyboard.feed(b"\x1b") == []
-    assert keyboard.waiting
-    assert keyboard.flush() == ["escape"]
-    assert not keyboard.waiting
-
-
 noise = st.binary(max_size=80) | st.text(st.sampled_from("\x1b[<O0;159~Mm?$yAéx"), max_size=40).map(
     str.encode
 )
@@ -185,14 +177,6 @@ def test_impossible_keys_are_refused(keys: Keys, text: str) -> None:
 
 
 # Questions and answers
-
-
-def test_a_verdict_is_one_key() -> None:
-    for key, verdict in (("1", "stable"), ("2", "buzz"), ("3", "unstable"), ("4", "unsure")):
-        conversation = make_conversation(make_question("verdict", ("judge", "redo")))
-        assert conversation.press(key) == [Answer("judge", verdict)]
-        assert conversation.press(key) == []  # a pedal that bounces says nothing twice
-        assert conversation.question is None
 
 
 @settings(max_examples=30)

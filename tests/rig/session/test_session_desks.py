@@ -1,6 +1,5 @@
 """A session's desk for its operator: the same behaviour at a terminal and at a page of the console."""
 
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -11,14 +10,11 @@ import pytest
 from rig.core.errors import ConfigError, StoppedError
 from rig.core.sample import Phase
 from rig.realtime.hand import SharedHand, Wish
-from rig.session.engine._conduct import conduct
 from rig.session.engine._desk import Action, DeskView, Question
 from rig.session.planning._protocol import Keys
-from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._pointer import HandKind
 from tests.conformance.terminal import PATIENCE_S
 from tests.rig.session.session_desks import PLACES, Place, answered, until, watched
-from tests.rig.session.session_fakes import INVALID, LOST, FakeRunner, protocol_of, started
 
 READY: tuple[Action, ...] = ("go", "pause", "skip", "redo", "note", "abort")
 VERDICT = Question(kind="verdict", text="the verdict?", actions=("judge", "redo", "note", "abort"), trial=3)
@@ -131,33 +127,6 @@ def test_a_question_ends_with_its_desk(sit: Sit, asker: ThreadPoolExecutor) -> N
     assert caught.value.remedy
 
 
-@pytest.mark.exhaustive(
-    "tests/rig/session/test_session_reasons.py::test_the_reason_is_shown_before_any_question"
-)
-def test_a_blinded_desk_says_at_once_why_a_trial_is_invalid_and_names_no_wall(
-    sit: Sit, asker: ThreadPoolExecutor, tmp_path: Path
-) -> None:
-    slew = ["the slew limit acted in 41792 ticks", "saturated in the tail without ripple or motion"]
-    runner = FakeRunner({1: ({**INVALID, "reasons": [LOST]}, None), 2: ({**INVALID, "reasons": slew}, None)})
-    with started(tmp_path / "P01", protocol_of(stop={"trials": 3})) as session:
-        place = sit()
-        state = asker.submit(conduct, session, runner, place.desk)
-        place.sees("ready?", "[g] go")
-        for trial, why, key in ((1, LOST, "g"), (2, "rig limit", "enter")):  # one key twice so soon is held
-            place.press(key)
-            place.sees(f"trial {trial}: invalid, will be repeated: {why}")
-            place.sees(f"Again. {session.state.protocol.trial.say}", "ready?", "[g] go")
-        threading.Event().wait(RELEASED_S)
-        place.press("g")
-        place.sees("the verdict?")
-        place.press("1")
-        place.sees("end the session?")
-        place.press("enter")
-        assert state.result(PATIENCE_S).ended == "3 trials"
-    for secret in ("4179", "slew", "saturated", "0.37", "-hidden", *(f"{hit[1]:g}" for hit in runner.hits)):
-        assert secret not in place.all_shown, secret
-
-
 def wait_for_wish(hand: SharedHand, right: Callable[[Wish], bool]) -> Wish:
     """Wait until the request to the hand fulfils a condition, and return it."""
     found: list[Wish] = []
@@ -216,24 +185,3 @@ def test_the_hand_of_the_keys_is_back_before_a_trial_and_keys_in_a_note_do_not_m
 def test_a_key_that_moves_the_hand_means_nothing_else(sit: Sit, hand: SharedHand) -> None:
     with pytest.raises(ConfigError, match=r"go = 'right': this key already moves the simulated hand"):
         sit(Keys(go="right"), hand=("keyboard", hand.path))
-
-
-@pytest.mark.exhaustive("tests/rig/session/test_session_console.py::test_a_stuck_key_answers_no_question")
-def test_a_key_that_repeats_from_before_the_question_judges_nothing_until_it_was_released(
-    sit: Sit, asker: ThreadPoolExecutor
-) -> None:
-    place = sit()
-    place.desk.show(DeskView(state="hold"))
-    place.sees("hold")
-    place.press("1")
-    place.sees("not possible now")
-    reply = asker.submit(place.desk.ask, VERDICT)
-    place.sees("the verdict?")
-    place.press("1")
-    place.sees("held down before the question;")
-    for _ in range(2):  # as a stuck pedal does
-        place.press("1")
-    assert not reply.done()
-    threading.Event().wait(RELEASED_S + 0.1)
-    place.press("1")
-    assert answered(reply) == ("judge", "stable")

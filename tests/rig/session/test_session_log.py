@@ -273,19 +273,6 @@ def test_interrupted_anywhere_in_an_append_the_log_stays_one(tmp_path: Path, pla
         ]  # there was nothing to interrupt any more
 
 
-def test_an_event_is_on_the_disk_before_append_returns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    order = []
-    fsync = os.fsync
-    monkeypatch.setattr(lines.os, "fsync", lambda descriptor: (order.append("synced"), fsync(descriptor)))
-    with SessionLog(tmp_path / "log") as log:
-        order.clear()
-        log.append("verdict")
-        order.append("returned")
-    assert order[:2] == ["synced", "returned"]
-
-
 def test_the_logs_own_words_are_not_the_callers(tmp_path: Path) -> None:
     with SessionLog(tmp_path / "log") as log, pytest.raises(ValueError, match="after"):
         log.append("x", after=1)
