@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
@@ -381,7 +381,6 @@ def command_frame(sequence: int) -> bytes:
     return encode_frame(pack(m.Command(sequence, 3000, 0, 0, 0), session=SESSION, sequence=sequence))
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 65535), st.lists(st.integers(0, 40), min_size=1, max_size=30))
 def test_losses_repeats_and_reordering_are_counted_round_the_circle(start: int, offsets: list[int]) -> None:
     pair = Pair()
@@ -488,7 +487,6 @@ sensible = st.builds(
 anything = st.lists(good_crc | sensible | st.binary(max_size=300), max_size=12).map(b"".join)
 
 
-@settings(max_examples=100)
 @given(st.sampled_from(Role), st.sampled_from(State), anything)
 def test_arbitrary_bytes_give_events_or_remote_protocol_errors(role: Role, state: State, data: bytes) -> None:
     pair, twin = Pair(), Pair()

@@ -29,7 +29,6 @@ from tests.conformance.wire_strategies import any_message, messages_of
 ALL = sorted(m.MESSAGES)
 
 
-@settings(max_examples=50)
 @given(any_message(), st.integers(0, 255), st.integers(0, 65535))
 def test_a_message_comes_back(message: m.Message, session: int, sequence: int) -> None:
     header, back = unpack(pack(message, session=session, sequence=sequence))

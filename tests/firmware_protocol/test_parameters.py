@@ -54,7 +54,6 @@ def test_there_is_one_zero_only() -> None:
 entries = st.tuples(st.integers(1, 50), st.integers(0, 2) | st.integers(0, 2**32 - 1))
 
 
-@settings(max_examples=50)
 @given(
     st.binary(max_size=200)
     | st.lists(entries, max_size=8).map(lambda rows: b"".join(struct.pack("<HI", *row) for row in rows))

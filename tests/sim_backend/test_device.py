@@ -393,7 +393,6 @@ def test_limits_stay_active_in_the_ramp_which_begins_at_what_they_left() -> None
     assert currents[-1] == 0
 
 
-@settings(max_examples=50)
 @given(st.integers(-500, 500), st.integers(0, 400), st.integers(0, 400), st.integers(1, 50))
 def test_the_ramp_never_rises_and_never_changes_sign(
     current: int, lifetime: int, ramp: int, step: int

@@ -344,7 +344,6 @@ def test_only_the_link_moves_when_the_push_overcomes_its_friction_but_not_the_mo
     assert (push - 0.0017) <= 2310.0 * at_rest[LINK] <= (push + 0.0017)
 
 
-@settings(max_examples=50)
 @example(free=(0.5, 1.0), gains=(2.0, 0.5, 1.0), levels=(5e-324, 0.0))
 @given(
     free=st.tuples(*[st.floats(-10.0, 10.0, allow_subnormal=False)] * 2),

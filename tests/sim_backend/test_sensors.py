@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control._guard import current_quanta as command_quanta
@@ -72,7 +72,6 @@ def test_current_at_halves_limits_and_beyond(current_a: float, quanta: int) -> N
     assert current_quanta(current_a, 1.0) == quanta
 
 
-@settings(max_examples=40)
 @given(
     st.lists(st.integers(-60, 60), min_size=2, max_size=8),
     st.integers(-9, 9),

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from itertools import cycle
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -187,7 +186,6 @@ PIECES = st.lists(
 )
 
 
-@hypothesis.settings(max_examples=40)
 @given(pieces=PIECES, cuts=st.lists(st.integers(1, 60), min_size=1, max_size=50))
 def test_frames_may_be_cut_anywhere(pieces: Any, cuts: list[int]) -> None:
     stream = b"".join(pieces)

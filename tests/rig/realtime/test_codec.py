@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol import framing
@@ -71,14 +71,12 @@ def readable_raw(encoded: bytes) -> bytes | int:
         return -int(error.defect)
 
 
-@settings(max_examples=40)
 @given(streams, SESSIONS, SEQUENCES)
 def test_both_encoders_make_the_same_bytes(message: Message, session: int, sequence: int) -> None:
     readable = encode_frame(pack(message, session=session, sequence=sequence))
     assert compiled_frame(message, session, sequence) == readable
 
 
-@settings(max_examples=40)
 @given(messages_of(State), SESSIONS, SEQUENCES, st.binary(max_size=6))
 def test_both_decoders_read_the_same(message: Message, session: int, sequence: int, tail: bytes) -> None:
     encoded = encode_frame(pack(message, session=session, sequence=sequence) + tail)[:-1]
@@ -182,7 +180,6 @@ def test_named_places_are_those_of_the_messages() -> None:
     assert codec.STATE.count == list(State.__dataclass_fields__).index("count")
 
 
-@settings(max_examples=40)
 @given(st.binary(max_size=300), st.binary(max_size=40), st.integers(0, 2**32 - 1))
 def test_the_crc_is_zlibs_also_in_pieces(data: bytes, more: bytes, seed: int) -> None:
     assert codec.crc32(buffer_of(data), 0, len(data), seed) == zlib.crc32(data, seed)
@@ -226,7 +223,6 @@ def compiled_batch(raw: bytes) -> tuple[int, tuple[int, ...], list[list[int]]]:
     return found, tuple(values), samples[: max(0, found)].tolist()
 
 
-@settings(max_examples=40)
 @given(batches(), SESSIONS, SEQUENCES)
 def test_a_batch_is_read_sample_by_sample(batch: Batch, session: int, sequence: int) -> None:
     raw = pack(batch, session=session, sequence=sequence)
