@@ -3,8 +3,7 @@
 from typing import Any
 
 import numpy as np
-import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -21,21 +20,18 @@ def check(sections: Any, expected: Any) -> None:
     np.testing.assert_allclose(sections[0][3:], expected[0, 3:], rtol=0.0, atol=1e-13)
 
 
-@settings(max_examples=40)
 @given(st.integers(1, 8), SHARES, RATES)
 def test_a_low_pass(order: int, share: float, rate_hz: float) -> None:
     expected = signal.butter(order, share * rate_hz, fs=rate_hz, output="sos")
     check(low_pass(order, share * rate_hz, rate_hz), expected)
 
 
-@settings(max_examples=40)
 @given(st.sampled_from([2, 4]), SHARES, RATES)
 def test_a_high_pass(order: int, share: float, rate_hz: float) -> None:
     expected = signal.butter(order, share * rate_hz, "highpass", fs=rate_hz, output="sos")
     check(high_pass(order, share * rate_hz, rate_hz), expected)
 
 
-@settings(max_examples=40)
 @given(SHARES, SHARES, RATES)
 def test_a_band_pass(one: float, other: float, rate_hz: float) -> None:
     low, high = sorted((one, other))
@@ -44,11 +40,3 @@ def test_a_band_pass(one: float, other: float, rate_hz: float) -> None:
     edges = [low * rate_hz, high * rate_hz]
     expected = signal.butter(2, edges, "bandpass", fs=rate_hz, output="sos")
     check(band_pass(*edges, rate_hz), expected)
-
-
-@pytest.mark.parametrize("order", range(1, 9))
-def test_low_pass_has_gain_one_at_rest_and_half_the_power_at_the_corner(order: int) -> None:
-    sections = low_pass(order, 200.0, 2000.0)
-    _, response = signal.sosfreqz(sections, worN=[0.0, 200.0], fs=2000.0)
-    assert abs(response[0]) == pytest.approx(1.0, abs=1e-9)
-    assert abs(response[1]) ** 2 == pytest.approx(0.5, abs=1e-9)

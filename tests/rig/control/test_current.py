@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba import types
 from scipy.signal import lfilter
@@ -144,7 +144,6 @@ def test_currents_on_their_way_when_samples_were_lost_are_not_compared() -> None
     assert set(answers(words, active, flowing)) == {AGREES}
 
 
-@settings(max_examples=40)
 @given(
     st.sampled_from(RATES),
     st.sampled_from(LAGS_S),
@@ -266,7 +265,6 @@ def voltage_drive_check(rate: int, lag_s: float, back_emf: float, sign: int) -> 
     return new_check(rate, noise=noise, lag_s=lag_s, back_emf=back_emf, sign=sign)
 
 
-@settings(max_examples=40)
 @VOLTAGE
 def test_sound_motor_under_voltage_drive_never_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int
@@ -278,7 +276,6 @@ def test_sound_motor_under_voltage_drive_never_disagrees(
     assert DISAGREES not in answers(words, active, np.floor(flowing + 0.5), sign * counts), "nor after a gap"
 
 
-@settings(max_examples=40)
 @VOLTAGE
 def test_dead_or_reversed_motor_under_voltage_drive_disagrees(
     rate: int, lag_s: float, back_emf: float, most: float, seed: int, sign: int

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import signal as scipy_signal
 
 from rig.control import estimators
 from rig.control.estimators import estimate, estimate_with_window, quantise
@@ -48,22 +47,17 @@ def test_counts_round_to_the_nearest_and_keep_the_shape() -> None:
     assert quantise([0.9e-6], 1e-6, offset=0.0).tolist() == [0]
 
 
-@pytest.mark.parametrize("position", [math.nan, math.inf, 1e30])
-def test_a_position_that_no_counter_holds_is_refused(position: Any) -> None:
-    with pytest.raises(ConfigError, match="not finite or is beyond"):
-        quantise([0.0, position], 1e-6)
-
-
 @pytest.mark.parametrize(
     ("positions", "message"),
     [
+        *(([0.0, position], "not finite or is beyond") for position in (math.nan, math.inf, 1e30)),
         (np.zeros(3, "m8[ns]"), "holds durations"),
         (["1.0"], "holds text"),
         ([True], "holds truth values"),
         (np.ma.masked_array([0.0, 9.0], mask=[False, True]), "not finite"),
     ],
 )
-def test_a_position_of_another_type_is_refused(positions: Any, message: str) -> None:
+def test_a_position_of_another_type_or_that_no_counter_holds_is_refused(positions: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         quantise(positions, 1e-6)
 
@@ -87,14 +81,6 @@ def test_an_array_gives_the_bits_of_the_update_called_sample_by_sample(name: Any
     assert window.tolist() == windows
     assert velocity[0] == 0.0
     assert estimate(name, counts, DT, **given).tolist() == expected
-
-
-def test_settings_reach_the_estimator() -> None:
-    counts = lively()
-    velocity = estimate("fdm-butterworth", counts, DT, resolution=DELTA, cutoff_hz=77.0)
-    slopes = np.diff(counts, prepend=counts[0]) * DELTA / DT
-    expected = scipy_signal.sosfilt(scipy_signal.butter(2, 77.0, fs=1 / DT, output="sos"), slopes)
-    assert velocity == pytest.approx(expected, abs=1e-9)
 
 
 def test_rounding_gives_the_finite_difference_its_noise_at_every_rate() -> None:
@@ -144,7 +130,7 @@ def test_edge_times_count_lost_samples() -> None:
 
 
 WRONG = {
-    "unknown estimator": ({"name": "fmd"}, "unknown estimator 'fmd'"),
+    "unknown estimator": ({"name": "fmd"}, "unknown estimator 'fmd'.*fdm, fdm-butterworth"),
     "unknown setting": ({"cutof": 3.0}, "unknown parameter 'cutof'"),
     "setting out of range": ({"cutoff_hz": -1.0}, "out of range"),
     "no period": ({"dt": 0.0}, "not a valid sampling period"),

@@ -25,7 +25,6 @@ def differences(counts: Any) -> Any:
     return velocities(estimators.get("fdm").prepare({}, RESOLUTION, PERIOD), counts)
 
 
-@settings(max_examples=50)
 @given(motion=MOTION, order=st.sampled_from(ORDERS), cutoff_hz=st.floats(20.0, 900.0))
 def test_each_order_is_scipys_filter(motion: Any, order: Any, cutoff_hz: float) -> None:
     counts = np.cumsum(motion).tolist()

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import estimators
@@ -72,7 +72,6 @@ def textbook(fit: Any, anchor: Any, stop: Any, band: Any, limit: Any, counts: An
     return float(slope), window
 
 
-@settings(max_examples=80)
 @given(
     option=OPTIONS,
     stop=st.sampled_from(["first", "global"]),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.estimators import _levant as levant
@@ -79,7 +79,6 @@ def test_levant_in_counts_is_the_textbook_in_si(scheme: Any, gains: str) -> None
         assert seen == pytest.approx(expected[:, column], abs=1e-6)  # of a count a period, 0.01 m/s
 
 
-@settings(max_examples=40)
 @given(
     motion=MOTION,
     jump=st.integers(-100, 100),
@@ -103,7 +102,6 @@ def test_after_a_gap_too_long_to_run_through_it_starts_anew_on_the_mean_slope() 
     assert prepared.state_f[ERROR] == 0.0
 
 
-@settings(max_examples=40)
 @given(
     counts=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=50),
     bound=st.sampled_from([1e-6, 1.0, 1e9]),
@@ -151,7 +149,6 @@ def test_implicit_scheme_rests_exactly(
     assert (v[-1000:] == 0.0).all()
 
 
-@settings(max_examples=100)
 @given(
     error=st.floats(-1e6, 1e6, allow_subnormal=False),
     u1=st.floats(-1e5, 1e5, allow_subnormal=False),
@@ -172,25 +169,6 @@ def test_the_implicit_step_solves_its_inclusion(error: float, u1: float, alpha: 
         root = (u1_after - u) / gain * math.copysign(1.0, after)
         assert root >= -scale / gain
         assert root**2 == pytest.approx(abs(after), abs=scale * (1 + root / gain))
-
-
-def sine(period_s: Any, duration_s: float = 1.0, amplitude: float = 0.01, frequency_hz: float = 5.0) -> Any:
-    """Return position, velocity and largest acceleration (9.87 m/s²) of a sine that starts at full speed."""
-    t, w = np.arange(0.0, duration_s, period_s), 2 * math.pi * frequency_hz
-    return amplitude * np.sin(w * t), amplitude * w * np.cos(w * t), amplitude * w * w
-
-
-@pytest.mark.parametrize("scheme", levant.SCHEMES)
-@pytest.mark.parametrize("gains", ["levant", "hba-sc"])
-def test_levant_converges_in_finite_time_without_noise(scheme: Any, gains: str) -> None:
-    position, velocity, bound = sine(1e-4)
-    fine = 1e-12
-    v = run(
-        arrays.quantise(position, fine), fine, 1e-4, lipschitz=1.2 * bound, gains=gains, discretisation=scheme
-    )
-    late = np.abs(v - velocity)[5000:]
-    assert late.max() < 4 * 1.2 * bound * 1e-4
-    assert np.abs(v - velocity)[1] > 0.1  # it did not begin there
 
 
 def si_gains(prepared: Any) -> Any:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
-from rig.config import prepare_estimator, settings_of_rig
+from rig.config import settings_of_rig
 from rig.control import estimators
 from rig.control.estimators import _kalman as kalman
 from rig.control.estimators import _poles as poles
@@ -113,13 +113,6 @@ def test_an_estimator_that_uses_the_effort_is_refused_without_it() -> None:
         rig.estimate(
             "disturbance", COUNTS, PERIOD, resolution=RESOLUTION, inertia=INERTIA, effort=np.zeros(3)
         )
-
-
-def test_an_experiment_gives_the_inertia_of_its_rig() -> None:
-    experiment = rig.load("koul-rigid", changes={"controller.estimator": "disturbance"})
-    parameters = prepare_estimator(experiment, RESOLUTION, PERIOD).parameters
-    inertia = experiment.rig.mechanics.motor_inertia + experiment.rig.mechanics.loaded_link_inertia
-    assert parameters[kalman.INPUT] == pytest.approx(PERIOD**2 / (inertia * RESOLUTION), rel=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "inertia"), [("constant-effort", 1.02e-3), ("human", 3.2e-4)])

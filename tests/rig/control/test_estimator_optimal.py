@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control.estimators import _optimal as optimal
@@ -35,7 +35,6 @@ def brute_force(counts: Any, bend: Any, longest: Any) -> Any:
     return np.array(slopes), np.array(chords)
 
 
-@settings(max_examples=60)
 @given(
     motion=st.lists(st.integers(-6, 6), min_size=1, max_size=40),
     bound=st.sampled_from([3.0, 20.3, 100.0, 711.0]),

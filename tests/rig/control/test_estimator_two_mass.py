@@ -13,6 +13,7 @@ from rig.config import prepare_estimator
 from rig.control import estimators
 from rig.core.errors import ConfigError
 from tests.conformance.guides import ROOT
+from tests.conformance.tiers import first_by_default
 
 NAME, RATE = "disturbance-two-mass", 20_000
 PAGE = ROOT / "rig" / "docs" / "reference" / "ranking-entries.md"
@@ -20,8 +21,7 @@ HELD = {"trial.kind": "human", "operator.grip": "normal", "rig.limits.human": Fa
 MASSES = {"motor_inertia": 1.9e-4, "link_inertia": 1.58e-3, "transmission_stiffness": 2310.0}
 
 
-@pytest.mark.parametrize("resolution", [1.5708e-4, -1.5708e-4])
-def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path, resolution: float) -> None:
+def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path) -> None:
     """The results on the page are those of the plug-in; both have the same steps in other units."""
     code, file = PAGE.read_text(encoding="utf-8").split("```python\n")[1], tmp_path / "entry.py"
     file.write_text(code.split("\nhit = ")[0], encoding="utf-8")
@@ -29,9 +29,9 @@ def test_its_velocities_are_those_of_the_plug_in_that_was_ranked(tmp_path: Path,
     random = np.random.default_rng(5)
     samples = estimators.inputs(np.cumsum(random.integers(-9, 10, 4000)), 1.0 / RATE)
     effort = random.normal(size=4000)
-    theirs = plug_in.prepare({"frequency_hz": 215.0}, resolution, 1.0 / RATE)
+    theirs = plug_in.prepare({"frequency_hz": 215.0}, -1.5708e-4, 1.0 / RATE)
     expected, _ = estimators.run(theirs, *samples, effort)
-    own = estimators.get(NAME).prepare({"frequency_hz": 215.0, **MASSES}, resolution, 1.0 / RATE)
+    own = estimators.get(NAME).prepare({"frequency_hz": 215.0, **MASSES}, -1.5708e-4, 1.0 / RATE)
     found, _ = estimators.run(own, *samples, effort)
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
@@ -45,7 +45,7 @@ def velocity_error(name: str, frequency_hz: float, changes: dict[str, Any]) -> f
     return float(np.sqrt(np.nanmean((rows["velocity"] - rows["velocity_true"]) ** 2)))
 
 
-@pytest.mark.parametrize("changes", [{}, HELD], ids=["no hand", "normal grip"])
+@pytest.mark.parametrize("changes", first_by_default([{}, HELD]), ids=["no hand", "normal grip"])
 def test_its_velocity_on_two_masses_is_nearer_than_that_of_one_mass(changes: dict[str, Any]) -> None:
     """Both have the values that the ranking tuned for them."""
     assert velocity_error(NAME, 215.0, changes) < 0.7 * velocity_error("disturbance", 825.404, changes)

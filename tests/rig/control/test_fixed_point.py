@@ -4,7 +4,7 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -42,13 +42,6 @@ def test_value_beyond_its_word_saturates(value: int, bits: int) -> None:
     assert saturate(value, bits) == clipped(value, bits)
 
 
-def test_the_three_roundings_differ_where_they_say() -> None:
-    quarters = range(-6, 7)  # of one unit
-    assert [shift_right(q, 2, FLOOR) for q in quarters] == [-2, -2, -1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1]
-    assert [shift_right(q, 2, ZERO) for q in quarters] == [-1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1]
-    assert [shift_right(q, 2, NEAREST) for q in quarters] == [-1, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 1, 2]
-
-
 def test_a_format_knows_its_name_its_step_and_its_ends() -> None:
     q = Format(16, 12)
     assert (str(q), q.lsb, q.limits) == ("Q4.12", 2**-12, (-32768, 32767))
@@ -83,34 +76,11 @@ def test_the_gain_at_rest_is_one_to_the_bit(relative_cutoff: float) -> None:
     assert f.dc_gain == 1.0
 
 
-def test_coefficients_as_they_round_may_scale_a_velocity() -> None:
-    """A filter of 200 Hz at 20 kHz in 14 bits has a DC gain of 61/62."""
-    f = low_pass(0.01, unit_gain=False)
-    assert f.dc_gain == pytest.approx(61 / 62, rel=1e-12)
-    assert f.dc_gain == (f.b0 + f.b1 + f.b2) / at_rest(f)
-
-
 def test_coefficients_that_round_the_gain_at_rest_to_zero_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"gain at rest is 0\b.*more coefficient_bits than 14"):
         low_pass(0.0012, unit_gain=False)  # b is a quarter, half and a quarter of an LSB
 
 
-def test_rounding_that_makes_another_filter_is_refused() -> None:
-    """1 + a1 + a2 is proportional to the squared cut-off frequency, and rounds to nothing here."""
-    with pytest.raises(
-        ConfigError, match=r"1 \+ a1 \+ a2 = 0\.\d+ LSB is rounded to -?\d.*changes the filter.*more coeff"
-    ):
-        low_pass(1e-3, bits=10)
-    low_pass(1e-3, bits=24)
-
-
-def test_products_that_could_overflow_64_bits_are_refused() -> None:
-    b, a = signal.butter(2, 0.1, fs=1.0)
-    with pytest.raises(ConfigError, match=r"overflow 64 bits.*60 bits together"):
-        design_biquad(b, a, coefficient_bits=30, state=Format(34, 16))
-
-
-@settings(max_examples=60)
 @given(cutoff=st.floats(0.02, 0.49), bits=st.integers(12, 30), word=st.integers(20, 48))
 def test_no_design_that_is_accepted_can_overflow(cutoff: float, bits: int, word: int) -> None:
     b, a = signal.butter(2, cutoff, fs=1.0)

@@ -1,13 +1,12 @@
 """The fixed-point wall and guard: bit-exact arithmetic, within one quantum of the float wall."""
 
 import json
-import math
 from typing import Any
 from zlib import crc32
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.control import _guard as guard
@@ -43,7 +42,6 @@ def designed(**given: Any) -> Any:
     )
 
 
-@settings(max_examples=60)
 @given(given=WALLS, offset=st.integers(-2000, 2000) | COUNT, data=st.data())
 def test_fixed_wall_is_exact_arithmetic_to_the_bit(given: Any, offset: int, data: st.DataObject) -> None:
     least, greatest = given["velocity"].limits
@@ -53,7 +51,6 @@ def test_fixed_wall_is_exact_arithmetic_to_the_bit(given: Any, offset: int, data
     assert current_quanta(count, velocity, w) == exact_quanta(count, velocity, w)
 
 
-@settings(max_examples=60)
 @given(given=WALLS)
 def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     """The worst sum: greatest depth, fastest velocity, constant effort, and half a quantum for rounding."""
@@ -65,7 +62,6 @@ def test_no_sum_of_any_design_can_leave_64_bits(given: Any) -> None:
     assert largest + 2**w.shift >= 2**61 or max(w.stiffness, w.damping) >= 2**29 or w.shift == 40
 
 
-@settings(max_examples=60)
 @given(given=WALLS, offset=st.integers(-2000, 2000), speed=st.floats(-3, 3, allow_subnormal=False))
 def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, speed: float) -> None:
     """Away from the rounded surface; gains are exact to 1e-3, so the limit of 1.3 N·m bounds the error."""
@@ -89,16 +85,6 @@ def test_fixed_wall_is_the_float_wall_within_a_quantum(given: Any, offset: int, 
     gains = 1e-3 * (given["stiffness"] * abs(penetration) + given["damping"] * abs(rate)) / QUANTUM
     count = difference(w.reference + offset, 0)
     assert abs(current_quanta(count, velocity, w) - expected) <= 1 + surface + gains
-
-
-def test_a_stiff_wall_of_the_koul_rig_is_held_to_a_part_in_ten_thousand() -> None:
-    w = designed()
-    assert math.ldexp(w.stiffness, DEPTH.fraction_bits - w.shift) * QUANTUM / RESOLUTION == pytest.approx(
-        300.0, rel=1e-8
-    )
-    assert math.ldexp(
-        w.damping, VELOCITY.fraction_bits - w.shift
-    ) * QUANTUM * PERIOD / RESOLUTION == pytest.approx(0.5, rel=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -53,15 +53,6 @@ def test_the_reported_numbers_are_the_fitted_curve() -> None:
     }  # fmt: skip
 
 
-def test_scale_and_shift_of_the_motion_scale_c_and_change_nothing_else() -> None:
-    time_s = np.arange(0.0, 0.3, 1e-3)
-    position, _ = chord(time_s, SINES)
-    one = identify_lipschitz(time_s, position, sines=3)
-    other = identify_lipschitz(time_s + 100.0, -250.0 * position + 3.0, sines=3)
-    assert other.lipschitz == pytest.approx(250.0 * one.lipschitz, rel=1e-3)
-    assert other.frequencies_hz == pytest.approx(one.frequencies_hz, rel=1e-3)
-
-
 def test_a_handle_that_never_moved_has_no_acceleration() -> None:
     fit = identify_lipschitz(np.arange(100) * 1e-3, np.full(100, 0.3), sines=2)
     assert fit.lipschitz == 0.0

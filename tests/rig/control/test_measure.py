@@ -14,7 +14,6 @@ from rig.control import _measure as measure
 from rig.control._measure import FEWEST_TICKS, LOST_BITS, NUMBERS, OVERRULED, filters, toggling_floor
 from rig.control._median import median
 from rig.control.judging import meter
-from rig.control.verdict import Verdict
 from rig.core.sample import RowFlag
 from tests.rig.control.test_verdict import DELTA, RATE, TIME
 from tests.rig.control.test_verdict import LIMITS as VERDICT_LIMITS
@@ -106,7 +105,6 @@ def test_a_constant_leaves_no_ripple_at_all() -> None:
     assert [numbers[name] for name in ("felt", "heard", "moved", "growth", "felt_floor")] == [0.0] * 5
 
 
-@settings(max_examples=60)
 @given(
     values=st.lists(
         st.sampled_from([-2.0, 0.0, 0.5, 1e-9, 7.0]) | st.floats(-1e9, 1e9, allow_subnormal=False), min_size=1
@@ -264,10 +262,6 @@ def test_lost_samples_are_counted_in_all_and_from_the_contact_on(contact: int, d
     assert n["longest_gap"] == after.max(initial=0)
     assert n["lost_fraction"] == pytest.approx(after.sum() / max(1, len(after) + after.sum()))
     assert n["late_fraction"] == pytest.approx(late_after.sum() / max(1, len(after)))
-
-
-def test_every_number_of_a_verdict_is_measured() -> None:
-    assert set(Verdict.__dataclass_fields__) - {"kind", "reasons"} <= set(NUMBERS.names)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, FEWEST_TICKS - 1])

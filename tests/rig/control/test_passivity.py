@@ -38,10 +38,6 @@ def test_a_passive_wall_is_left_alone(reaction: float, inwards: float) -> None:
     assert passivity.add_damping(reaction, -0.5, inwards, 10.0, TICK_S) == reaction
 
 
-def test_at_a_speed_of_zero_nothing_can_be_taken_back() -> None:
-    assert passivity.add_damping(3.0, 0.1, 0.0, 10.0, TICK_S) == 3.0
-
-
 def test_a_wall_that_pulls_already_is_not_made_to_push() -> None:
     """On the way out added damping lowers the reaction; a reaction below zero stays unchanged."""
     assert passivity.add_damping(-2.0, 0.1, -1.0, 10.0, TICK_S) == -2.0

@@ -31,12 +31,15 @@ def stiffening() -> PlainLaw:
 
 @pytest.fixture(scope="module")
 def blend() -> Estimator:
-    @estimator(parameters={"weight": Parameter(default=0.5, minimum=0.0, maximum=1.0)}, memory=("slope",))
+    weight = Parameter(default=0.5, minimum=0.0, maximum=1.0)
+
+    @estimator(parameters={"weight": weight}, memory=("slope",), name="mine", source="a paper")
     def blend(travel: float, elapsed_s: float, memory: Memory, p: Parameters) -> float:
         """Return the weighted sum of the last two slopes."""
         before, memory.slope = memory.slope, travel / elapsed_s
         return p.weight * before + (1.0 - p.weight) * memory.slope
 
+    assert (blend.name, blend.source) == ("mine", "a paper")
     return blend
 
 
@@ -65,12 +68,13 @@ def test_memory_lasts_and_time_is_in_seconds() -> None:
     """A Maxwell element of ten ticks: by backward Euler, (10/11)^10 of a step remains after ten ticks."""
 
     @law(memory=("held", "calls"), everywhere=True)
-    def relaxing(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:
+    def relaxing_wall(elapsed_s: float, memory: Memory, penetration: float, p: Parameters) -> float:
         memory.calls += 1.0
         memory.held += (penetration - memory.held) * elapsed_s / (elapsed_s + 10.0 * p.tick_s)
         return p.stiffness * (penetration - memory.held)
 
-    made = relaxing.prepare({"stiffness": 2.0, "damping": 0.0, "tick_s": 1e-3})
+    assert relaxing_wall.name == "relaxing-wall", "as the name of a file"
+    made = relaxing_wall.prepare({"stiffness": 2.0, "damping": 0.0, "tick_s": 1e-3})
     found = [made.law.function(1.0, 0.0, 1, made.state, made.parameters) for _ in range(10)]
     assert found[-1] == pytest.approx(2.0 * (10 / 11) ** 10)
     assert made.state.tolist() == [0.0, pytest.approx(1.0 - (10 / 11) ** 10), 10.0]
@@ -90,22 +94,6 @@ def test_an_estimators_settings_are_those_of_an_experiment(blend: Estimator) -> 
     assert slopes.tolist() == [0.0, 3.0, 1.0]
     with pytest.raises(ConfigError, match="weight = 2 is out of range"):
         blend.prepare({"weight": 2.0}, 1.0, 1.0)
-
-
-def test_names_are_those_of_files_and_may_be_given(blend: Estimator) -> None:
-    assert blend.name == "blend"
-
-    @estimator(name="mine", source="a paper")
-    def two_words(travel: float, elapsed_s: float) -> float:
-        return travel / elapsed_s
-
-    assert (two_words.name, two_words.source) == ("mine", "a paper")
-
-    @law()
-    def two_more(penetration: float) -> float:
-        return penetration
-
-    assert two_more.name == "two-more"
 
 
 def helper(x: float) -> float:

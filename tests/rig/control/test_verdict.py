@@ -323,17 +323,6 @@ def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
     assert verdict.heard < 0.01 * LIMITS.heard_effort
 
 
-def test_the_fundamental_of_one_toggling_count_at_113_hz_already_reads_a_felt_velocity() -> None:
-    """2√2·f·Δ = 0.05 rad/s: at higher frequencies counts cannot show whether a ripple is felt."""
-    one_line = replace(LIMITS, lowpass_hz=200.0)  # lets nothing but the fundamental through
-    below = judge(signals(toggling(112.0), resolution=DELTA), one_line)
-    above = judge(signals(toggling(114.0), resolution=DELTA), one_line)
-    for verdict, hz in ((below, 112.0), (above, 114.0)):
-        assert verdict.felt_floor == pytest.approx(2 * math.sqrt(2) * hz * DELTA, rel=0.01)
-    assert below.felt is not None
-    assert above.felt is None
-
-
 @pytest.mark.parametrize("hz", [10, 20, 31, 40, 51, 60, 70, 80, 90, 100, 112, 120, 200, 400, 700, 1500])
 def test_one_toggling_count_is_never_called_a_limit_cycle(hz: int) -> None:
     verdict = judge(signals(toggling(hz), resolution=DELTA), LIMITS)
@@ -456,7 +445,7 @@ def test_the_truth_is_that_of_the_handle_and_its_penetration_that_of_the_side_th
 def numbers_of_trials() -> np.ndarray:
     """Return records near every threshold, in which any optional value is missing now and then."""
     random = np.random.default_rng(1)
-    records = np.zeros(3_000, NUMBERS)
+    records = np.zeros(1_500, NUMBERS)
     near = {
         "felt": (0.049, 0.051, math.nan),
         "heard": (0.09, 0.11),
@@ -494,7 +483,7 @@ def numbers_of_trials() -> np.ndarray:
 def test_an_array_of_trials_has_the_kinds_that_each_is_given_by_itself() -> None:
     records = numbers_of_trials()
     found = [KINDS[code] for code in kinds(records, LIMITS)]
-    assert min(Counter(found)[kind] for kind in Kind) >= 50
+    assert min(Counter(found)[kind] for kind in Kind) >= 25
     for record, kind in zip(records, found, strict=True):
         decided, reasons = decide(record, LIMITS)
         assert decided is kind is Measured(record, LIMITS).kind
