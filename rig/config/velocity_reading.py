@@ -42,7 +42,7 @@ def pulse_of_count(experiment: Experiment) -> NDArray[np.float64]:
 def highest_reading(experiment: Experiment, velocity: float = 0.0) -> float:
     """Return the highest estimated speed (rad/s or m/s) while the handle moves at a steady velocity (rad/s or m/s).
 
-    The result is at least the peak for a single count, however slowly the handle moves.
+    The result is at least the peak for a single count, however slowly the handle moves; ∞ if the estimator diverges.
     """
     own = experiment.controller
     ahead = own.position_rate // own.velocity_rate - 1 if own.prediction == "extrapolate" else 0
@@ -86,7 +86,9 @@ def _peak(name: str, settings: Settings, rate: int, delta: float, velocity: floa
         counts = estimators.quantise(velocity / rate * np.arange(AFTER + samples), delta)
         read.append(_estimate(name, settings, rate, delta, counts)[AFTER:])
     share = ahead / (ahead + 1)
-    return max(float(np.abs(each[1:] + share * np.diff(each)).max(initial=0.0)) for each in read)
+    with np.errstate(over="ignore", invalid="ignore"):  # an estimator that diverges overflows: ∞ - ∞ is NaN
+        speeds = [np.abs(each[1:] + share * np.diff(each)) for each in read]
+    return max(float(np.where(np.isnan(one), math.inf, one).max(initial=0.0)) for one in speeds)
 
 
 @lru_cache(maxsize=512)

@@ -73,7 +73,9 @@ def speed_reading(experiment: Experiment) -> Check:
         f"allowed by rig.limits.speed: {limit:g} {unit}"
     )
     higher = round_up(reading / COUNT_SPEED_SHARE)
-    filtered = f"choose an estimator with more filtering, or set rig.limits.speed = {higher:g}"
+    filtered = f"choose another estimator or more filtering, or set rig.limits.speed = {higher:g}"
+    if math.isinf(reading):
+        filtered = "choose another estimator or other settings: its velocity grows without bound"
     return finding("speed reading", reading <= limit, text, quieter_changes(experiment), filtered)
 
 

@@ -467,11 +467,8 @@ def human_limit_checks(experiment: Experiment, *, real: bool = False) -> list[Ch
                 "remove override_stall unless the study needs those peaks",
             )
         ]
-    return [
-        Check(
-            "human limits", Outcome.OK, f"at most {limits.effort:g} {unit}, no more than the nominal effort"
-        )
-    ]
+    within = f"at most {limits.effort:g} {unit}, no more than the nominal effort"
+    return [Check("human limits", Outcome.OK, within)]
 
 
 def _saturation_remedy(experiment: Experiment) -> str:
@@ -491,10 +488,7 @@ def _wall_checks(experiment: Experiment) -> list[Check]:
     if experiment.wall.stiffness == 0.0:
         return [
             Check(
-                "stiffness",
-                Outcome.REFUSED,
-                "0: no wall would stop the handle",
-                "set wall.stiffness above 0",
+                "stiffness", Outcome.REFUSED, "0: no wall would stop the handle", "set wall.stiffness above 0"
             )
         ]
     hit = predict_impact(experiment)
@@ -509,7 +503,7 @@ def _wall_checks(experiment: Experiment) -> list[Check]:
             f"up to {hit.velocity:.3g} {velocity}, which reads as up to {reading:.3g} {velocity}; "
             f"limit {limits.speed:g}",
             {**quieter_changes(experiment), **_slower_changes(experiment, hit.velocity)},
-            "push less or start closer to the wall",
+            "push less, start closer to the wall, or choose another estimator",
         ),
         finding(
             "peak penetration",
@@ -549,13 +543,13 @@ def _wall_checks(experiment: Experiment) -> list[Check]:
 def _slower_changes(experiment: Experiment, velocity: float) -> dict[str, float]:
     """Return by key a push and stiffness with which the handle reaches the wall below the speed limit.
 
-    `velocity` is the predicted velocity at the wall (rad/s or m/s). Empty for a person's trial, and if `velocity` is
-    low enough.
+    `velocity` is the predicted velocity at the wall (rad/s or m/s). Empty for a person's trial, if `velocity` is low
+    enough, and if the estimator diverges.
     """
     way = abs(experiment.wall.position - experiment.trial.start)
-    count = min(highest_reading(experiment), COUNT_SPEED_SHARE * experiment.rig.limits.speed)
-    speed = LESS * experiment.rig.limits.speed - count
-    if experiment.trial.kind == "human" or velocity <= speed:
+    count = highest_reading(experiment)
+    speed = LESS * experiment.rig.limits.speed - min(count, COUNT_SPEED_SHARE * experiment.rig.limits.speed)
+    if experiment.trial.kind == "human" or velocity <= speed or math.isinf(count):
         return {}
     push = holding_effort(experiment) + 0.5 * homing.inertia(experiment) * speed**2 / way
     rest = experiment.trial.minimum_rest_counts * experiment.rig.encoder.resolution

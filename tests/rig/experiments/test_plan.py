@@ -36,9 +36,6 @@ def change(changes: Any, experiment: Any = COMPLIANT) -> Any:
     return config.override(experiment, changes)
 
 
-# ---------------------------------------------------------------------- predictions
-
-
 def simulate_hit(experiment: Any) -> Any:
     """Simulate a hit without a link; return the largest speed before the wall and the depth of the first contact."""
     law = controller.for_experiment(experiment, current_quantum_a=experiment.rig.amplifier.current_quantum_a)
@@ -113,9 +110,6 @@ def test_without_a_wall_the_handle_goes_anywhere() -> None:
     assert not plan.ok
     assert check(free, "stiffness").outcome == Outcome.REFUSED
     json.dumps(plain(plan), allow_nan=False)
-
-
-# ---------------------------------------------------------------------- checks, both sides
 
 
 def values_around(value: Any) -> Any:
@@ -202,9 +196,6 @@ def test_settings_that_an_estimator_does_not_have_are_a_config_error() -> None:
         make_plan(change({"controller.parameters.colour": 1.0}))
 
 
-# ---------------------------------------------------------------------- steps
-
-
 def test_the_duration_is_the_longest_that_it_may_take() -> None:
     x = change({"trial.repeats": 3})
     plan = make_plan(x)
@@ -219,9 +210,6 @@ def test_every_preset_has_a_plan_that_may_run_here_and_in_real_time(name: Any) -
         assert plan.ok, [c for c in plan.checks if c.outcome != Outcome.OK]
         assert all(c.text for c in plan.checks)
         assert json.loads(json.dumps(plain(plan)))["ok"] is True
-
-
-# ---------------------------------------------------------------------- device and link
 
 
 def test_a_rate_above_the_devices_is_refused_with_the_rate_to_choose() -> None:
@@ -260,9 +248,6 @@ def test_a_uart_carries_what_its_rate_allows(baud: int, rate: int, outcome: Any)
     assert (rate <= possible) is (outcome == Outcome.OK)
     assert f"`rate` {possible} or less" in link.remedy
     assert f"{rate * STATE_BYTES / 1e3:.1f} kB/s" in link.text
-
-
-# ---------------------------------------------------------------------- delay of a link
 
 
 def checks_by_name(experiment: Any, round_trip_s: float | None = None) -> dict[str, Any]:

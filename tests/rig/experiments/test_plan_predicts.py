@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+import rig
 from rig.analysis.theory import theory_of
 from rig.config import Experiment, controller, override, presets
 from rig.config._load import experiment_from_mapping, with_realtime
@@ -75,9 +76,7 @@ def test_a_finding_names_values_with_which_the_plan_holds(name: str) -> None:
 @pytest.mark.parametrize(
     ("lines", "name"), first_by_default([(85, "speed reading"), (90, "impact velocity")])
 )
-def test_counts_that_read_as_a_speed_beyond_its_limit_are_refused_with_a_cutoff(
-    lines: int, name: str
-) -> None:
+def test_a_reading_beyond_the_speed_limit_is_refused_with_a_cutoff(lines: int, name: str) -> None:
     changes = {
         "rig.encoder.ratio": 1.0,
         "rig.encoder.counts_per_revolution": lines,
@@ -95,6 +94,21 @@ def test_counts_that_read_as_a_speed_beyond_its_limit_are_refused_with_a_cutoff(
     again = override(x, named_changes(tuple(found.values())))
     assert make_plan(again).ok
     assert reaches(again, 0) == (True, "")
+
+
+def test_an_estimator_that_diverges_is_refused_without_a_change_that_cannot_help() -> None:
+    """The remedy was `trial.effort = nan and wall.stiffness = nan`."""
+
+    @rig.estimator(memory=("last",))
+    def diverging(travel: float, elapsed_s: float, memory: rig.Memory) -> float:
+        memory.last = travel / elapsed_s - 1.5 * memory.last
+        return memory.last
+
+    found = {one.name: one for one in rig.plan("koul-compliant", estimator=diverging).checks}
+    for name in ("impact velocity", "speed reading"):
+        assert (found[name].outcome, found[name].changes) == (Outcome.REFUSED, {})
+        assert "as up to inf rad/s" in found[name].text
+        assert "choose another estimator" in found[name].remedy
 
 
 def test_amplifier_steps_that_the_current_quantum_does_not_allow_are_named() -> None:
