@@ -109,10 +109,12 @@ class Verdicts:
             at = f"at {verdict.impact_velocity:.3g} {velocity}"
             rows.append(Row("first contact", verdict.contact_s, "s", at))
         limit = f"limit {experiment.rig.limits.effort:g}"
+        # The median of a handle that never settles is no rest: it may lie outside the wall.
+        rest = "penetration (median, tail)" if verdict.settling_s is None else "resting penetration"
         return [
             *rows,
             depth("peak penetration", "peak_penetration"),
-            depth("resting penetration", "resting_penetration"),
+            depth(rest, "resting_penetration"),
             Row("settling time", verdict.settling_s, "s", digits=3)
             if verdict.settling_s is not None
             else Row("settling time", "never settled"),

@@ -33,7 +33,7 @@ def design_figure(found: Design) -> Any:
         traded.scatter(*at, s=size, facecolors=face, edgecolors=colour, alpha=0.8, zorder=3)
     traded.set_xlabel(f"range of damping B ({damping})")
     style.tidy(traded, f"stiffest wall K ({stiffness})")
-    traded.set_title("hits of the second round; filled: the front; larger: noisier at rest", fontsize=9)
+    traded.set_title("schemes at the same walls; filled: Pareto front; larger: noisier at rest", fontsize=9)
 
     shown = [(found.recommended, RECOMMENDED, "recommended: ")]
     if found.recommended is found.own:

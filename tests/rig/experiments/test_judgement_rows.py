@@ -53,6 +53,13 @@ def test_every_threshold_stands_beside_its_number(result: HitResult) -> None:
         assert "true " in notes[name]
 
 
+def test_a_handle_that_never_settles_has_no_resting_penetration(result: HitResult) -> None:
+    judgement = result.recorded.judgement
+    never = replace(judgement, verdict=replace(judgement.verdict, settling_s=None))
+    depths = [row.label for row in never.rows(result.experiment) if "penetration" in row.label]
+    assert depths == ["peak penetration", "penetration (median, tail)"]
+
+
 def test_a_ripple_below_a_count_is_not_measurable_and_null_in_json(result: HitResult) -> None:
     assert result.verdict.felt is None
     assert rows_of(result)["felt (velocity ripple, rms)"].value == "not measurable"
