@@ -50,7 +50,7 @@ def test_templates_are_listed(run: Any) -> None:
     assert json.loads(run("session", "new", "--list", "--json")[1]).keys() >= {"koul-fig6"}
 
 
-@pytest.mark.parametrize("blind", first_by_default(["both", "none", "operator", "participant"]))
+@pytest.mark.parametrize("blind", first_by_default(["both", "none", "operator", "participant"], 2))
 def test_the_plan_hides_the_order_from_a_blinded_operator(run: Any, tmp_path: Path, blind: str) -> None:
     (tmp_path / "study.toml").write_text(
         PLAN.replace("participants = 4", f'participants = 4\nblind = "{blind}"')

@@ -176,7 +176,7 @@ def device_stops_comparing(device: Any) -> None:
     device._safety.currents[CURRENT.noise] = _UNOBSERVED
 
 
-@pytest.mark.parametrize("name", first_by_default(BROKEN_HARDWARE))
+@pytest.mark.parametrize("name", first_by_default(BROKEN_HARDWARE, 2))
 def test_the_host_detects_a_wrong_current_without_the_device(name: str, tmp_path: Path) -> None:
     stops = (TICK_AT_REST, device_stops_comparing)
     breaks = (TICK_AT_REST, set_hardware(**BROKEN_HARDWARE[name]))
@@ -202,7 +202,7 @@ def test_a_current_too_small_beside_the_noise_is_not_observed_and_no_agreement(t
     )
 
 
-@pytest.mark.parametrize("spikes", first_by_default([1, 2]))
+@pytest.mark.parametrize("spikes", [1, 2])
 def test_one_spike_of_the_converter_is_no_over_current_and_two_are(spikes: int, tmp_path: Path) -> None:
     over = over_current(config.rig_model(BASE)) + 1
     _, recording, error = run_trial(

@@ -83,24 +83,22 @@ def test_more_effort_than_a_person_may_meet_is_refused_wherever_it_is_written() 
 
 @pytest.mark.parametrize(
     ("changes", "text"),
-    first_by_default(
-        [
-            (
-                {"rig.limits.human": False},
-                "human = false, rig.limits.effort = 1.3 (at most 0.286 for people)",
-            ),
-            (
-                {"rig.limits.human": False, "rig.limits.effort": 0.28, "operator.press": 1.0},
-                "and rig.limits.human = false; a real rig",
-            ),
-            (
-                {"rig.limits.human": False, "rig.limits.override_stall": True},
-                "and rig.limits.human = false; a real",
-            ),
-            ({"rig.limits.oscillations": 0}, "rig.limits.oscillations = 0 (1 to 10 for people)"),
-            ({"rig.limits.oscillations": 11}, "rig.limits.oscillations = 11 (1 to 10 for people)"),
-        ]
-    ),
+    [
+        (
+            {"rig.limits.human": False},
+            "human = false, rig.limits.effort = 1.3 (at most 0.286 for people)",
+        ),
+        (
+            {"rig.limits.human": False, "rig.limits.effort": 0.28, "operator.press": 1.0},
+            "and rig.limits.human = false; a real rig",
+        ),
+        (
+            {"rig.limits.human": False, "rig.limits.override_stall": True},
+            "and rig.limits.human = false; a real",
+        ),
+        ({"rig.limits.oscillations": 0}, "rig.limits.oscillations = 0 (1 to 10 for people)"),
+        ({"rig.limits.oscillations": 11}, "rig.limits.oscillations = 11 (1 to 10 for people)"),
+    ],
 )
 def test_other_limits_in_a_file_are_reported_on_a_simulated_rig_and_refused_on_a_real_one(
     changes: dict[str, Any], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

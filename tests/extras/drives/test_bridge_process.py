@@ -123,7 +123,6 @@ def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> N
         drive.join(PATIENCE_S)
 
 
-@pytest.mark.exhaustive("::test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_link")
 def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
     """The kernel closes the socket of a host even if it is killed."""
     bus, drive = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)

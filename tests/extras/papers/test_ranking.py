@@ -170,7 +170,6 @@ def test_variations_stay_within_a_fifth_and_the_controller_keeps_its_values() ->
     assert 1.1 < max(factors) <= 1.2
 
 
-@pytest.mark.exhaustive("::test_the_best_pair_is_recommended_and_ties_are_not")
 def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme_without_a_win() -> None:
     found = compare.read_results()
     assert PAGE.read_text(encoding="utf-8") == page(found), (

@@ -255,7 +255,7 @@ def test_the_limits_of_any_alone_are_those_of_a_whole_map(way: Any) -> None:
     assert alone.hits < every.hits
 
 
-@pytest.mark.exhaustive("::test_the_public_function_finds_the_same")
+@pytest.mark.exhaustive("tests/rig/experiments/test_design_rules.py::test_no_worse_needs_the_whole_interval")
 def test_the_recommended_scheme_is_a_finalist_and_no_worse_on_held_out_hits(stored_design: Any) -> None:
     _, found = stored_design
     assert found.recommended in found.finalists

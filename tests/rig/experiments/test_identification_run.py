@@ -112,7 +112,6 @@ def test_under_voltage_drive_back_emf_is_separated_from_friction_inertia_and_lag
         assert after == pytest.approx(mechanics.transmission_damping_ratio, rel=0.15)
 
 
-@pytest.mark.exhaustive("::test_chawda_linear_comes_out_within_a_per_cent")
 def test_koul_rigid_with_a_tick_of_delay(tmp_path: Path) -> None:
     changes = {"rig.simulation.computation_delay_ticks": 1, "controller.position_rate": 2000}
     found = identified(RIGID, tmp_path, period_s=0.25, changes=changes)
@@ -189,7 +188,6 @@ def test_a_value_that_may_be_wrong_by_more_than_its_interval_has_a_warning(compl
     assert "cannot be distinguished from zero" in damping
 
 
-@pytest.mark.exhaustive("::test_a_rig_that_another_process_simulates_keeps_its_end_mass_too")
 def test_a_named_simulated_rig_keeps_its_end_mass_which_is_subtracted(tmp_path: Path) -> None:
     found = identified(RIGID, tmp_path, url="sim://koul-rigid", rate_hz=1000)
     assert found.dynamics.inertia.value == pytest.approx(3.2e-4 + 0.07 * 0.1**2, rel=0.02)

@@ -182,7 +182,7 @@ def test_a_broken_switch_or_index_ends_the_search_at_rest_with_the_reason(
         assert all(last_effort(path) == 0.0 for path in tmp_path.glob("*.parquet"))
 
 
-@pytest.mark.parametrize("x", first_by_default([MARKED, BY_BOARD]), ids=["host", "board"])
+@pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
 def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
     x: Experiment, tmp_path: Path
 ) -> None:
@@ -197,7 +197,7 @@ def test_a_person_who_pushes_the_handle_in_the_search_ends_it_by_its_speed(
         assert last_effort(search) == 0.0
 
 
-@pytest.mark.parametrize("x", first_by_default([MARKED, BY_BOARD]), ids=["host", "board"])
+@pytest.mark.parametrize("x", [MARKED, BY_BOARD], ids=["host", "board"])
 def test_a_handle_that_is_held_in_the_search_is_let_go_at_once(x: Experiment, tmp_path: Path) -> None:
     """A brake stronger than the servo holds the handle, so no edge comes; the device or the host ends the search."""
     with powered_up(x) as device:

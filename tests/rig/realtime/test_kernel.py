@@ -158,7 +158,6 @@ def test_second_process_waits_while_the_first_compiles(project: Project) -> None
     assert other["compiled"] == [True, False]
 
 
-@pytest.mark.exhaustive("::test_key_follows_only_the_sources_of_kernels")
 def test_same_sources_in_another_place_load_the_cache(
     first: tuple[Project, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -28,7 +28,9 @@ def test_a_second_without_the_disk_and_without_python_costs_no_row(shared: bool)
         assert run.fullest > 0.5 * RATE  # the ring did carry the stall
 
 
-@pytest.mark.exhaustive("::test_a_second_without_the_disk_and_without_python_costs_no_row")
+@pytest.mark.exhaustive(
+    "tests/rig/loop/test_loop.py::test_in_real_time_a_full_ring_drops_rows_and_counts_them"
+)
 def test_a_stall_longer_than_the_ring_costs_what_the_ring_cannot_hold_and_no_more() -> None:
     """Scaled down from a stall of 6 s with a ring of 5 s: rows that fit arrive, the others are counted."""
     run = record_on_a_pausing_disk(1.4, rate_hz=RATE, pauses=[(0.15, 1.0)], ring_s=0.25)

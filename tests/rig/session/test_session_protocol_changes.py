@@ -59,7 +59,7 @@ def found_by_check(place: Path) -> dict[str, Any]:
     return {one.name: one for one in plan.checks}
 
 
-@pytest.mark.parametrize(("old", "new"), first_by_default(NEUTRAL))
+@pytest.mark.parametrize(("old", "new"), first_by_default(NEUTRAL, 2))
 def test_a_change_without_effect_on_results_is_recorded_and_blocks_nothing(
     tmp_path: Path, old: str, new: str
 ) -> None:
@@ -73,7 +73,7 @@ def test_a_change_without_effect_on_results_is_recorded_and_blocks_nothing(
     assert found_by_check(tmp_path)["protocol"].outcome is Outcome.OK
 
 
-@pytest.mark.parametrize(("key", "old", "new"), first_by_default(DECIDING))
+@pytest.mark.parametrize(("key", "old", "new"), first_by_default(DECIDING, 2))
 def test_a_change_with_effect_on_results_is_named_before_anything_is_written(
     tmp_path: Path, key: str, old: str, new: str
 ) -> None:

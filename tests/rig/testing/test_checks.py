@@ -17,7 +17,6 @@ from rig.control.plain_law import law
 from rig.realtime.kernel import kernel
 from rig.realtime.plugs import ESTIMATOR_SIGNATURE, LAW_SIGNATURE
 from rig.testing import check_estimator, check_law
-from tests.conformance.tiers import first_by_default
 
 Floats, Ints = NDArray[np.float64], NDArray[np.int64]
 compiled = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled here")
@@ -87,19 +86,16 @@ def marks(depth: float, velocity: float, elapsed: int, state: Floats, numbers: F
 @compiled
 @pytest.mark.parametrize(
     ("function", "message"),
-    first_by_default(
-        [
-            (allocates, "the law allocates while it runs"),
-            (writes_beside, "writes outside of its memory"),
-            (tunes_itself, "changes its parameters"),
-            (marks, "is neither 0 nor 1"),
-            (divides, "gives a reaction that is not finite: penetration 1"),
-            (reaches_out, "acts outside of the wall: penetration -"),
-            (attracts, "pulls a handle at rest into the wall"),
-            (drives, r"gives .* J in a cycle 0.01 deep .*: it feeds energy into the handle"),
-        ],
-        3,
-    ),
+    [
+        (allocates, "the law allocates while it runs"),
+        (writes_beside, "writes outside of its memory"),
+        (tunes_itself, "changes its parameters"),
+        (marks, "is neither 0 nor 1"),
+        (divides, "gives a reaction that is not finite: penetration 1"),
+        (reaches_out, "acts outside of the wall: penetration -"),
+        (attracts, "pulls a handle at rest into the wall"),
+        (drives, r"gives .* J in a cycle 0.01 deep .*: it feeds energy into the handle"),
+    ],
 )
 def test_the_error_of_a_law_names_the_promise_that_it_breaks(
     function: Callable[..., float], message: str

@@ -23,7 +23,6 @@ from rig.testing import SerialRig, serve_rig
 from sim_backend.board.make_device import make_device
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.claimed import claim_to_be_real
-from tests.conformance.tiers import first_by_default
 
 URL = "serial:///dev/ttyRIG"
 TYPED = ("--rig-url", URL, "--rig-verified", "-n0")
@@ -115,15 +114,12 @@ def test_tests_share_one_open_device_and_its_position_zero(
 
 @pytest.mark.parametrize(
     ("ending", "message"),
-    first_by_default(
-        [
-            ("assert False", "assert False"),
-            ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
-            ("pytest.exit('enough')", "! _pytest.outcomes.Exit: enough !"),
-            ("signal.raise_signal(signal.SIGALRM)", "Timeout (>60.0s)"),  # which says that its time is over
-        ],
-        2,
-    ),
+    [
+        ("assert False", "assert False"),
+        ("raise KeyboardInterrupt", "! KeyboardInterrupt !"),
+        ("pytest.exit('enough')", "! _pytest.outcomes.Exit: enough !"),
+        ("signal.raise_signal(signal.SIGALRM)", "Timeout (>60.0s)"),  # which says that its time is over
+    ],
 )
 def test_however_a_test_ends_the_host_sends_its_rig_stop(
     ending: str, message: str, bench: Bench, pytester: pytest.Pytester
@@ -148,9 +144,7 @@ def test_however_a_test_ends_the_host_sends_its_rig_stop(
         bench.link.read(0.0)
 
 
-@pytest.mark.parametrize(
-    "answers", first_by_default([["", "", "q"], []]), ids=["not to the third", "no terminal"]
-)
+@pytest.mark.parametrize("answers", [["", "", "q"], []], ids=["not to the third", "no terminal"])
 def test_a_person_agrees_to_each_hit_of_a_map(
     answers: list[str], bench: Bench, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
