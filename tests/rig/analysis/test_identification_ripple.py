@@ -11,7 +11,7 @@ from rig.analysis.identification._cogging import pairs_of
 from rig.analysis.identification._quality import IdentificationError
 from rig.analysis.identification._ripple import Ripple, fit_ripple
 from rig.core.model import Cogging
-from tests.rig.analysis.test_identification_cogging import DAMPING, DOWN, INERTIA, PERIOD, UP, fitted, swept
+from tests.rig.analysis.test_identification_cogging import DAMPING, INERTIA, PERIOD, swept
 
 MOST, LOAD, NOISE = 4, 0.08, 5e-4
 COGS = Cogging(period=PERIOD, orders=(1, 2, 4), cosine=(0.004, 0.0, 0.01), sine=(0.0, -0.003, 0.006))
@@ -63,20 +63,6 @@ def test_interval_holds_the_truth_as_often_as_stated() -> None:
             held += ripple.cosine[at].holds(cosine) + ripple.sine[at].holds(sine)
             trials += 2
     assert abs(held - 0.95 * trials) <= 4.0 * math.sqrt(0.95 * 0.05 * trials)
-
-
-def test_without_a_load_ripple_looks_like_varying_friction() -> None:
-    """Half the sum is F/(1 + r), half the difference friction/(1 + r), so r can be found with a load only."""
-    map_ = fitted(RIPPLES, most=MOST)
-    seen = ~np.isnan(map_.effort)
-    share = 1.0 + RIPPLES.share(map_.position[seen])
-    bent, plain = COGS.effort(map_.position[seen]) / share, COGS.effort(map_.position[seen])
-    lopsided = 0.5 * (DOWN - UP) * (1.0 / share - np.mean(1.0 / share))
-    off = map_.effort[seen] - (bent + lopsided)
-    assert np.abs(off - off.mean()).mean() < 6e-4
-    assert np.abs(bent - plain).max() > 5e-4
-    rubs = 0.5 * (UP + DOWN) / share
-    assert np.corrcoef(map_.rubbing[seen], rubs)[0, 1] > 0.95
 
 
 def test_a_load_that_is_lost_in_the_friction_is_refused() -> None:

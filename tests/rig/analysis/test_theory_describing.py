@@ -1,10 +1,9 @@
-"""Describing functions against integrals, textbook closed forms, and a loop simulated with numpy alone."""
+"""Describing functions against integrals and textbook closed forms."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from rig.analysis.theory._describing import limit_cycle, reading
@@ -90,26 +89,3 @@ def test_a_mean_reading_near_a_whole_count_buzzes_less() -> None:
     assert limit_cycle(rig(), FAST, K, 0.0, duty=0.1).amplitude == pytest.approx(
         whole * math.sin(0.1 * math.pi), rel=1e-3
     )
-
-
-def test_a_loop_in_numpy_alone_cycles_as_predicted() -> None:
-    """Steps the rig by its matrix exponential and feeds back its count; shares no code with the product."""
-    step_s, seconds = 1e-5, 4.0
-    a = np.array([[0.0, 1.0, 0.0], [0.0, -DAMPER / J, 1.0 / J], [0.0, 0.0, -1.0 / LAG]])
-    b = np.array([[0.0, 0.0], [0.0, 1.0 / J], [1.0 / LAG, 0.0]])  # command, push
-    whole = expm(np.block([[a, b], [np.zeros((2, 5))]]) * step_s)
-    (p01, p02), (p11, p12), p22 = whole[0, 1:3].tolist(), whole[1, 1:3].tolist(), float(whole[2, 2])
-    g = whole[:3, 3:].tolist()
-    push = 0.5 * K * COUNT
-    x, v, u, seen = 0.4 * COUNT, 0.0, 0.0, []
-    for _ in range(round(seconds / step_s)):
-        command = -K * COUNT * (1.0 if x > 0.0 else 0.0)
-        x += p01 * v + p02 * u + g[0][0] * command + g[0][1] * push
-        v, u = (p11 * v + p12 * u + g[1][0] * command + g[1][1] * push, p22 * u + g[2][0] * command)
-        seen.append(x)
-    motion = np.array(seen[len(seen) // 2 :]) / COUNT
-    crossings = np.count_nonzero(np.diff(motion > motion.mean()))
-    found = limit_cycle(rig(), FAST, K, 0.0)
-    # The reading's third harmonic, a third of the first, comes through at 7 %: 2 % of the motion, and of the switching.
-    assert found.frequency_hz == pytest.approx(0.5 * crossings / (0.5 * seconds), rel=0.04)
-    assert found.amplitude == pytest.approx(math.sqrt(2.0) * motion.std(), rel=0.06)

@@ -13,7 +13,6 @@ from rig import config
 from rig.analysis import theory
 from rig.analysis.theory._passivity import estimator_delay_s
 from rig.config import presets
-from rig.core.operators import GRIPS
 
 KOUL = config.rig_model(presets.load("koul-compliant"))
 RIGID = config.rig_model(presets.load("koul-rigid"))
@@ -74,29 +73,6 @@ def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifte
 
 def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing() -> None:
     assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
-
-
-@settings(max_examples=20)
-@given(
-    damping=st.floats(0.0, 0.05, allow_subnormal=False),
-    share=st.floats(0.0, 0.999, allow_subnormal=False),
-    scheme=st.sampled_from(
-        ["dual:20k/2k", "uniform:20k", "dual:10k/1k,estimator=fdm", "dual:20k/2k,estimator=kalman"]
-    ),
-    spring=st.floats(0.0, 5e3, allow_subnormal=False),
-    damper=st.floats(0.0, 1.0, allow_subnormal=False),
-)
-def test_passive_wall_is_stable_with_any_passive_hand(
-    damping: float, share: float, scheme: Any, spring: float, damper: float
-) -> None:
-    """The multi-rate bound without lag and delay is sufficient: hands from nothing to a stiff spring to ground."""
-    model = replace(IDEAL, mechanics=replace(IDEAL.mechanics, motor_damping=0.02, end_mass=0.0))
-    stiffness = share * theory.passivity_bound(model, scheme, damping).stiffness
-    if stiffness < 1e-2:
-        return
-    hand = replace(GRIPS["normal"], pads_mass=0.0, pads_stiffness=100 * spring, pads_damping=100 * damper)
-    radius = theory.spectral_radius(model, scheme, stiffness, damping, operator=hand)
-    assert radius < 1.0
 
 
 def test_on_two_masses_the_damper_behind_the_capstan_counts_in_series() -> None:

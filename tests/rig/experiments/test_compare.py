@@ -141,21 +141,6 @@ def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own() 
         first["triple"]
 
 
-def test_damping_holds_the_handle_back_and_its_traces_begin_inside_the_wall() -> None:
-    comparison = compare(short("koul-compliant"))
-    none, dual = comparison["none"], comparison["dual"]
-    assert dual.numbers.peak < 0.8 * none.numbers.peak
-    assert dual.numbers.decay < 0.7 * none.numbers.decay
-    rig = comparison.experiment.rig
-    resolution = rig.encoder.resolution
-    give = rig.limits.effort / rig.mechanics.transmission_stiffness  # of the capstan; twice with its swing
-    for impact in (*none.impacts, *dual.impacts):
-        assert impact.counts[0] >= 1.0
-        assert impact.time_s[0] == 0.0
-        np.testing.assert_allclose(impact.penetration, impact.counts * resolution)
-        assert np.abs(impact.penetration - impact.penetration_true).max() < 2 * give + resolution
-
-
 def test_a_wall_on_the_other_side_gives_the_same_depths() -> None:
     experiment = short("koul-rigid")
     mirror = {"wall.side": -1, "trial.start": 0.015, "trial.effort": -0.15, "rig.encoder.sign": -1}

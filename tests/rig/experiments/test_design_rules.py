@@ -35,15 +35,6 @@ def test_the_front_has_exactly_the_schemes_that_no_other_dominates(found: Any) -
             assert front & set(by), "what dominates is dominated only by what dominates, too"
 
 
-@settings(max_examples=50)
-@given(some, st.randoms())
-def test_the_front_does_not_depend_on_the_order(found: Any, random: Any) -> None:
-    shuffled = list(found)
-    random.shuffle(shuffled)
-    one, other = (sorted(repr(some[i]) for i in rules.front(some)) for some in (found, shuffled))
-    assert one == other
-
-
 @given(measured, measured)
 def test_dominance_has_a_direction(one: Any, other: Any) -> None:
     assert not (rules.dominates(one, other) and rules.dominates(other, one))

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from firmware_protocol.connection import State
-from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import controller, presets
 from rig.control.law import Law
-from rig.core.errors import ConfigError, DeviceFaultError, LawError, LinkLostError, RecordingError, RigError
+from rig.core.errors import ConfigError, LawError, RecordingError, RigError
 from rig.core.present import plain
 from rig.core.sample import Phase, RowFlag
-from rig.devices.fault_script import DeviceFault, Direction, FaultKind, Faults, FrameFault, Happening
+from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault, Happening
 from rig.devices.framed import FramedDevice
 from rig.experiments.trials.replay import COMPUTED, replay
 from rig.realtime.kernel import kernel
@@ -124,36 +123,6 @@ def test_an_encoder_that_counts_down_replays_exactly(tmp_path: Path) -> None:
     assert_exact(replay(recording))
 
 
-@pytest.mark.parametrize(
-    ("kind", "counter"),
-    [
-        (FaultKind.DROP, "lost"),
-        (FaultKind.DUPLICATE, "duplicated"),
-        (FaultKind.REORDER, "reordered"),
-        (FaultKind.DELAY, "skipped"),
-    ],
-)
-def test_gaps_replay_exactly(kind: Any, counter: str, armed: Any, tmp_path: Path) -> None:
-    """A fault strikes every seventh sample of the push: gaps are inputs of the law and are stored in the rows."""
-    faults = tuple(
-        FrameFault(kind=kind, direction=Direction.TO_HOST, frame=frame, ticks=3)
-        for frame in range(armed + 5, armed + 95, 7)
-    )
-    recording = record_trial(tmp_path, faults=Faults(frames=faults))
-    assert recording.trailer["counters"][counter] >= len(faults)
-    gaps = (recording.rows["flags"] & int(RowFlag.GAP)) != 0
-    assert gaps.any() or kind is FaultKind.DUPLICATE
-    assert_exact(replay(recording))
-
-
-def test_a_run_that_a_device_fault_ended_replays_exactly(tmp_path: Path) -> None:
-    faults = Faults(device=(DeviceFault(120, Fault.ENCODER),))
-    recording = record_trial(tmp_path, faults=faults, error=DeviceFaultError)
-    assert recording.rows["fault"][-1] == Fault.ENCODER
-    assert recording.rows["effort_sent"][-2] != 0.0
-    assert_exact(replay(recording))
-
-
 def test_a_fault_state_without_a_code_counts_as_an_end_too(finished: Any) -> None:
     """The loop ends on the state or the code; a device may report the FAULT state before its code."""
     half = finished.rows[: len(finished) // 2].copy()
@@ -172,14 +141,6 @@ def test_a_run_that_ends_while_the_slew_limit_still_lowers_the_effort_replays_ex
     assert abs(recording.rows["current_sent"][-2]) > 5
     assert recording.rows["current_sent"][-1] == 0
     assert_exact(replay(recording))
-
-
-def test_a_silent_link_and_a_pulled_plug_replay_exactly(armed: Any, tmp_path: Path) -> None:
-    for kind in (FaultKind.SILENCE, FaultKind.UNPLUG):
-        place = tmp_path / kind.name
-        place.mkdir()
-        fault = FrameFault(kind=kind, direction=Direction.TO_HOST, frame=armed + 55)
-        assert_exact(replay(record_trial(place, faults=Faults(frames=(fault,)), error=LinkLostError)))
 
 
 @kernel(LAW_SIGNATURE, cache=False)

@@ -20,7 +20,6 @@ from rig.core.errors import (
     ConfigError,
     DeviceFaultError,
     DeviceRefusedError,
-    GuardError,
     LawError,
     LinkLostError,
     PlanError,
@@ -48,7 +47,6 @@ from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink
 from tests.conformance.trials import trial_on
 
-WAIT_S = 20.0
 START = -0.015
 SHORT = config.override(
     config.with_realtime(presets.load("koul-compliant")),
@@ -137,18 +135,6 @@ def test_a_finished_trial_is_sealed_with_truth_verdict_and_counters(tmp_path: Pa
     assert end.counters["ticks"] == len(recording)
     assert np.isfinite(recording.rows["position_true"]).all()
     assert bench.at_rest()
-
-
-def test_trials_follow_each_other_on_one_device(tmp_path: Path) -> None:
-    """The handle rests in the wall after a trial; the next one homes it and starts with a new session and memory."""
-    bench = Bench(tmp_path)
-    recordings = [open_recording(bench.run(name=f"trial-{n}").recording) for n in range(3)]
-    for recording in recordings:
-        assert recording.rows["tick"].tolist() == list(range(len(recording)))
-        assert recording.rows["phase"][-1] == Phase.DONE
-        assert np.isfinite(recording.rows["position_true"]).all()
-        assert recording.trailer["counters"]["lost"] == 0
-    assert recordings[1].rows["sample_index"][0] > recordings[0].rows["sample_index"][-1]
 
 
 # ---------------------------------------------------------------------- ended early
@@ -490,48 +476,11 @@ def test_a_device_that_restarts_in_mid_run_is_not_only_silent(tmp_path: Path) ->
     assert open_recording(caught.value.recording).trailer["reason"] == "device_restarted"
 
 
-def test_a_run_that_leaves_the_window_ends_with_zero_effort_and_an_error(tmp_path: Path) -> None:
-    narrow = {
-        "rig.limits.position_maximum": 0.0001,
-        "rig.limits.position_minimum": -0.2,
-        "trial.duration_s": 0.3,
-    }
-    bench = Bench(tmp_path)
-    with pytest.raises((GuardError, DeviceFaultError)) as caught:
-        bench.run(config.override(SHORT, narrow))
-    rows = open_recording(caught.value.recording).rows
-    assert np.abs(rows["effort_sent"]).max() > 0.0
-    assert rows["effort_sent"][-1] == 0.0
-    bench.link.elapse(0.03)
-    assert bench.at_rest()
-
-
 # ---------------------------------------------------------------------- hit
 
 
 def request_hit(directory: Any, **options: Any) -> Any:
     return HitRequest(**{"experiment": SHORT, "output": directory / "recordings", **options})
-
-
-def test_a_hit_gives_result_verdicts_and_plain_values(tmp_path: Path) -> None:
-    seen = []
-
-    def watch(repeat: Any, experiment: Any) -> None:
-        seen.append(repeat)
-
-    virtual = config.override(SHORT, {"trial.repeats": 2})
-    results = list(
-        hit(request_hit(tmp_path, experiment=virtual, changes={"wall.stiffness": 50.0}), admit, watch)
-    )
-    assert seen == [0, 1]
-    assert len({result.path for result in results}) == 2
-    for result in results:
-        assert result.experiment.wall.stiffness == 50.0
-        assert result.verdict_true is not None
-        facts = result.as_mapping()
-        assert facts["stiffness"] == 50.0
-        assert facts["verdict"]["kind"] == result.verdict.kind
-        assert result.recording.trailer["verdict"]["kind"] == result.verdict.kind
 
 
 def test_a_hit_beyond_a_limit_is_refused_before_a_directory_is_made(tmp_path: Path) -> None:

@@ -85,29 +85,7 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Pa
     assert len(list((tmp_path / "hits").glob("*.parquet"))) == found.hits
 
 
-def test_a_simulated_hand_pushes_on_a_device_too(tmp_path: Path) -> None:
-    changes = {
-        "trial.kind": "human",
-        "rig.limits.human": False,  # a wall of 400 N·m/rad asks for more than the nominal effort
-        "operator.begin_s": 0.0,
-        "operator.reach_s": 0.2,
-    }
-    found = zwidth_on_rig(plan_map(changes, dampings=(0.2,)), Person().session(tmp_path))
-    assert found.hits == len(list((tmp_path / "hits").glob("*.parquet"))) > 1
-    assert 50.0 < found.curve(0, "any")[0].stiffness < 500.0
-
-
 # --- a person ---------------------------------------------------------------------------------------------------
-
-
-def test_the_person_sees_scheme_wall_and_number_before_each_hit(tmp_path: Path) -> None:
-    person = Person()
-    zwidth_on_rig(plan_map(), person.session(tmp_path))
-    first, second = person.asked[:2]
-    assert first.scheme == "dual 5/1 kHz, fdm-butterworth 100 Hz"
-    assert (first.stiffness, first.damping, first.number, first.series, first.total) == (20.0, 0.1, 1, 1, 2)
-    assert second.number == 2
-    assert {asked.damping for asked in person.asked} == {0.1, 0.4}
 
 
 def test_a_person_who_declines_ends_the_session_and_the_same_plan_resumes(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 import rig
-from rig.core.errors import ConfigError, DeviceNotFoundError, LinkLostError
+from rig.core.errors import ConfigError, LinkLostError
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
-from rig.testing import Experiments, FaultWords, Hits, Maps, SerialRig, with_every_frame
+from rig.testing import Experiments, FaultWords, Hits, Maps, with_every_frame
 from tests.conformance.tiers import first_by_default
 
 
@@ -257,14 +257,3 @@ def test_a_map_of_the_simulated_rig(rig_zwidth: Maps) -> None:
     found = rig_zwidth("koul-rigid", short, schemes=["uniform:20k"], dampings=[0.3], **ladder)
     assert found.hits == 6, "three rungs at two places of zero in an encoder's cell"
     assert [boundary.stiffness for boundary in found.curve(0, "felt")] == [90.0]
-
-
-@pytest.mark.exhaustive("::test_experiments_come_by_name_by_path_beside_the_test_and_as_a_parameter")
-def test_a_program_in_another_language_finds_a_rig_on_a_port(rig_serial: SerialRig) -> None:
-    """A shell program sends invalid bytes to the port, and nothing moves."""
-    subprocess.run(["sh", "-c", f"printf 'hello\\000world\\000' > {rig_serial.path}"], check=True)
-    did = rig_serial.did()
-    assert (did.state.name, did.current, did.fault.code) == ("IDENTIFIED", 0, 0)
-    assert did.statistics.framing_errors + did.statistics.crc_errors == 2
-    with rig.open_device(rig_serial.url), pytest.raises(DeviceNotFoundError, match="in use"):
-        rig_serial.did()

@@ -1,10 +1,8 @@
-"""Helpers of the tests of pictures: checks of axes, and figures captured instead of saved."""
+"""Helpers of the tests of pictures: a figure, and checks of axes."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from rig.views.plots import style
 
@@ -28,16 +26,3 @@ def check_axes(figure: Any) -> Any:
             assert low != high
             assert len(axis.get_majorticklocs()) + len(axis.get_minorticklocs()) < 200
     return figure
-
-
-@pytest.fixture
-def composed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Intercept `style.save`; return the list of figures passed to it, each with checked axes."""
-    figures: list[Any] = []
-
-    def save(figure: Any, path: Path) -> Path:
-        figures.append(check_axes(figure))
-        return path
-
-    monkeypatch.setattr(style, "save", save)
-    return figures

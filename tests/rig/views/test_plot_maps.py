@@ -1,4 +1,4 @@
-"""Pictures of maps: markers, a legend that names every mark and hides none, and no width of a single damping."""
+"""Pictures of maps: markers, a legend that names every mark, and no width of a single damping."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -79,17 +79,6 @@ def test_every_measured_limit_has_a_marker() -> None:
         assert [list(line.get_xdata()) for line in marked(axes)] == [list(FIVE)] * len(SCHEMES)
 
 
-def test_the_legend_lies_below_the_panels_and_in_the_picture() -> None:
-    figure = zwidth_figure(a_map(), theory={0: (list(FIVE), [100.0] * 5)})
-    figure.get_layout_engine().execute(figure)
-    (legend,) = figure.legends
-    box = legend.get_window_extent()
-    assert box.x0 >= 0.0
-    assert box.x1 <= figure.bbox.width
-    assert all(box.y1 <= axes.get_tightbbox().y0 for axes in figure.axes)
-    assert len(key(figure)) == len(SCHEMES) + 2  # the theory, the band
-
-
 def test_the_legend_names_the_marks_in_the_picture_and_no_others() -> None:
     plain = key(zwidth_figure(a_map(limits=lambda *_: [limit(300.0)])))
     assert len(plain) == len(SCHEMES)
@@ -111,18 +100,6 @@ def test_a_single_damping_is_no_width() -> None:
         assert list(axes.get_xticks()) == []
         assert axes.get_ylim()[1] > 2500.0
     assert "Z-width of koul-compliant" in zwidth_figure(a_map())._suptitle.get_text()
-
-
-def test_equal_limits_are_both_seen() -> None:
-    """Felt and heard often end at the same wall, so the line below must show beside the one above."""
-    figure = kmax_figure(over_rates(lambda *_: [limit(300.0)]))
-    (axes,) = figure.axes
-    felt, heard = marked(axes)
-    assert list(felt.get_ydata()) == list(heard.get_ydata())
-    assert felt.get_linewidth() >= 3.0 * heard.get_linewidth()
-    assert felt.get_markersize() >= 2.0 * heard.get_markersize()
-    assert felt.get_zorder() <= heard.get_zorder()
-    assert key(figure)[:2] == ["stable and not felt", "stable and not heard"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Properties of all pictures: formats by file ending, axes of almost equal values, axes of whole numbers."""
+"""Properties of all pictures: formats by file ending, axes of almost equal values."""
 
 import ast
 import os
@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
-import numpy as np
 import pytest
 
 import rig
@@ -146,22 +145,3 @@ def test_values_that_are_alike_are_not_spread_over_an_axis(values: Any) -> None:
     low, high = axes.get_ylim()
     assert high - low >= 50.0 * (1.0 - 1e-12)
     assert all(low < value < high for value in values)
-
-
-def test_values_that_differ_keep_their_axis() -> None:
-    axes = style.new_figure().subplots()
-    axes.plot([0, 1], [100.0, 300.0])
-    before = axes.get_ylim()
-    style.at_least(axes, "y", 50.0)
-    assert axes.get_ylim() == before
-
-
-@pytest.mark.parametrize("values", [[6], [6.2], [1, 2], [1, 1.4], [3, 180], [1, 13], []])
-def test_an_axis_that_counts_has_whole_ticks(values: Any) -> None:
-    axes = style.new_figure(3.0, 2.0).subplots()
-    axes.plot(values, [0.0] * len(values), "o")
-    style.count_along(axes)
-    low, high = axes.get_xlim()
-    ticks = [tick for tick in axes.get_xticks() if low <= tick <= high]
-    assert ticks
-    np.testing.assert_array_equal(ticks, np.round(ticks))
