@@ -20,7 +20,7 @@ from typing import Any
 from rig.core.child import find_program, installed_path
 from rig.core.errors import ConfigError
 
-# Without contraction to fused multiply-add, like the golden vectors of the tests; a missing symbol is an error of the
+# Without contraction to fused multiply-add, like the builds of the tests; a missing symbol is an error of the
 # linker here (-z defs), not when the library is opened.
 FLAGS: tuple[str, ...] = ("-std=c99", "-O1", "-shared", "-ffp-contract=off")
 if sys.platform == "linux":  # the linkers of the others want all symbols defined anyway

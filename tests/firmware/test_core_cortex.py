@@ -1,17 +1,22 @@
-"""Cycles of the whole tick of a device that runs its law, on Cortex-M0+, M4F and M7, within budgets.
+"""The whole tick of a device that runs its law, on Cortex-M0+, M4F and M7: the currents of this computer, in budgets.
 
 The functions of the hardware are those of the host port, which cost next to nothing; cycles are estimates of
 `tests.firmware.cortex`.
 """
 
+import ctypes
+
 import numpy as np
 import pytest
 
 from rig import config
+from rig.control.excitation_table import PHASES, ExcitationTable
 from rig.firmware.tick_budget import INTEGERS, TICKS
 from tests.firmware import cortex
 from tests.firmware.cortex_library import CortexLibrary, build
+from tests.firmware.law.law_cases import excited
 from tests.firmware.law.law_design import FIXED, FLOAT, values_of
+from tests.firmware.law.law_library import SOURCES, Parameters
 from tests.firmware.law.law_rigs import DUAL, SHORT, UNIFORM, controller_of, experiment_of
 from tests.firmware.supervised import Board
 from tests.firmware.test_core_law import run_values
@@ -54,7 +59,9 @@ UNIFORM_TICKS = {  # a design and a build go by them
     for estimator, cycles in ticks.items()
 }
 BUDGETS |= {key: round(1.1 * cycles) for key, cycles in UNIFORM_TICKS.items()}
-MEMORY_BYTES = 16_000  # one device, without its excitation
+STACK_BYTES = 2_500  # of the 8 KiB of a Pico; 2,056 were measured on M0+ on 2026-11-30
+COSINE_CYCLES = 86  # of one line at one tick, when the excitation is worked out
+PARAMETERS, WORK, TABLE = (cortex.RAM + offset for offset in (0x9000, 0x9800, 0xA000))
 
 
 @pytest.fixture(scope="module", params=cortex.CORES)
@@ -65,7 +72,9 @@ def image(request: pytest.FixtureRequest) -> cortex.Image:
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_tick_stays_within_its_budget(image: cortex.Image) -> None:
+def test_a_tick_has_the_currents_of_this_computer_and_stays_within_its_budget(
+    image: cortex.Image, library: ctypes.CDLL
+) -> None:
     laws = {"fixed": FIXED_LAW, **FLOAT_LAWS}
     for (core, law, scheme), budget in BUDGETS.items():
         if core != image.core.name:
@@ -80,18 +89,42 @@ def test_a_tick_stays_within_its_budget(image: cortex.Image) -> None:
         counts = np.concatenate(
             [np.full(30, -20), np.arange(-20, 40), np.arange(40, -20, -1), np.full(60, 9)]
         )
-        library = CortexLibrary(image)
-        board = Board(library, config.rig_model(experiment))
-        board.begin(**run_values(values, position_rate=int(experiment.controller.position_rate)))
-        board.run(counts.tolist())
-        assert board.core.status.fault == 0
+        there = CortexLibrary(image)
+        board, here = (Board(one, config.rig_model(experiment)) for one in (there, library))
+        for each in (board, here):
+            each.begin(**run_values(values, position_rate=int(experiment.controller.position_rate)))
+            each.run(counts.tolist())
+            assert each.core.status.fault == 0
+        assert board.fed == here.fed, (core, law, scheme)
+        assert there.simulator.stack <= STACK_BYTES
         currents = [sample.commanded for sample in board.fed]
         assert max(map(abs, currents)) > 100, "it must hit"
         assert currents[-1] == 0, "and be done"
-        worst, poll = max(library.cycles), max(library.polls)
+        worst, poll = max(there.cycles), max(there.polls)
         rate = 0.4 * image.core.clock_hz / worst
         print(
-            f"{core} {law} {scheme}: {np.median(library.cycles):.0f} cycles, {worst} at most; poll {poll}; "
+            f"{core} {law} {scheme}: {np.median(there.cycles):.0f} cycles, {worst} at most; poll {poll}; "
             f"40 % of the period at {rate / 1000:.1f} kHz"
         )
         assert 0.9 * UNIFORM_TICKS.get((core, law, scheme), 0) <= worst <= budget, (core, law, scheme)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("core", cortex.CORES.values(), ids=lambda core: core.name)
+def test_an_excitation_is_ready_in_seconds(core: cortex.CortexCore) -> None:
+    # 250 lines over a second at 20 kHz, from the cost of a piece; both kinds of phases.
+    entries = ("law_excitation_begin", "law_excitation_continue")
+    for phases in PHASES:
+        excitation = ExcitationTable(250, 1, 1, 20_000, 2**16, phases=phases)
+        simulator = cortex.Simulator(cortex.build(core, sorted(SOURCES.glob("*.c")), entries))
+        simulator.uc.mem_write(PARAMETERS, bytes(excited(FIXED, excitation)))
+        simulator.call("law_excitation_begin", WORK, PARAMETERS + Parameters.excitation.offset, TABLE)
+        cosines = 2 * excitation.lines
+        simulator.call("law_excitation_continue", WORK, cosines)
+        table = np.frombuffer(bytes(simulator.uc.mem_read(TABLE, 4)), np.int16)
+        assert (table == excitation.table[:2]).all()
+        each = simulator.cycles / cosines
+        seconds = each * excitation.lines * excitation.period / core.clock_hz
+        print(f"{core.name} {phases}: {each:.0f} cycles a cosine, {seconds:.1f} s of work")
+        assert each <= COSINE_CYCLES
