@@ -2,7 +2,7 @@
 
     python -m tests.attack                                   a minute of each area
     python -m tests.attack --minutes 480 --seed 7            a night
-    python -m tests.attack --bytes 1e9 --only devices --only core
+    python -m tests.attack --bytes 1e9 --only devices
     python -m tests.attack --only liars --seed 7 --case 31   one failure again
 
 An area runs in its own process and mount namespaces if this user may create them. The exit code is 1 after a failure

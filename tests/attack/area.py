@@ -3,8 +3,6 @@
 import random
 import subprocess
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -81,18 +79,3 @@ def isolation() -> tuple[str, ...]:
         if done.returncode == 0:
             return command
     return ()
-
-
-@contextmanager
-def mounted(place: Path, options: str) -> Iterator[bool]:
-    """Mount a tmpfs at a place; yield False where this is not permitted."""
-    place.mkdir(parents=True, exist_ok=True)
-    command = ["mount", "-t", "tmpfs", "-o", options, "attack", str(place)]
-    permitted = (
-        bool(isolation()) and subprocess.run(command, capture_output=True, check=False).returncode == 0
-    )
-    try:
-        yield permitted
-    finally:
-        if permitted:
-            subprocess.run(["umount", "--lazy", str(place)], capture_output=True, check=False)

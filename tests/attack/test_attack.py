@@ -1,6 +1,6 @@
 """Run a few cases of each attack area from one seed, in virtual time; `python -m tests.attack` runs more.
 
-The core is fuzzed by `tests/firmware/test_core_fuzz.py`; kills and environments take longer than a test may.
+The core is fuzzed by `tests/firmware/test_core_fuzz.py`.
 """
 
 import json

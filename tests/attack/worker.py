@@ -20,10 +20,7 @@ from tests.conformance.started import die_with_parent
 AREAS = {
     "protocol": "tests.attack.protocol:Protocol",
     "devices": "tests.attack.devices:Devices",
-    "core": "tests.attack.core:Core",
     "options": "tests.attack.options:Options",
-    "environment": "tests.attack.environment:Environment",
-    "kills": "tests.attack.kills:Kills",
     "liars": "tests.attack.liars:Liars",
 }
 

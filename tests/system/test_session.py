@@ -1,26 +1,18 @@
-"""Whole sessions on the simulated rig, in virtual time: repeatable from the seed, and identical after any kill -9."""
+"""Whole sessions on the simulated rig, in virtual time: repeatable from the seed."""
 
-import json
-import os
-import random
-import signal
-import sys
-import time
-import traceback
 from pathlib import Path
 
 import pytest
 
 from rig.extras.study import AnalysisOptions, analyse
 from rig.extras.study.report import render
-from rig.extras.study.tables import tables
 from rig.recording.files import sha256_of
 from rig.recording.reader import open_recording
 from rig.session.engine._directory import LOG
 from rig.session.engine._hits import DeviceRunner
 from rig.session.engine._log import read
 from rig.session.engine._rehearsal import Person
-from rig.session.engine._run import rehearsal_desk, resume_session, run_session
+from rig.session.engine._run import rehearsal_desk, run_session
 from rig.session.engine._state import SessionState
 from rig.session.planning._template_files import DEFAULT, write_template
 from tests.system.session_study import comparable, written
@@ -95,87 +87,3 @@ def test_the_analysis_finds_the_threshold_of_the_simulated_person(calm: tuple[Pa
     for one in estimates:
         assert one.low <= 65.0 <= one.high
         assert one.high - one.low < 90.0
-
-
-def check_files(directory: Path) -> None:
-    """Check that the log names every file of a trial with its hash, and that no other file exists."""
-    events = read(directory / LOG)
-    aside = {
-        one["file"]: one["sha256"]
-        for event in events
-        if event.kind == "resumed"
-        for one in event.content["abandoned"]
-    }
-    named = {trial.recording: trial.sha256 for trial in SessionState.of(events).trials}
-    there = (path for path in (directory / "trials").rglob("*") if path.is_file())
-    assert {str(path.relative_to(directory)): sha256_of(path) for path in there} == named | aside
-
-
-def results(directory: Path) -> dict[str, list[list[str]]]:
-    """Return all tables of an analysis; time is virtual, so a resumed session also has the same times of day."""
-    found = analyse([directory], AnalysisOptions(include_marked=True))
-    return {
-        table.name: [[str(column.of(row)) for column in table.columns] for row in table.rows]
-        for table in tables(found)
-    }
-
-
-def _kill_repeatedly(protocol: Path, study: Path, most: int, seed: int) -> None:
-    """Kill and resume a session at random times; each attempt is a fork of this process, which has no threads."""
-    drawn, kills = random.Random(seed), 0
-    # What the session needs is loaded and compiled before the first fork, by a session of one trial.
-    short = study / "warm.toml"
-    short.write_text(protocol.read_text().replace("[order]", "[stop]\ntrials = 1\n[order]"))
-    rehearse(short, study / "warm")
-    while True:
-        child = os.fork()
-        if child == 0:
-            _child(protocol, study)
-        if kills < most:
-            kills += _kill(child, study / "P01" / LOG, drawn.randrange(1, 5), drawn.uniform(0.0, 0.03))
-        _, status = os.waitpid(child, 0)
-        if os.WIFEXITED(status):
-            break
-    print(json.dumps({"kills": kills, "status": os.WEXITSTATUS(status)}))
-    sys.exit(os.WEXITSTATUS(status))
-
-
-def _child(protocol: Path, study: Path) -> None:
-    code = 1
-    try:
-        log = study / "P01" / LOG
-        events = read(log) if log.exists() else []
-        if events and SessionState.of(events).ended:
-            code = 0  # it was killed behind its last word
-        elif events:
-            resume_session(study / "P01", rehearsal_desk(PERSON), runner=DeviceRunner())
-            code = 0
-        else:
-            rehearse(protocol, study)
-            code = 0
-    except Exception:
-        traceback.print_exc()
-    finally:
-        os._exit(code)
-
-
-def _kill(child: int, log: Path, lines: int, after_s: float) -> int:
-    """Kill a child `after_s` after it has logged so many lines; return 1 if killed, 0 if it ended before."""
-    before = _lines(log)
-    at = None
-    while os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-        if at is None and _lines(log) >= before + lines:
-            at = time.monotonic() + after_s
-        if at is not None and time.monotonic() >= at:
-            os.kill(child, signal.SIGKILL)
-            return 1
-        time.sleep(0.001)
-    return 0
-
-
-def _lines(log: Path) -> int:
-    return log.read_bytes().count(b"\n") if log.exists() else 0
-
-
-if __name__ == "__main__":
-    _kill_repeatedly(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
