@@ -53,8 +53,6 @@ class _Endpoint:
     waiting: deque[_Transfer] = field(default_factory=deque)
     halted: bool = False
     silent: bool = False
-    fault: tuple[int, int] = (0, 0)  # status and length of the answer to the next transfers
-    faults_left: int = 0
 
     @property
     def direction_in(self) -> bool:
@@ -105,17 +103,6 @@ class Bus:
         """Keep the transfers of an endpoint pending, as a device that replies NAK does."""
         with self._changed(address) as endpoint:
             endpoint.silent = True
-
-    def fail_next(self, address: int, status: int, length: int = 0, *, times: int = 1) -> None:
-        """Complete the next transfers with a status (0 or a negative errno) after `length` bytes."""
-        with self._changed(address) as endpoint:
-            endpoint.fault, endpoint.faults_left = (status, length), times
-
-    def heal(self) -> None:
-        """End silence and pending faults; only the host can clear a halt."""
-        for address in self._endpoints:
-            with self._changed(address) as endpoint:
-                endpoint.silent, endpoint.faults_left = False, 0
 
     @contextlib.contextmanager
     def _changed(self, address: int) -> Iterator[_Endpoint]:
@@ -224,11 +211,6 @@ class Bus:
             transfer = endpoint.waiting[0]
             if endpoint.halted:
                 status, data, length = -errno.EPIPE, b"", 0
-            elif endpoint.faults_left:
-                status, length = endpoint.fault
-                endpoint.faults_left -= 1
-                length = min(length, transfer.length)
-                data = bytes(length) if endpoint.direction_in else b""
             elif endpoint.direction_in:
                 done = self._fetch(transfer)
                 if done is None:

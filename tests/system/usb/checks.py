@@ -3,13 +3,10 @@
 import contextlib
 import ctypes
 import errno
-import json
 import os
 import threading
 import time
 from collections.abc import Callable
-from io import StringIO
-from pathlib import Path
 from typing import Any, TextIO
 from unittest.mock import patch
 
@@ -35,7 +32,6 @@ from rig.devices.usb import UsbLink, available_devices
 from rig.realtime.kernel import kernel, prepare
 from rig.realtime.plugs import TRANSFER, WAIT
 from rig.realtime.system import monotonic_now
-from rig.recording.reader import open_recording
 from tests.conformance.device import check_device
 from tests.conformance.host import Host
 from tests.conformance.link import check_link, give, listen
@@ -381,52 +377,3 @@ def packets_come_while_python_is_locked(cable: Cable) -> int:
     ctypes.PyDLL(None).usleep(250_000)
     thread.join(SLACK_S)
     return counts[0]
-
-
-def hits_from_the_command_line(cable: Cable, url: str, directory: str) -> tuple[int, dict[str, Any]]:
-    """Return exit code and JSON of a short hit over the link of a URL."""
-    from rig import cli  # noqa: PLC0415
-
-    output = StringIO()
-    # -K 10 is stable with two ticks of delay, as the gate computes it: at most 26.8 N·m/rad.
-    options = (
-        "--verified --no-plot --json --rate 500 -K 10 --set verdict.late_fraction=0.9 --set verdict.tail_s=0.1 "
-        "--set controller.command_lifetime_s=0.02 --set trial.duration_s=0.3"
-    )
-    with contextlib.redirect_stdout(output):
-        code = cli.run(["hit", "--url", url, *options.split(), "-o", directory])
-    return code, json.loads(output.getvalue())
-
-
-def unplugged_in_a_trial(cable: Cable, directory: str) -> dict[str, Any]:
-    """Unplug the device in the middle of a trial: one error, and a recording that can be read."""
-    from rig import config  # noqa: PLC0415
-    from rig.config import presets  # noqa: PLC0415
-    from rig.devices import open_device  # noqa: PLC0415
-    from tests.conformance.trials import trial_on  # noqa: PLC0415
-
-    changes = {"trial.duration_s": 30.0, "controller.position_rate": 500, "controller.velocity_rate": 500}
-    experiment = config.override(config.with_realtime(presets.load("koul-compliant")), changes)
-    happened: list[int] = []
-
-    def pull(ticks: int, phase: int) -> None:
-        if ticks > 20 and not happened:
-            happened.append(cable.order("unplug"))
-
-    path = Path(directory) / "unplugged.rigcap"
-    with open_device(cable.url) as device:
-        try:
-            trial_on(device, experiment, path, progress=pull, sealed=False)
-        except LinkLostError as error:
-            ended_ns = time.monotonic_ns()
-            recording = open_recording(path)
-            return {
-                "kind": type(error).__name__,
-                "errno": (error.statistics or {}).get("errno"),
-                "remedy": error.remedy,
-                "rows": len(recording.rows),
-                "ticks": (error.statistics or {}).get("ticks"),
-                "complete": recording.complete,
-                "after_ms": (ended_ns - happened[0]) * 1e-6 if happened else None,
-            }
-    raise AssertionError("the trial ended though the device was gone")

@@ -11,10 +11,6 @@ from typing import Any
 
 import pytest
 
-from rig import config
-from rig.config import presets
-from rig.recording.reader import open_recording
-from sim_backend.ends.usb import HIGH_SPEED_PACKET, UsbShape
 from tests.system.usb import checks
 from tests.system.usb.emulated_bus import Bus, Child, build
 
@@ -115,56 +111,3 @@ def test_a_device_is_listed_with_its_url(check: Check) -> None:
 def test_plain_transfers_are_noted_with_their_reason(check: Check) -> None:
     note = check("says_how_it_works")
     assert note == "" or "the URL has transfers=plain" in note
-
-
-# ---------------------------------------------------------------------- a whole run of the loop
-
-
-class Rig:
-    """The compliant rig on the emulated bus, with the descriptors of a high-speed device."""
-
-    def __init__(self, program: Path, child: Child, transfers: str) -> None:
-        self._program, self._child, self.transfers = program, child, transfers
-        self.begin()
-
-    def begin(self) -> None:
-        model = config.rig_model(presets.load("koul-compliant"))
-        self._bus = Bus(self._program, UsbShape(packet=HIGH_SPEED_PACKET), model)
-
-    def check(self, *words: str) -> Any:
-        return self._child.check(self._bus, self.transfers, *words)
-
-    def end(self) -> None:
-        self._bus.close()
-
-
-@pytest.fixture(scope="module", params=["queued", "plain"])
-def rig(request: pytest.FixtureRequest, program: Path, child: Child) -> Iterator[Rig]:
-    one = Rig(program, child, request.param)
-    yield one
-    one.end()
-
-
-@pytest.mark.quiet
-def test_a_hit_from_the_command_line(rig: Rig, tmp_path: Path) -> None:
-    url = checks.URL if rig.transfers == "queued" else f"{checks.URL}/0001?transfers=plain"
-    code, result = rig.check("hits_from_the_command_line", url, str(tmp_path))
-    assert (code, result["error"], len(result["hits"])) == (0, None, 1)
-    assert result["hits"][0]["verdict"]["kind"] == "stable", result["hits"][0]["verdict"]
-    (path,) = tmp_path.glob("*.parquet")
-    recording = open_recording(path)
-    assert len(recording.rows) > 0
-    counters = recording.trailer["counters"]
-    assert counters["ticks"] == counters["commands"] + counters["unsent"]
-    assert counters["bad_frames"] == 0
-
-
-@pytest.mark.quiet
-def test_a_plug_pulled_in_a_run_is_one_error_with_a_whole_recording(rig: Rig, tmp_path: Path) -> None:
-    found = rig.check("unplugged_in_a_trial", str(tmp_path))
-    print(found)
-    assert found["complete"]
-    assert found["remedy"]
-    assert found["rows"] <= found["ticks"]
-    assert found["kind"] in ("UnpluggedError", "DeviceFaultError")
-    assert found["after_ms"] < SECONDS
