@@ -13,7 +13,7 @@ from firmware_protocol.law_parameters import LAW_PARAMETERS
 from firmware_protocol.messages import Mode
 from firmware_protocol.packing import unpack_fault_entries
 from firmware_protocol.parameter import Value
-from firmware_protocol.parameters import BY_ID, BY_NAME, LIVE, encode_block
+from firmware_protocol.parameters import BY_ID, BY_NAME, encode_block
 from firmware_protocol.transfer import set_parameters
 from rig import config
 from rig.core.sample import Phase
@@ -417,20 +417,6 @@ def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
     assert board.samples[-1].count == step % 2  # of the tick that caused it
 
 
-def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary) -> None:
-    p = push(trial_ticks=20)
-    board = Board(library).begin(**run_values(p))
-    for _ in range(3):
-        board.frames.clear()
-        board.run([0] * 40)
-        assert board.states[-1].phase == Phase.DONE
-        board.disarm()
-        assert resulting_currents(board.samples) == expected(law, p, board.samples)[:-1]
-        assert board.arm().status == Status.OK
-        board.tick()
-        assert board.states[-1].phase == Phase.WAIT
-
-
 def test_without_a_law_supervision_gives_no_current(library: ctypes.CDLL) -> None:
     board = Board(library).begin(law=0)
     board.run([500] * 100)
@@ -517,41 +503,6 @@ def test_an_estimator_of_counts_alone_keeps_no_input_of_the_one_before(
 
 
 # ---------------------------------------------------------------------- another wall while it runs
-
-
-@pytest.mark.parametrize("arithmetic", [FIXED, FLOAT])
-def test_a_wall_changes_at_the_tick_that_the_answer_names(
-    library: ctypes.CDLL, law: LawLibrary, arithmetic: int
-) -> None:
-    first, second = (
-        values_of(controller_of(experiment_of("fdm-butterworth-fixed", {}, DUAL, changes)), arithmetic)
-        for changes in ({}, {"wall.stiffness": 200.0, "wall.damping": 0.1})
-    )
-    first["settle_ticks"] = 0
-    surface = first["float_surface"] if arithmetic == FLOAT else first["fixed_surface"] // 256
-    board = Board(library).begin(**run_values(first, current_limit=500, speed_limit=2**32 - 1))
-    p = law_of(board)
-    home = first["home_target"]
-    there = [*range(home, surface + 40, 3)]
-    board.run([home] * 30 + there + there[::-1])
-    crc = board.crc
-    ack = board.configure(**{name: second[name] for name in second.keys() & LIVE})
-    assert ack.status == Status.OK
-    assert ack.crc != crc
-    board.run(there + there[::-1])
-    board.command(Mode.STOP)
-    state, currents = law.reset(p), []
-    for sample in board.samples:
-        if sample.index == ack.sample_index:
-            other = law_of(board)
-            assert bytes(other) != bytes(p)
-            p = other
-        currents.append(law.tick(state, p, sample.count, active=sample.commanded).current)
-    assert resulting_currents(board.samples) == currents[:-1]
-    assert min(currents) < 0
-    assert board.disarm().status == Status.OK
-    board.crc = ack.crc
-    assert board.arm().status == Status.OK  # a live change leaves it verified
 
 
 def test_a_wall_does_not_change_under_a_pressed_hand(library: ctypes.CDLL) -> None:
@@ -674,21 +625,6 @@ def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -
     answers = board.take(board.core.receive(board.host.send(m.GetParameters(board.nonce, 0))))
     assert [type(answer) for answer in answers] == [m.Ack, m.Parameters]
     assert answers[0].crc == answers[1].crc  # type: ignore[attr-defined]
-
-
-def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
-    board = Board(library).begin(**run_values(push()))
-    board.nonce += 1
-    *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)
-    for message in messages:
-        assert board.ask(message).status == Status.OK
-    question = m.GetParameters(board.nonce + 1, 0)
-    data = board.host.send(commit) + board.host.send(question)
-    assert library.host_poll(board.core.address, data, len(data)) == len(data)
-    ack, page = board.take(board.core.take())
-    assert isinstance(ack, m.Ack)
-    assert isinstance(page, m.Parameters)
-    assert (ack.status, ack.crc) == (Status.OK, page.crc)
 
 
 def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:
