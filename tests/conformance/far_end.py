@@ -57,7 +57,6 @@ PATIENCE_S = 5.0  # without a sample, after which a device is lost to its host
 ANSWER_S = 0.1  # until a request is sent again
 LONGEST_STEP_NS = 2_500_000  # of device time between two readings: slightly more than a tick at 500 Hz
 OWED_NS = 8_000_000  # of device time in which a host sends something: less than any lifetime here
-FLOOD_BYTES = 1000  # a tick: more than a serial line carries, and full of delimiters
 
 WITNESS = np.dtype(
     [
@@ -86,8 +85,6 @@ class Script:
     after: int = 60
     frames: tuple[FrameFault, ...] = ()
     fault: Fault = Fault.NONE  # that the device finds
-    brown_out: bool = False  # of the firmware's board
-    flood: bool = False  # noise without end, to the host
 
 
 # ---------------------------------------------------------------------- in the process of the device
@@ -151,9 +148,7 @@ class Witness:
         if self._struck or self.running <= script.after:
             return
         self._struck = True
-        if script.brown_out and isinstance(device, FirmwareDevice):
-            device.brown_out()
-        elif script.fault is Fault.EMERGENCY_STOP:
+        if script.fault is Fault.EMERGENCY_STOP:
             device.press_emergency_stop()
         elif script.fault:
             device.inject_fault(script.fault)
@@ -222,7 +217,6 @@ class FaultyPort:
         self._unplug = unplug
         self._line = ScriptedLine()
         self._begun = self._gone = False
-        self._noise = np.random.default_rng(0)
 
     def read(self, deadline_ns: int) -> bytes:
         """Read as `DevicePort.read` does, through the faulty line."""
@@ -240,7 +234,10 @@ class FaultyPort:
 
     def _wait_for_the_host(self) -> bytes:
         """Slow device time by `SLOWER` while a command is due; never stop it, because a STATE may have been lost."""
-        owed = self._device.state in (State.ARMED, State.RUNNING)
+        # A host that has hung up, as a killed one, owes nothing any more.
+        owed = self._device.state in (State.ARMED, State.RUNNING) and not getattr(
+            self._port, "_hung_up", False
+        )
         if not owed or self._clock.monotonic_ns() - self._came_ns < OWED_NS:
             return b""
         data = self._port.read(self._clock.monotonic_ns() + SLOWER * 1_000_000_000 // self._device.rate)
@@ -257,8 +254,6 @@ class FaultyPort:
         if self._gone:
             return
         self._port.write_if_free(self._passed(frame))
-        if self._begun and self._script.flood:
-            self._port.write_if_free(self._noise.integers(0, 256, FLOOD_BYTES, np.uint8).tobytes())
 
     def _passed(self, frames: bytes) -> bytes:
         self._begin()

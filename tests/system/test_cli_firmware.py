@@ -38,16 +38,6 @@ def test_an_image_is_flashed_to_the_drive_of_a_pico(
     assert (drive / image.name).read_bytes() == image.read_bytes()
 
 
-def test_without_a_compiler_the_command_names_the_package_to_install(
-    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    code, _, err = run("firmware", "build", "--board", "mps2")
-    assert code == 15
-    assert "apt install gcc-arm-none-eabi" in err
-    assert "Traceback" not in err
-
-
 @pytest.fixture
 def built_image(run: Any, tmp_path: Path) -> Any:
     cross.need_compiler()
@@ -66,17 +56,3 @@ def test_an_image_is_built_and_inspected(run: Any, built_image: Any) -> None:
     assert all(
         words in out for words in ("mps2", "koul-rigid", built_image["dictionary_hash"], "compatible", "yes")
     )
-
-
-@pytest.mark.exhaustive("tests/firmware/test_build.py::test_unknown_boards_and_settings_are_refused")
-def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> None:
-    cross.need_compiler()
-    code, _, err = run("firmware", "build", "--set", "enable_pin=2")
-    assert code == 2
-    assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err
-    code, _, err = run("firmware", "build", "--set", "encoder_lines=complementary", "--set", "enable_pin=15")
-    assert code == 2
-    assert "encoder_complement_pin and enable_pin of board rp2040 both use pin 15" in err
-    code, _, err = run("firmware", "build", "--set", "pwm_pin=13")
-    assert code == 15
-    assert "change the setting that the compiler's message names" in err

@@ -4,30 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 SMALL = (
     "impedance", "map", "-K", "5000,10000,400000", "-B", "60,120", "--realisations", "2",
     "--periods", "2", "--set", "excitation.settle_periods=1",
 )  # fmt: skip
 FDM = ("--scheme", "uniform:1k,estimator=fdm-butterworth,cutoff_hz=499")
-
-
-@pytest.mark.exhaustive("::test_json_is_one_document_and_the_same_command_reads_it_again")
-def test_the_papers_four_estimators_stand_beside_the_paper(run: Any, tmp_path: Path) -> None:
-    code, out, _ = run(*SMALL)
-    assert code == 0
-    for text in (
-        "chawda-linear: passive from 1 to 250 Hz", "1 fdm-butterworth", "2 foaw-best", "3 kalman", "4 levant",
-        "tuned: alpha, lambda", "all together", "each of 2", "paper, on its rig", "894.9", "fidelity at",
-        "boundary search", "K 5000, B 60", "left out of the fidelity",
-    ):  # fmt: skip
-        assert text in out
-    (place,) = (tmp_path / "maps").iterdir()
-    assert place.name.startswith("impedance-map-chawda-linear-")
-    files = {file.name for file in place.iterdir()}
-    assert files == {"plan.json", "journal", "walls.parquet", "map.json", "impedance-map.png"}
-    assert (place / "impedance-map.png").stat().st_size > 30_000
 
 
 def test_json_is_one_document_and_the_same_command_reads_it_again(run: Any) -> None:

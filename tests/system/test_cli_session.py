@@ -126,18 +126,6 @@ def test_a_damaged_last_line_is_reported_and_set_aside(
     assert resumed.content["damaged"][0]["file"] == "session.log.damaged-1"
 
 
-def test_a_trial_is_amended_by_its_number(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    directory = str(study / "all" / "P01")
-    status, out, _ = call(capsys, "amend", directory, "--trial", "2", "void", "--why", "bumped")
-    assert (status, out.splitlines()[0].startswith("trial 2 now reads 'void'")) == (0, True)
-    _, shown, _ = call(capsys, "show", directory, "--log")
-    assert "trial 2 does not count (bumped)" in shown
-    call(capsys, "amend", directory, "--trial", "2", "counts", "--why", "not bumped")
-    for words in (("3",), ("x", "buzz"), ("3", "4", "buzz"), ("--trial", "2", "7", "buzz")):
-        status, _, err = call(capsys, "amend", directory, *words, "--why", "x")
-        assert (status, "is not a correction" in err) == (2, True)
-
-
 @pytest.mark.parametrize(
     ("code", "words"), [("P01", "already contains a rehearsal with a simulated person"), ("../P03", "path")]
 )
@@ -189,21 +177,6 @@ def test_a_session_with_a_person_needs_a_terminal(
     assert status == 2
     assert "terminal" in err
     assert not (study / "all" / "P09").exists()
-
-
-@pytest.mark.exhaustive("::test_a_wall_beyond_the_limits_is_refused_before_a_file_is_written")
-def test_a_rate_beyond_that_of_the_device_is_refused_before_a_file_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "fast.toml"
-    path.write_text(PROTOCOL.replace("dual:2k/1k", "dual:20k/1k"))
-    realtime = ("--rehearse", "--realtime", "--study", str(tmp_path / "all"))
-    with patient_host():
-        status, _, err = call(capsys, "run", str(path), "P01", *realtime)
-    assert status == 2
-    assert "needs 20000 Hz, and the device supports at most 4000 Hz" in err
-    assert "rehearse in virtual time" in err
-    assert not (tmp_path / "all").exists()
 
 
 def test_a_wall_beyond_the_limits_is_refused_before_a_file_is_written(

@@ -3,17 +3,12 @@
 import json
 import os
 import re
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
-
-from tests.conformance.started import started
 
 if numba.config.DISABLE_JIT:
     pytest.skip("plug points are function types of compiled code", allow_module_level=True)
@@ -42,38 +37,6 @@ def test_a_bound_is_marked(run: Any) -> None:
 
 
 # --- Ctrl-C -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.exhaustive("::test_a_device_is_hit_by_recorded_hits_and_the_same_command_resumes")
-@pytest.mark.signals
-def test_ctrl_c_keeps_finished_tasks_and_the_same_command_resumes(run: Any, tmp_path: Path) -> None:
-    command = [
-        "zwidth", *BRIEF, "--set", "trial.duration_s=1", "--ratio", "1.1",
-        "--search", "grid", "-B", "0.1:1.5:6", "--scheme", "uniform:20k", "--no-plot", "--workers", "1",
-    ]  # fmt: skip
-    options = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE,
-               "env": {**os.environ, "PYTHONPATH": str(ROOT)}}  # fmt: skip
-    until = time.monotonic() + WAIT_S
-    with started(sys.executable, "-m", "rig", *command, **options) as process:
-        while not any(path.read_bytes().count(b"\n") > 1 for path in tmp_path.glob("maps/*/journal")):
-            assert process.poll() is None, process.communicate()
-            assert time.monotonic() < until
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=WAIT_S)
-    assert process.returncode == 130
-    assert out == ""
-    assert re.search(
-        r"stopped; [1-5] of 6 tasks are done and stored in maps/.*run the same command again: it resumes from there",
-        err,
-    )
-
-    (journal,) = tmp_path.glob("maps/*/journal")
-    kept = journal.read_bytes()
-    code, _, err = run(*command)
-    assert code == 0, err
-    assert journal.read_bytes().startswith(kept)
-    assert (journal.parent / "hits.parquet").exists()
 
 
 # --- a device -----------------------------------------------------------------------------------------------------

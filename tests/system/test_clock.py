@@ -11,14 +11,12 @@ import pytest
 from rig import config
 from rig.config import presets
 from rig.core.clock_fit import ClockFit, as_exchanges, fit_clock
-from rig.core.present import plain
 from rig.devices.framed import FramedDevice
 from rig.recording._capture import write_capture
 from rig.recording.reader import open_recording
 from rig.recording.timing_report import timing
 from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import MemoryLink
-from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import trial_on
 
@@ -33,64 +31,6 @@ HIT = config.override(
         "verdict.tail_s": 0.1,
     },
 )
-
-
-class DelayingLink:
-    """A link whose delay each way is a minimum plus an exponentially distributed jitter, in virtual time."""
-
-    def __init__(self, link: Any, *, out_ns: Any, back_ns: Any, jitter_ns: Any, seed: int = 0) -> None:
-        self.link, self.url, self.clock = link, link.url, link.clock
-        self.bytes_per_second = None
-        self._ways, self._jitter, self._rng = (out_ns, back_ns), jitter_ns, np.random.default_rng(seed)
-
-    def _pass(self, way: Any) -> None:
-        wait = self._ways[way] + round(self._rng.exponential(1.0) * self._jitter[way])
-        self.clock.sleep_until(self.clock.now_ns() + wait)
-
-    def write(self, data: Any) -> None:
-        self._pass(0)
-        self.link.write(data)
-
-    def read(self, timeout_s: Any) -> Any:
-        data = self.link.read(timeout_s)
-        if data:
-            self._pass(1)
-        return data
-
-    def close(self) -> None:
-        self.link.close()
-
-
-def device_after(ticks: Any) -> Any:
-    simulated = SimulatedDevice(rotary_rig(), position_rate_default=1000)
-    for _ in range(ticks):
-        simulated.tick()
-    return simulated
-
-
-@pytest.mark.parametrize("ppm", first_by_default([200.0, -37.5, -200.0, 0.0, 50.0], 2))
-@pytest.mark.parametrize(
-    "delays",
-    [
-        {"out_ns": 20_000, "back_ns": 20_000, "jitter_ns": (0.0, 0.0)},
-        {"out_ns": 15_000, "back_ns": 95_000, "jitter_ns": (10_000.0, 40_000.0)},
-        {"out_ns": 90_000, "back_ns": 5_000, "jitter_ns": (30_000.0, 0.0)},
-    ],
-    ids=["quiet", "asymmetric", "out-waits"],
-)
-def test_exchanges_over_a_link_find_offset_and_drift(ppm: float, delays: Any) -> None:
-    simulated = device_after(777)
-    link = DelayingLink(MemoryLink(simulated, clock_ppm=ppm), **delays, seed=int(ppm) + 500)
-    start_ns = simulated.elapsed_ns
-    fit = FramedDevice(link).clock(40, over_s=4.0)
-    device_ns = start_ns + np.array([0, 2 * 10**9, 4 * 10**9])
-    truth_ns = (device_ns - start_ns) / (1.0 + ppm * 1e-6)
-    errors = np.abs(fit.host_of(device_ns) - truth_ns)
-    assert (errors <= 3.0 * fit.sd_of(device_ns) + fit.asymmetry_bound_ns).all()
-    assert abs(fit.drift_ppm - (1.0 / (1.0 + ppm * 1e-6) - 1.0) * 1e6) <= 3.0 * fit.drift_sd_ppm
-    assert fit.drift_sd_ppm < 10.0, "and it says something"
-    least = delays["out_ns"] + delays["back_ns"]
-    assert 0.5 * least <= fit.asymmetry_bound_ns <= 0.5 * least + 25_000
 
 
 def hit(
@@ -151,15 +91,6 @@ def test_timing_as_json_equals_the_trailer(run: Any, sealed: Any, tmp_path: Path
     assert facts.pop("picture") is None
     assert facts == open_recording(sealed).trailer["timing"]
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.exhaustive("::test_a_recording_has_both_clocks")
-def test_a_capture_and_its_sealed_recording_have_the_same_timing(tmp_path: Path) -> None:
-    capture = hit(tmp_path, 50.0, sealed=False)
-    assert capture.suffix == ".rigcap"
-    before = timing(capture)
-    (tmp_path / "sealed").mkdir()
-    assert plain(timing(hit(tmp_path / "sealed", 50.0))) == plain(before)
 
 
 def change(sealed: Any, path: Any, **changes: Any) -> Any:

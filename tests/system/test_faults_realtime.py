@@ -18,11 +18,11 @@ from firmware_protocol.connection import State
 from firmware_protocol.faults import Fault
 from rig import config
 from rig.config import presets
-from rig.core.errors import DeviceFaultError, DeviceNotFoundError, LinkLostError, RecordingError, StoppedError
+from rig.core.errors import DeviceFaultError, DeviceNotFoundError, LinkLostError, RecordingError
 from rig.devices import open_device
 from rig.devices.fault_script import Direction, FaultKind, FrameFault
 from rig.recording.reader import open_recording
-from tests.conformance.far_end import FarEnd, HostProcess, Script, patient_host
+from tests.conformance.far_end import FarEnd, HostProcess, Script
 from tests.conformance.firmware import need_compiler
 from tests.conformance.struck import StruckTrial
 from tests.conformance.tiers import first_by_default
@@ -94,7 +94,6 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 
 on_both = pytest.mark.parametrize("bench", first_by_default(BENCHES), indirect=True)
-on_the_firmware = pytest.mark.parametrize("bench", ["the law on the firmware"], indirect=True)
 
 
 def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[FrameFault, ...]:
@@ -106,16 +105,6 @@ def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[F
 
 
 # ---------------------------------------------------------------------- the line
-
-
-@on_both
-@pytest.mark.exhaustive("::test_a_signal_to_a_host_process_leaves_the_device_at_rest")
-def test_a_run_without_a_fault_completes(bench: Bench) -> None:
-    device = bench.start()
-    trial = bench.run(device, long=False).check(replays=bench.firmware)
-    assert device["peak"] > 0, "it did push"
-    assert device["bad_frames"] == 0
-    assert trial.counters["bad_frames"] == 0
 
 
 # What breaks → script, error, the first fault of the device.
@@ -146,31 +135,7 @@ def test_an_ended_run_has_an_error_with_its_remedy_and_a_device_at_rest(name: st
     assert name != "a pulled plug" or trial.recording.trailer["reason"] == "link_closed"
 
 
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_fault_at_any_frame_ends_with_zero_effort_and_a_readable_recording"
-)
-def test_a_flood_of_noise_is_counted_and_a_lost_link(bench: Bench) -> None:
-    """Noise directly before each sample spoils its frame, so no sample arrives."""
-    device = bench.start(flood=True)
-    trial = bench.run(device).check(LinkLostError, replays=False)
-    assert trial.counters["bad_frames"] > 10
-    assert device["first_fault"] == Fault.LINK_LOST
-
-
 # ---------------------------------------------------------------------- the device
-
-
-@on_the_firmware
-@pytest.mark.exhaustive(
-    "tests/system/test_faults.py::test_a_brown_out_in_mid_run_is_a_lost_link_and_then_a_reset_with_its_name"
-)
-def test_a_brown_out_is_reported(bench: Bench) -> None:
-    device = bench.start(brown_out=True)
-    by_its_silence, by_what_it_sends_after_its_reset = LinkLostError, StoppedError
-    bench.run(device).check(by_its_silence, by_what_it_sends_after_its_reset)
-    with patient_host(), open_device(device.url) as opened:
-        opened.identify()
-        assert opened.fault_report().name == Fault.WATCHDOG_RESET.name
 
 
 @pytest.mark.parametrize("act", [FarEnd.kill, FarEnd.pause])

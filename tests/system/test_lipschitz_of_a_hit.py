@@ -26,15 +26,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return found
 
 
-def test_a_slow_hit_of_the_linear_rig_needs_a_c_of_20_to_33(recordings: Any) -> None:
-    """A hit needs 20 to 33 m/s²; the paper's own 6 m/s² fits its small multisine motion, not a hit."""
-    for recording in recordings:
-        fit = lipschitz_of(recording)
-        assert 15.0 < fit.lipschitz < 33.0
-        assert fit.residual_rms < 3e-6
-    assert lipschitz_of(recordings[1]).lipschitz > 20.0
-
-
 def test_the_constant_is_the_acceleration_of_the_plant_within_a_tenth(recordings: Any) -> None:
     for recording in recordings:
         rows, time_s = recording.rows, recording.time_s

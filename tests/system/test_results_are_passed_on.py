@@ -18,13 +18,7 @@ from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
 from rig.experiments.trials import judgement, plan
 from rig.recording import reader
-from rig.session.engine._directory import LOG
-from rig.session.engine._hits import DeviceRunner
-from rig.session.engine._log import read
-from rig.session.engine._rehearsal import Person
-from rig.session.engine._run import rehearsal_desk, run_session
 from tests.conformance.tiers import first_by_default
-from tests.system.session_study import PROTOCOL
 
 COUNTED: dict[str, Callable[..., Any]] = {
     "files": load.experiment_from_mapping,  # every value of an experiment and every rule
@@ -97,39 +91,3 @@ def test_a_planned_run_is_the_one_that_runs(loop: str, tmp_path: Path) -> None:
     planned = {**run.parameters, "verified": 1}
     # The wire carries float32.
     assert {name: active[name] for name in planned} == pytest.approx(planned, rel=2.0**-24)
-
-
-def test_a_rehearsal_of_eleven_trials_checks_each_wall_once_and_reads_each_recording_once(
-    call_counts: Counter[str], tmp_path: Path
-) -> None:
-    protocol = tmp_path / "quick.toml"
-    settings = "settings = { turns = 3, most = 5, steps = [2, 1] }"
-    text = PROTOCOL.replace("settings = { turns = 2, most = 3, steps = [2, 1] }", settings)
-    protocol.write_text(text.replace("repeats = 2", "repeats = 1") + "[practice]\nstiffness = [50.0]\n")
-    person = Person(thresholds={"hidden-dual": 65.0, "hidden-uniform": 65.0})
-    run_session(
-        protocol,
-        "P01",
-        rehearsal_desk(person),
-        runner=DeviceRunner(),
-        study=tmp_path / "study",
-        person=person,
-    )
-    hits = [event.content for event in read(tmp_path / "study" / "P01" / LOG) if event.kind == "trial"]
-    trials, levels, conditions, practice = len(hits), 6, 2, 1
-    assert trials == 11
-    met = {(one["condition"], one["stiffness"]) for one in hits}
-    ends = {(name, end) for name in ("hidden-dual", "hidden-uniform") for end in (20.0, 120.0)}
-    assert call_counts == {
-        "files": 1,  # the preset
-        # each wall that is hit or that a search may end at, for a condition's device and for each hit
-        "rules": 1 + len(met | ends) + conditions + trials,
-        # each wall that a rule may ask for, as a hit of its own, and each trial
-        "plans": conditions * levels + practice + trials,
-        # and the device of each condition
-        "designs": conditions * levels + practice + trials + conditions,
-        "parameters": conditions * levels + practice + trials + conditions,
-        "judgements": trials,
-        "measurings": 2 * trials,
-        "openings": trials,
-    }
