@@ -60,6 +60,27 @@ def protocol(**sections: Any) -> dict[str, Any]:
     return protocol_as_mapping(protocol_from_mapping(plain, "the test's protocol"))
 
 
+def hit_outcome(automatic: str = "stable", **changes: Any) -> HitOutcome:
+    """Return the outcome of a finished hit without a recording; `changes` replace fields."""
+    passes = {"stable": True, "invalid": None}.get(automatic, False)
+    plain: dict[str, Any] = {
+        "recording": "",
+        "sha256": "",
+        "rows_sha256": "",
+        "ended": "finished",
+        "aborted": "",
+        "automatic": automatic,
+        "reasons": (),
+        "outside": (),
+        "by_machine": False,
+        "passes": {"felt": passes, "heard": passes, "any": passes},
+        "numbers": {},
+        "baseline": None,
+        "heat": 0.1,
+    }
+    return HitOutcome(**{**plain, **changes})
+
+
 @contextmanager
 def without_sync() -> Iterator[None]:
     """Write logs without waiting for the disk, because only their content is tested."""
@@ -143,7 +164,6 @@ class Sitting:
         observer = self.observer(wall.condition, wall.damping, wall.trial, self.person.automatic)
         stable = observer.judge(wall.stiffness, self.drawn)
         kind = "stable" if stable else "limit cycle" if wall.stiffness < 700.0 else "unstable"
-        passes = None if invalid else stable
         recording = digest = ""
         if self.recorded:
             recording = f"trials/t{wall.trial:04d}.parquet"
@@ -151,20 +171,12 @@ class Sitting:
             data = self.recorded.read_bytes() if isinstance(self.recorded, Path) else made_up
             (self.directory / recording).write_bytes(data)
             digest = sha256(data).hexdigest()
-        hit = HitOutcome(
+        hit = hit_outcome(
+            "invalid" if invalid else kind,
             recording=recording,
             sha256=digest,
             rows_sha256=digest,
-            ended="finished",
-            aborted="",
-            automatic="invalid" if invalid else kind,
-            reasons=(),
-            outside=(),
-            by_machine=False,
-            passes={"felt": passes, "heard": passes, "any": passes},
             numbers={"felt": None, "heard": 0.01, "moved": 0.0, "peak_effort": 0.5},
-            baseline=None,
-            heat=0.1,
         )
         self.record("trial", **event_of(wall, hit))
 

@@ -62,7 +62,7 @@ def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(t
 
 
 CASES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Person]]] = {
-    "equal": ({"search": {"rule": "psi", "settings": {"hits": 10}}}, people(*[(410.0, 460.0)] * 3)),
+    "equal": ({}, people(*[(410.0, 460.0)] * 3)),
     "equal, many": ({"search": {"rule": "psi", "settings": {"hits": 10}}}, people(*[(410.0, 410.0)] * 9)),
     "one": ({}, people((400.0, 460.0))),
     "two": ({}, people((400.0, 460.0), (430.0, 430.0))),

@@ -102,13 +102,8 @@ def found(study: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def drawn(found: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return draw_study(found, tmp_path_factory.mktemp("pictures"), ("png",))
-
-
-@pytest.fixture(scope="module")
-def page(found: Any, drawn: Any) -> Any:
-    return render(found, {path.stem: path.read_bytes() for path in drawn.values() if path.suffix == ".png"})
+def page(found: Any) -> Any:
+    return render(found, dict.fromkeys(pictures(found), b"a picture"))
 
 
 def test_the_page_is_whole_and_needs_nothing_else(page: Any) -> None:
@@ -321,9 +316,11 @@ def test_each_rule_is_described_with_the_settings_in_force(
     assert ("each 1.1 times the one before" if rule == "psi" else "100 N·m/rad apart") in text
 
 
-def test_pictures_are_drawn_with_units_in_their_labels(found: Any, drawn: Any) -> None:
+def test_pictures_are_drawn_with_units_in_their_labels(found: Any, alone: Any, tmp_path: Path) -> None:
+    drawn = draw_study(alone, tmp_path, ("png",))
     expected = {"zwidth", "psychometric", "agreement", "effects"}
-    assert {path.stem for path in drawn.values()} == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
+    assert {path.stem for path in drawn.values()} == set(pictures(alone)) == {*expected, tracks_name("P01")}
+    assert set(pictures(found)) == expected | {tracks_name(f"P0{n}") for n in (1, 2, 3)}
     for path in drawn.values():
         image = matplotlib.image.imread(path)
         assert image.shape[0] > 200

@@ -4,7 +4,9 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from rig.core import extras, plugins
 from rig.core.errors import ConfigError, RigError
 from rig.core.shown import Drawn, plot
 from rig.experiments.sweep._executors import executor_for
-from rig.realtime.control_words import STOP
+from rig.realtime.control_words import LOOP_DONE, STOP
 from rig.realtime.ring import Ring
 
 Install = Callable[..., Path]
@@ -165,12 +167,12 @@ def test_help_works_beside_broken_extras_and_names_them(install: Install, tmp_pa
 
 def test_stop_waits_for_no_extra(install: Install, tmp_path: Path) -> None:
     hang = "import time; extras.tables = lambda: time.sleep(1e9)"
-    ring = Ring.allocate(10, info={"url": "sim://"}, shared=True)
-    try:
-        stopped = run(tmp_path, "stop", str(os.getpid()), "--json", before=hang)
-        assert ring.peek(STOP) != 0, stopped.stderr
-    finally:
-        ring.close()
+    with Ring.allocate(10, info={"url": "sim://"}, shared=True) as ring, ThreadPoolExecutor(1) as thread:
+        stopped = thread.submit(run, tmp_path, "stop", str(os.getpid()), "--json", before=hang)
+        while ring.peek(STOP) == 0 and not stopped.done():
+            time.sleep(0.005)
+        ring.put(LOOP_DONE, 1)  # as a loop that stops: the command waits for it
+        assert stopped.result().returncode == 0, stopped.result().stderr
 
 
 # ---------------------------------------------------------------------- the tables of this tree

@@ -140,12 +140,6 @@ def test_a_block_torn_at_any_byte_loses_that_block_only(path: Path) -> None:
         assert loss == Loss("torn tail", start_of(2), size - start_of(2), 2 * BLOCK_ROWS, known)
 
 
-def test_a_capture_cut_between_blocks_is_whole_but_not_complete(path: Path) -> None:
-    rows = example_rows(2 * BLOCK_ROWS)
-    found = read_bytes(path, capture_bytes(rows, complete=False))
-    assert (len(found), found.complete, found.trailer, found.lost) == (8, False, None, ())
-
-
 @pytest.mark.parametrize("place", range(HEAD_BYTES))
 def test_damaged_head_costs_only_its_block(path: Path, place: int) -> None:
     """A damaged length is never used, because the head has its own checksum."""

@@ -44,12 +44,6 @@ def test_long_csv_is_written_in_pieces(tmp_path: Path) -> None:
     assert frame["device_time"].tolist() == rows["device_time"].tolist()
 
 
-def test_parquet_is_read_by_pandas(tmp_path: Path, recording: Recording) -> None:
-    frame = pd.read_parquet(export(recording, tmp_path / "trial.parquet"))
-    assert list(frame.columns) == list(recording.names)
-    assert frame["position"].to_numpy().tobytes() == recording.column("position").tobytes()
-
-
 def test_mat_is_read_by_scipy(tmp_path: Path, recording: Recording) -> None:
     contents = loadmat(export(recording, tmp_path / "trial.mat"))
     data = contents["data"][0, 0]

@@ -26,7 +26,7 @@ from rig.session.engine._runner import RefusedWalls, SessionWall, TrialDone
 from rig.session.engine._state import BOOKKEEPING, SessionState
 from rig.session.planning._load import protocol_from_mapping
 from rig.session.planning._protocol import Protocol
-from rig.session.planning._trial import HitOutcome
+from tests.conformance.studies import hit_outcome
 
 TRUE_LIMIT = 430.0
 TEXT = b"# as it was\n"  # of the protocol's file
@@ -145,33 +145,23 @@ class FakeRunner:
         with whole_file(path) as file:
             file.write(rows)
         stable = stiffness < TRUE_LIMIT
-        content: dict[str, Any] = {
+        content = {
+            "automatic": "stable" if stable else "limit cycle",
             "recording": f"trials/{path.name}",
             "sha256": hashlib.sha256(rows).hexdigest(),
             "rows_sha256": hashlib.sha256(rows).hexdigest(),
-            "ended": "finished",
-            "aborted": "",
-            "automatic": "stable" if stable else "limit cycle",
             "reasons": [] if stable else ["heard"],
-            "outside": (),
-            "by_machine": False,
-            "passes": {"felt": stable, "heard": stable, "any": stable},
             "numbers": {"heard": 0.1},
-            "baseline": None,
             "heat": heat + self.heat_of_a_hit,
         }
         changed, error = self.fails.get(number, ({}, None))
-        return TrialDone(HitOutcome(**{**content, **changed}), error, 1.5)
+        return TrialDone(hit_outcome(**{**content, **changed}), error, 1.5)
 
     def close(self) -> None:
         pass
 
 
-INVALID = {
-    "automatic": "invalid",
-    "reasons": ["the wall was never touched"],
-    "passes": {"felt": None, "heard": None, "any": None},
-}
+INVALID = {"automatic": "invalid", "reasons": ["the wall was never touched"]}
 LOST = "from contact on, 2.1 % of the samples lost (limit 1 %), 7 in a row (limit 2): the link was late"
 SPOILED = {**INVALID, "reasons": [LOST], "by_machine": True}
 

@@ -90,23 +90,6 @@ def test_a_limit_beyond_the_levels_is_marked_where_it_is_and_nowhere_else() -> N
     assert now["marked"] == marked["psi", 0.05, 15.0] == 1.0
 
 
-def test_more_sessions_do_not_repair_the_ascending_rule() -> None:
-    row = ROWS["ascending × 5", 0.02, 15.0]
-    assert row["bias"] < -5.0 * row["scatter"] / math.sqrt(12)
-    for name in OTHERS:
-        other = ROWS[name, 0.02, 15.0]
-        assert abs(other["bias"]) < 2.0 * other["scatter"] / math.sqrt(12)
-
-
-@pytest.mark.parametrize("spread", observers.SPREADS)
-def test_more_slips_lower_the_ascending_rule_alone(spread: Any) -> None:
-    loss = {
-        name: ROWS[name, 0.02, spread]["bias"] - ROWS[name, 0.05, spread]["bias"] for name in observers.RULES
-    }
-    assert 40.0 < loss["ascending × 5"] < 65.0
-    assert all(abs(loss[name]) < 8.5 for name in OTHERS)
-
-
 def test_a_study_follows_from_its_seed_and_separates_observers() -> None:
     make = {"psi": partial(search.make, "psi", levels=observers.LEVELS, hits=8)}
     people = [Observer(threshold=threshold, spread=15.0) for threshold in (300.0, 600.0)]

@@ -156,14 +156,6 @@ def test_an_unblinded_operator_sees_the_wall(tmp_path: Path) -> None:
     assert {"dual-hidden", "uniform-hidden"} <= {view.condition for view in desk.views}
 
 
-def test_an_invalid_trial_is_repeated_without_a_question(tmp_path: Path) -> None:
-    desk, runner = ScriptedDesk(), FakeRunner({1: (INVALID, None), 2: (INVALID, None)})
-    state = run_with(started(tmp_path / "P01"), runner, desk)
-    assert [trial.attempt for trial in state.trials[:4]] == [1, 2, 3, 1]
-    assert len({stiffness for _, stiffness in runner.hits[:3]}) == 1
-    assert {question.trial for question in desk.questions if question.kind == "verdict"}.isdisjoint({1, 2})
-
-
 @pytest.mark.parametrize("say", ["go", "skip"])
 def test_after_as_many_attempts_as_are_allowed_the_operator_decides(tmp_path: Path, say: str) -> None:
     runner = FakeRunner(dict.fromkeys((1, 2, 3, 4), (INVALID, None)))
@@ -213,18 +205,6 @@ def test_pause_and_continuation_are_logged(tmp_path: Path) -> None:
     run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(first("ready", "pause")))
     kinds = [event.kind for event in read(tmp_path / "P01" / LOG)]
     assert kinds[2:6] == ["block", "paused", "continued", "trial"]
-
-
-def test_an_operator_who_leaves_can_come_back(tmp_path: Path) -> None:
-    calm = run_with(started(tmp_path / "calm"), FakeRunner(), ScriptedDesk())
-    state = run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk(first("verdict", "abort")))
-    assert state.stopped == "the operator left"
-    assert state.ended is None
-    with resume(tmp_path / "P01", clock=Day()) as session:
-        assert session.state.stopped is None
-        state = conduct(session, FakeRunner(), ScriptedDesk())
-    assert state.trials == calm.trials
-    assert decisions(read(tmp_path / "P01" / LOG)) == decisions(read(tmp_path / "calm" / LOG))
 
 
 def test_a_block_may_start_over_without_what_was_skipped_in_it(tmp_path: Path) -> None:
@@ -488,16 +468,6 @@ def test_impossible_corrections_are_refused(
     before = (tmp_path / "P01" / LOG).read_bytes()
     with pytest.raises(ConfigError, match=reason):
         amend(tmp_path / "P01", number, value, why)
-    assert (tmp_path / "P01" / LOG).read_bytes() == before
-
-
-def test_a_participant_has_one_session(tmp_path: Path) -> None:
-    run_with(started(tmp_path / "P01"), FakeRunner(), ScriptedDesk())
-    before = (tmp_path / "P01" / LOG).read_bytes()
-    with pytest.raises(ConfigError, match="already contains a session"):
-        started(tmp_path / "P01")
-    with pytest.raises(ConfigError, match="has ended"):
-        resume(tmp_path / "P01")
     assert (tmp_path / "P01" / LOG).read_bytes() == before
 
 

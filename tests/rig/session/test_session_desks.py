@@ -71,9 +71,9 @@ def test_a_session_is_shown_and_answered_by_keys(sit: Sit, asker: ThreadPoolExec
     place.sees("[1] stable")
     place.press("2")
     assert answered(reply) == ("judge", "buzz")
-    reply = asker.submit(place.desk.ask, Question(kind="rest", text="Rest.", actions=("go",), seconds=0.3))
+    reply = asker.submit(place.desk.ask, Question(kind="rest", text="Rest.", actions=("go",), seconds=0.1))
     assert answered(reply) == ("go", "")
-    assert reply.result().took_s >= 0.2
+    assert reply.result().took_s >= 0.05
     assert place.rings == 3  # twice for ready, once for the hit
 
 
@@ -107,6 +107,9 @@ def test_space_stops_the_hit_that_runs_and_not_the_next_one(sit: Sit, asker: Thr
     watch(0, Phase.TRIAL)
 
 
+@pytest.mark.parametrize(
+    "sit", ["page"], indirect=True
+)  # at a terminal: test_a_stopped_console_ends_the_hit…
 def test_a_silent_desk_ends_a_hit(sit: Sit) -> None:
     place = sit(silence_s=0.3)
     place.desk.show(DeskView(state="hold", code="P07"))
