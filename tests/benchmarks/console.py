@@ -1,4 +1,4 @@
-"""Measure how much a console delays a real-time loop, and how long STOP takes through it.
+"""Measure how much a console delays a real-time loop; `console_flood.py` measures how long STOP takes through it.
 
     python -m tests.benchmarks.console                       10 pairs of hits each: a device at 10 kHz, a host at 4
     python -m tests.benchmarks.console --minutes 30          as many pairs as half an hour permits
@@ -8,8 +8,7 @@ runs in reverse order, so that a changing load of the machine has no effect. Pri
 rows and samples that the loop lost, and the 99.9th percentile of the ticks' lateness: the median difference of the
 pairs with its 95 % bootstrap interval, the usual difference between consecutive hits without a console, and the number
 of pairs that would detect a tenth of the value without a console. An interval that contains zero shows no cost, but
-excludes none below its upper end. Then STOP is measured fifty times, from the page's message to the loop's stop word,
-with a loop at 10 kHz. The last line is JSON. The pages are not browsers: `console_page.py` measures one.
+excludes none below its upper end. The last line is JSON. The pages are not browsers.
 """
 
 import argparse
@@ -37,7 +36,6 @@ LOOPS: dict[str, dict[str, Any]] = {
     "host, 4 kHz": {"controller.position_rate": 4000, "controller.velocity_rate": 1000},
 }  # fmt: skip
 PAGES = 4
-STOPS = 50
 DRAWS = 10_000
 FEWEST = 6  # pairs: of fewer no interval of a median has 95 % (1 - 2 · 0.5^n)
 
@@ -157,29 +155,6 @@ def summarise(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-async def measure_stops(place: Path) -> list[float]:
-    """Return the times from a page's STOP to the stop word of a loop with 10,000 rows a second (ms)."""
-    from rig.realtime import control_words  # noqa: PLC0415
-    from tests.conformance.console import served  # noqa: PLC0415
-    from tests.conformance.lsl_loop import HandTurnedLoop  # noqa: PLC0415
-
-    took = []
-    async with served(place) as console, console.hold() as hold, console.page() as page:
-        for _ in range(STOPS):
-            loop = HandTurnedLoop(1 << 14, shared=True)
-            with loop.ring as ring:
-                await page.ask("look", pid=os.getpid())
-                loop.leave(100)
-                await asyncio.sleep(0.05)
-                began = time.perf_counter()
-                await hold.send('{"stop":true}')
-                while ring.get(control_words.STOP) == 0:
-                    await asyncio.sleep(0)
-                took.append(1e3 * (time.perf_counter() - began))
-                ring.put(control_words.LOOP_DONE, 1)
-    return took
-
-
 def main() -> int:
     """Run the measurement and print it."""
     options = arguments()
@@ -199,12 +174,6 @@ def main() -> int:
                 f"with it {low:+.0f} to {high:+.0f} µs, which {cost}. {found}",
                 flush=True,
             )
-        took = sorted(asyncio.run(measure_stops(place)))
-    results["stop_ms"] = {
-        "median": statistics.median(took),
-        "p90": took[int(0.9 * len(took))],
-        "longest": took[-1],
-    }
     print(json.dumps(results))
     return 0
 

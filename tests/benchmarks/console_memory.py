@@ -78,9 +78,9 @@ class Look:
 class Day:
     """Consecutive runs of a simulated loop, faster than real time by a factor."""
 
-    def __init__(self, speed: float, hand: SharedHand, rate_hz: int = RATE_HZ, run_s: float = RUN_S) -> None:
-        self._rate_hz, self._speed, self._hand, self._run_s = rate_hz, speed, hand, run_s
-        time_s = np.arange(TABLE) / rate_hz
+    def __init__(self, speed: float, hand: SharedHand) -> None:
+        self._speed, self._hand = speed, hand
+        time_s = np.arange(TABLE) / RATE_HZ
         self._rows = np.zeros(TABLE, ROW)
         self._rows["device_time"] = (time_s * 1e9).astype("<i8")
         self._rows["tick"] = self._rows["sample_index"] = np.arange(TABLE)
@@ -95,9 +95,9 @@ class Day:
 
     def continue_run(self) -> None:
         """Write the rows that are due."""
-        due = int((time.monotonic() - self._began) * self._speed * self._rate_hz)
+        due = int((time.monotonic() - self._began) * self._speed * RATE_HZ)
         while self.done < due:
-            if self.ring is None or self._left >= self._run_s * self._rate_hz:
+            if self.ring is None or self._left >= RUN_S * RATE_HZ:
                 self.begin()
             passed, place = divmod(self._left, TABLE)
             count = min(due - self.done, TABLE - place, 4000)
@@ -105,21 +105,20 @@ class Day:
             self._left += count
             self.done += count
 
-    def begin(self) -> Ring:
-        """Begin a new run and return its ring."""
+    def begin(self) -> None:
+        """Begin a new run."""
         self.close()
         preset = {"name": "koul-compliant", "motion": "rotary", "limits": {"effort": 1.0, "speed": 10.0}}
         wall = {"stiffness": 60.0 + self.runs % 7, "damping": 0.2, "position": 0.0, "side": 1}
-        experiment = {"rig": preset, "controller": {"position_rate": self._rate_hz}, "wall": wall}
+        experiment = {"rig": preset, "controller": {"position_rate": RATE_HZ}, "wall": wall}
         self.ring = Ring.allocate(1 << 15, info={"url": "sim://", "experiment": experiment}, shared=True)
         self.ring.put(control_words.PHASE, int(Phase.TRIAL))
         self._left, self.runs = 0, self.runs + 1
-        return self.ring
 
     def _leave(self, rows: np.ndarray[Any, Any], passed: int) -> None:
         assert self.ring is not None
         ring, head = self.ring, self.ring.get(control_words.HEAD)
-        rows["device_time"] += passed * TABLE * 1_000_000_000 // self._rate_hz
+        rows["device_time"] += passed * TABLE * 1_000_000_000 // RATE_HZ
         rows["received_at"] = time.monotonic_ns()
         ring.rows[np.arange(head, head + len(rows)) % ring.capacity] = rows
         ring.put(control_words.HEAD, head + len(rows))
@@ -184,12 +183,12 @@ class Visits:
 
 
 @contextmanager
-def served(place: Path, faster: int = FASTER) -> Iterator[tuple[int, str, Path]]:
+def served(place: Path) -> Iterator[tuple[int, str, Path]]:
     """Serve a console in a separate process with a faster polling rate; yield its process number, URL and hand."""
     temporary = place / "tmp"
     temporary.mkdir()
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(temporary)}
-    code = SERVER.format(faster=faster)
+    code = SERVER.format(faster=FASTER)
     command = (sys.executable, "-P", "-c", code, "console", "--json", "-o", str(place / "recordings"))
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=place, env=environment) as process:
         try:

@@ -1,21 +1,18 @@
 """Run the loop with its recorder for a long time, and report losses and lateness every minute.
 
     python -m tests.benchmarks.soak --minutes 10                          2 kHz over a pseudo-terminal
-    python -m tests.benchmarks.soak --far-end near --busy --stall 1.0     its own grid, GIL hogs, a disk that stalls
     python -m tests.benchmarks.soak --url sim:// --busy                   a simulated rig in real time, beside its goal
     python -m tests.benchmarks.soak --url sim:// --busy --without-rights  the same as an ordinary user
     python -m tests.benchmarks.soak --url sim:// --rate 4000              on an idle machine
     python -m tests.benchmarks.soak --url serial:///dev/ttyACM0 --verified
 
-Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate, or,
-with ``--far-end near``, a function in the loop's own thread. With a URL, one long hit runs on that device, with its
-limits and all parts of `rig hit`. The last line is one JSON object; the exit code is 0 when the loop ran to the end and
-the recorder lost no row.
+Without a URL the far end is the C program of the benchmarks (`realtime/far_end.c`), which sends STATE at the rate.
+With a URL, one long hit runs on that device, with its limits and all parts of `rig hit`. The last line is one JSON
+object; the exit code is 0 when the loop ran to the end and the recorder lost no row.
 """
 
 import argparse
 import contextlib
-import ctypes
 import json
 import math
 import os
@@ -64,11 +61,8 @@ def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument(
-        "--rate", type=int, help="ticks a second (default: 2000, near 10000, on a device the preset's)"
-    )
+    parser.add_argument("--rate", type=int, help="ticks a second (default: 2000, on a device the preset's)")
     parser.add_argument("--pacing", choices=("device", "host"), default="device")
-    parser.add_argument("--far-end", choices=("pty", "near"), default="pty", help="near: --pacing host")
     parser.add_argument("--url", help="a device; sim:// starts one behind a pseudo-terminal")
     parser.add_argument("--preset", default="koul-compliant", help="experiment for a device")
     parser.add_argument(
@@ -84,34 +78,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--busy", action="store_true", help="a GIL hog, a garbage maker and a CPU hog beside it"
     )
-    parser.add_argument(
-        "--stall", type=float, default=0.0, help="seconds that the disk stalls in every minute"
-    )
     parser.add_argument("--output", type=Path, help="directory of the recording, which is kept then")
     return parser.parse_args()
-
-
-# The disk ---------------------------------------------------------------------------------------------------
-
-
-class Disk:
-    """A disk that can stall: replaces write and fdatasync before any compiled code is linked to them."""
-
-    def __init__(self, directory: Path) -> None:
-        import llvmlite.binding  # noqa: PLC0415
-
-        source, library = Path(__file__).with_name("realtime") / "stall.c", directory / "stall.so"
-        options = ["-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-        subprocess.run(["gcc", *options, str(source), "-o", str(library)], check=True)
-        self._library = ctypes.CDLL(str(library))
-        for name in ("write", "fdatasync"):
-            address = ctypes.cast(getattr(self._library, f"stalling_{name}"), ctypes.c_void_p).value
-            llvmlite.binding.add_symbol(name, address)
-
-    def stall(self, descriptor: int, seconds: float) -> None:
-        """Delay all writes to a descriptor from now on for some seconds."""
-        ctypes.c_int64.in_dll(self._library, "stall_descriptor").value = descriptor
-        ctypes.c_int64.in_dll(self._library, "stall_until").value = time.monotonic_ns() + round(seconds * 1e9)
 
 
 # What is watched --------------------------------------------------------------------------------------------
@@ -221,35 +189,25 @@ def start_far_end(directory: Path, rate: int) -> Iterator[Any]:
             os.close(master)
 
 
-def free_run(options: argparse.Namespace, directory: Path, watch: Watch, disk: Disk | None) -> dict[str, Any]:
+def free_run(options: argparse.Namespace, directory: Path, watch: Watch) -> dict[str, Any]:
     """Run the loop against a far end of the benchmarks."""
-    rate = options.rate or (10_000 if options.far_end == "near" else 2000)
-    host_paced = options.pacing == "host" or options.far_end == "near"
-    settings = {"host_paced": host_paced, "spin_ns": round(options.spin_us * 1e3)}
+    rate = options.rate or 2000
+    settings = {"host_paced": options.pacing == "host", "spin_ns": round(options.spin_us * 1e3)}
     ring = Ring.allocate(round(RING_SECONDS * rate))
     with contextlib.ExitStack() as stack:
-        if options.far_end == "near":
-            library = workbench.compile_c(directory, "near", "-fPIC", "-shared")
-            link: Any = workbench.NearLink(library, rate)
-        else:
-            link = stack.enter_context(start_far_end(directory, rate))
+        link = stack.enter_context(start_far_end(directory, rate))
         path = (options.output or directory) / f"soak-{time.time_ns()}.rigcap"
         recorder = stack.enter_context(Recorder(path, example_header(), ring))
         with workbench.running_loop(link, rate, ring, cpu=options.cpu, **settings) as loop:
-            if options.far_end == "pty":
-                link.write(workbench.command_frame(0))  # starts the device, in the session of the loop
+            link.write(workbench.command_frame(0))  # starts the device, in the session of the loop
             if options.busy:
                 stack.enter_context(workbench.processor_hogs(1))
                 stack.enter_context(workbench.interpreter_hogs())
             watch.started = watch.minute_at = time.monotonic()
             watch.cpu = time.process_time()
             end = watch.started + options.minutes * MINUTE_S
-            stall_at = watch.started + min(MINUTE_S, options.minutes * MINUTE_S) / 2
             while time.monotonic() < end and not ring.get(control_words.LOOP_DONE):
                 time.sleep(min(LOOK_S, max(0.0, end - time.monotonic())))
-                if disk is not None and time.monotonic() > stall_at:
-                    disk.stall(recorder._descriptor, options.stall)
-                    stall_at += MINUTE_S
                 watch.read_rows(ring)
         watch.read_rows(ring, last=True)
         end_of_loop = loop.end()
@@ -361,11 +319,8 @@ def main() -> int:
     watch = Watch()
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
-        disk = Disk(directory) if options.stall > 0.0 else None
-        if options.url is None:
-            found = free_run(options, directory, watch, disk)
-        else:
-            found = device_run(options, directory, watch)
+        run = free_run if options.url is None else device_run
+        found = run(options, directory, watch)
     if options.url is not None and watch.totals:
         print(compare_to_goal(options, watch.totals))
     chosen = {name: str(value) if isinstance(value, Path) else value for name, value in vars(options).items()}

@@ -1,4 +1,4 @@
-"""Compare the cost of a velocity sample with the same algorithm in C and with the usual library functions.
+"""Compare the cost of a velocity sample with the same algorithm in C.
 
 The C functions are compiled with -O3 in this run and put into the same plug point of the same compiled loop, so that
 one call through a function type is part of either cost. Measured side by side in CPU time of the thread; the median of
@@ -143,52 +143,3 @@ def test_an_estimator_costs_about_what_it_costs_in_c(
         f"in its own {alone:.1f} ns"
     )
     assert ratio < MOST
-
-
-def test_a_call_per_sample_into_scipy_could_not_keep_up_with_a_loop(counts: Any) -> None:
-    from scipy.signal import butter, sosfilt  # noqa: PLC0415
-
-    prepared = estimators.get("fdm-butterworth").prepare({}, DELTA, 1.0 / RATE)
-    out = np.zeros(len(counts))
-    run_mine = run_ours(prepared, counts, out)
-    run_mine()
-    sos, slopes = (
-        butter(2, 200.0, fs=RATE, output="sos"),
-        np.diff(counts[:2000], prepend=counts[0]) * DELTA * RATE,
-    )
-    state = np.zeros((1, 2))
-    started = time.thread_time_ns()
-    for slope in slopes:
-        filtered, state = sosfilt(sos, [slope], zi=state)
-    per_call = (time.thread_time_ns() - started) / len(slopes)
-    assert filtered[0] == pytest.approx(out[len(slopes) - 1], abs=1e-9)
-    per_sample = min(cpu_ns(run_mine) for _ in range(PAIRS)) / len(counts)
-    print(f"\nfdm-butterworth: {per_sample:.1f} ns, sosfilt for each sample {per_call:.0f} ns")
-    assert per_sample < 0.01 * per_call
-
-
-def test_a_call_per_sample_into_filterpy_could_not_keep_up_with_a_loop(counts: Any) -> None:
-    filterpy = pytest.importorskip("filterpy.kalman", reason="filterpy is not installed")
-    prepared = estimators.get("kalman").prepare({"bandwidth_hz": 300.0}, DELTA, 1.0 / RATE)
-    out = np.zeros(len(counts))
-    run_mine = run_ours(prepared, counts, out)
-    run_mine()
-    p = prepared.parameters
-    matrix = filterpy.KalmanFilter(dim_x=3, dim_z=1)  # in counts and periods
-    matrix.F = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    matrix.H = np.array([[1.0, 0.0, 0.0]])
-    matrix.R = np.array([[p[kalman.R]]])
-    q11, q12, q13, q22, q23, q33 = p[kalman.Q11 : kalman.Q33 + 1]
-    matrix.Q = np.array([[q11, q12, q13], [q12, q22, q23], [q13, q23, q33]])
-    matrix.P = np.diag([p[kalman.R], kalman.PRIOR, p[kalman.PRIOR33]])
-    matrix.x = np.array([[float(counts[0])], [0.0], [0.0]])
-    shown = counts[1:1001]
-    started = time.thread_time_ns()
-    for count in shown:
-        matrix.predict()
-        matrix.update(float(count))
-    per_call = (time.thread_time_ns() - started) / len(shown)
-    assert matrix.x[1, 0] * DELTA * RATE == pytest.approx(out[len(shown)], rel=1e-6)
-    per_sample = min(cpu_ns(run_mine) for _ in range(PAIRS)) / len(counts)
-    print(f"\nkalman: {per_sample:.1f} ns, filterpy for each sample {per_call:.0f} ns")
-    assert per_sample < 0.01 * per_call

@@ -1,7 +1,7 @@
-"""Measure the cost of a map in the frequency domain. The goal, printed and not asserted, is 30 s of CPU.
+"""Measure the cost of a map in the frequency domain, by what does not depend on the machine.
 
-Asserted is what does not depend on the machine: that judging a wall costs less than three times its simulation, and
-that a map of many columns needs no more memory than one of a few.
+Judging a wall costs less than three times its simulation, and a map of many columns needs no more memory than one of a
+few.
 """
 
 import time
@@ -18,27 +18,7 @@ from rig.experiments.mapping.impedance import Judging
 from rig.experiments.mapping.zwidth_frequency import run_column, wall_rows
 from rig.experiments.trials.excitation_run import ExcitedRig
 
-GOAL_S = 30.0
 ONCE = config.override(presets.load("chawda-linear"), {"excitation.realisations": 1})
-
-
-def test_the_papers_map_with_one_realisation(capsys: pytest.CaptureFixture[str]) -> None:
-    """Run every ninth of the 64 columns (60 × 16 walls, four estimators), and extrapolate to the whole."""
-    plan = frequency_plan(ONCE)
-    tasks = plan.tasks
-    run_column({**tasks[0].payload, "stiffnesses": [1e3]})  # warm
-    chosen = tasks[::9]
-    began = time.thread_time()
-    walls = 0
-    for task in chosen:
-        walls += len(run_column(task.payload)) // 2
-    whole = (time.thread_time() - began) * len(tasks) / len(chosen)
-    with capsys.disabled():
-        print(
-            f"\n60 × 16 walls, four estimators, one realisation: {whole:.1f} s of CPU (goal {GOAL_S:g}), "
-            f"{1e3 * whole / (len(tasks) * 60):.2f} ms a wall"
-        )
-    assert walls == 60 * len(chosen)
 
 
 @pytest.mark.parametrize("scheme", range(4))

@@ -1,7 +1,6 @@
-"""Compare the cost of an impedance measurement with the same run in C and with a general physics engine.
+"""Compare the cost of an impedance measurement with the same run in C.
 
-As in test_trial.py: in turns in one process, CPU time of the thread, median of the ratios. The goal, which is printed
-and not asserted: five seconds simulated, with inner steps at 16 kHz or more, in 5 ms for the cheap estimators.
+As in test_trial.py: in turns in one process, CPU time of the thread, median of the ratios.
 """
 
 import ctypes
@@ -16,18 +15,15 @@ import numpy as np
 import pytest
 
 from rig import config
-from rig.analysis.impedance._estimate import periodic
 from rig.config import controller, presets
-from rig.config.schemes import Scheme
 from rig.control import laws
-from rig.experiments.trials.excitation_run import ExcitedRig, multisine_of, ramp_s
+from rig.experiments.trials.excitation_run import multisine_of, ramp_s
 from sim_backend.bare.excited import ExcitedPlant
 from sim_backend.mechanics.plant import DiscretePlant
-from tests.benchmarks.test_trial import FAST_MUJOCO, OPTIONS, STEPS, cpu_ns, header, in_mujoco
+from tests.benchmarks.test_trial import OPTIONS, cpu_ns, header
 
 SOURCES = Path(__file__).parent
 CHAWDA = config.excited(presets.load("chawda-linear"))
-ESTIMATORS = ("fdm", "fdm-butterworth", "kalman", "foaw-best", "levant")
 RATIO, EVERY = 20, 5  # inner steps in a tick of 1 ms, and between two positions
 SECONDS = 5
 PAIRS = 15
@@ -94,41 +90,3 @@ def test_a_excited_run_costs_about_what_it_costs_in_c(tmp_path: Path) -> None:
         f"C -O3 {plain:.2f} ms (ratio {ratio:.2f}), with -march=native {native:.2f} ms (ratio {ratio_native:.2f})"
     )
     assert ratio < 1.5
-
-
-def test_an_inner_step_is_far_quicker_than_one_of_mujoco() -> None:
-    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed")
-    rigid = presets.load("koul-rigid")  # the hinge that test_trial.py builds
-    fast = in_mujoco(mujoco, config.rig_model(rigid), FAST_MUJOCO)
-    bench = ExcitedRig(CHAWDA)
-    inner_steps = round(CHAWDA.trial.duration_s * 1000) * RATIO
-
-    def steps() -> None:
-        mujoco.mj_resetData(*fast)
-        fast[1].qfrc_applied[0] = 0.04
-        mujoco.mj_step(*fast, nstep=STEPS)
-
-    bench.excite(10e3, 20.0)
-    times = [(cpu_ns(steps) / STEPS, cpu_ns(bench.excite, 10e3, 20.0) / inner_steps) for _ in range(PAIRS)]
-    theirs, ours = (min(column) for column in zip(*times, strict=True))
-    ratio = statistics.median(a / b for a, b in times)
-    print(
-        f"\na bare step of MuJoCo {theirs:.0f} ns; an inner step of a whole run, with law, {ours:.1f} ns: {ratio:.0f} ×"
-    )
-    assert ratio > 10.0
-
-
-def test_cost_of_each_estimator_and_of_the_estimate() -> None:
-    """Print the CPU time of one realisation of 6 s, of its estimate, and the goal for 5 s."""
-    for name in ESTIMATORS:
-        bench = ExcitedRig(Scheme.parse(f"uniform:1k,estimator={name}").applied(CHAWDA))
-        records = [bench.excite(10e3, 40.0, n).record for n in range(4)]
-        multisine = min(cpu_ns(bench.excite, 10e3, 40.0) for _ in range(PAIRS)) * 1e-6
-        estimating = min(cpu_ns(periodic, records) for _ in range(PAIRS)) * 1e-6 / len(records)
-        print(
-            f"\n{name}: a realisation of 6 s {multisine:.2f} ms, {multisine * SECONDS / 6:.2f} ms for {SECONDS} s; "
-            f"its estimate {estimating:.2f} ms",
-            end="",
-        )
-        assert all(record is not None for record in records)
-    print()

@@ -30,27 +30,6 @@ def shortest_time(count: Any, command: Any, **options: Any) -> Any:
     return min(times)
 
 
-@pytest.fixture(scope="module")
-def bare() -> Any:
-    return shortest_time(7, [sys.executable, "-c", "pass"])
-
-
-@pytest.mark.parametrize(
-    ("name", "command", "most"),
-    [
-        ("import rig", ["-c", "import rig"], 3.0),
-        ("import firmware_protocol", ["-c", "import firmware_protocol"], 3.0),
-        ("rig --help", ["-m", "rig", "--help"], 15.0),
-    ],
-)
-def test_quick_commands_stay_near_a_bare_interpreter(
-    name: str, command: list[str], most: float, bare: Any
-) -> None:
-    seconds = shortest_time(7, [sys.executable, *command])
-    print(f"\n{name}: {1e3 * seconds:.0f} ms, {seconds / bare:.1f} × python -c pass ({1e3 * bare:.0f} ms)")
-    assert seconds / bare < most
-
-
 PHASES = """
 import os, sys, time
 from rig.realtime import compiling

@@ -10,7 +10,7 @@ import subprocess
 import threading
 import time
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from rig.extras.drives.library import BIN_US, Bridge, BridgeFacts
-from tests.benchmarks.realtime.workbench import CPUS, FULL, PRIORITY, compile_c, print_table, quantiles
+from tests.benchmarks.realtime.workbench import CPUS, FULL, compile_c, print_table, quantiles
 from tests.conformance.bridged import bridged_rig, plain_drive
 
 RATES = (1000, 2500)
@@ -28,15 +28,12 @@ TRIES = 5
 QUESTION = "can send 9001 1100" + "1F01" + "130D" + "5050 BF"
 
 
-AS_A_BOARD = ("chrt", "--fifo", str(PRIORITY))  # before a command: above ordinary programs
-
-
 @contextmanager
-def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
+def drive(program: Path) -> Iterator[int]:
     """Start the simulated drive; yield the descriptor of the other end of its terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    process = subprocess.Popen([*before, str(program), str(master)], pass_fds=(master,))
+    process = subprocess.Popen([str(program), str(master)], pass_fds=(master,))
     os.close(master)
     try:
         yield slave
@@ -46,13 +43,10 @@ def drive(program: Path, before: Sequence[str] = ()) -> Iterator[int]:
         os.close(slave)
 
 
-def run_client(
-    client: Path, line: int, rate: int, seconds: float = SECONDS, before: Sequence[str] = ()
-) -> tuple[np.ndarray, int]:
+def run_client(client: Path, line: int, rate: int) -> tuple[np.ndarray, int]:
     """Return the round trips of a C program (µs) and the number of lost replies."""
-    ticks = round(rate * seconds)
     done = subprocess.run(
-        [*before, str(client), str(line), str(rate), str(ticks), QUESTION],
+        [str(client), str(line), str(rate), str(round(rate * SECONDS)), QUESTION],
         pass_fds=(line,),
         capture_output=True,
         check=True,
@@ -61,7 +55,7 @@ def run_client(
     return took[took >= 0] / 1e3, int(np.sum(took < 0))
 
 
-def run_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bool = False) -> BridgeFacts:
+def run_bridge(line: int, rate: int) -> BridgeFacts:
     """Run the bridge for the same number of periods, without a host; return its statistics."""
     bridge = Bridge(bridged_rig(), plain_drive(), checksum=False, rate=rate)
     host, other = os.openpty()
@@ -69,14 +63,10 @@ def run_bridge(line: int, rate: int, seconds: float = SECONDS, *, as_a_board: bo
     os.set_blocking(line, False)
     os.set_blocking(host, False)
 
-    def run() -> None:
-        if as_a_board:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        bridge.run(host=host, bus=line, wake=ear, host_stays=True)
-
-    thread = threading.Thread(target=run)
+    ends = {"host": host, "bus": line, "wake": ear, "host_stays": True}
+    thread = threading.Thread(target=bridge.run, kwargs=ends)
     thread.start()
-    time.sleep(seconds)
+    time.sleep(SECONDS)
     os.write(mouth, b"x")
     thread.join()
     for descriptor in (host, other, ear, mouth):

@@ -7,9 +7,9 @@ this machine could have avoided.
 """
 
 import contextlib
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ from tests.benchmarks.realtime.workbench import (
     may_be_realtime,
     print_table,
     processor_hogs,
+    python_lateness,
     quantiles,
     running_loop,
 )
@@ -84,38 +85,13 @@ def run_recorded_loop(near: Path, rate: int, path: Path) -> dict[str, float]:
     }
 
 
-def run_cyclictest(program: str, rate: int, directory: Path) -> dict[str, float]:
-    """Return the same figures of cyclictest, whose wake-ups show what the machine permits."""
+def beside_load(rate: int, measure: Callable[[], np.ndarray]) -> dict[str, float]:
+    """Return the same figures of another program, from its lateness; a turn that it slept through was due, too."""
     with busy():
-        late = cyclictest_latency(program, rate, SECONDS, directory)
+        late = measure()
     _, p99, p999, greatest = quantiles(late * 1e-3)
     passed = int((late // (1_000_000_000 // rate)).sum())
     return {"due": len(late) + passed, "run": len(late), "p99": p99, "p99.9": p999, "max": greatest}
-
-
-def run_python_loop(rate: int) -> dict[str, float]:
-    """Return the same figures of a plain Python loop."""
-    period = 1_000_000_000 // rate
-    late: list[int] = []
-    due_all = 0
-
-    def turns() -> None:
-        nonlocal due_all
-        start = now = time.monotonic_ns()
-        end, due = start + round(SECONDS * 1e9), start + period
-        while now < end:
-            time.sleep(max(0, due - now) * 1e-9)
-            now = time.monotonic_ns()
-            late.append(now - due)
-            due += period * (1 + (now - due) // period)
-        due_all = (now - start) // period
-
-    thread = threading.Thread(target=turns)
-    with busy():
-        thread.start()
-        thread.join()
-    _, p99, p999, greatest = quantiles(np.array(late) * 1e-3)
-    return {"due": due_all, "run": len(late), "p99": p99, "p99.9": p999, "max": greatest}
 
 
 def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) -> None:
@@ -129,12 +105,14 @@ def test_a_busy_program_takes_no_tick_from_the_loop(near: Path, tmp_path: Path) 
             assert mine["after stop"] <= 2, "the loop ran on after its stop word"
             found, possible = {"rig": mine}, 1.0
             if program is not None:
-                found["cyclictest"] = theirs = run_cyclictest(program, rate, tmp_path)
+                found["cyclictest"] = theirs = beside_load(
+                    rate, partial(cyclictest_latency, program, rate, SECONDS, tmp_path)
+                )
                 possible = theirs["run"] / theirs["due"]
             share_of_possible = mine["run"] / mine["due"] / possible
             if share_of_possible > LEAST_RUN:
                 break
-        found["plain Python"] = run_python_loop(rate)
+        found["plain Python"] = beside_load(rate, partial(python_lateness, rate, SECONDS))
         shares.append(share_of_possible)
         of_python.append(found["plain Python"]["run"] / found["plain Python"]["due"])
         for name, one in found.items():

@@ -6,7 +6,6 @@ and sleeps with `time.sleep`. They run in turn; the medians of the rounds and th
 """
 
 import statistics
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,6 +28,7 @@ from tests.benchmarks.realtime.workbench import (
     medians,
     print_table,
     processor_hogs,
+    python_lateness,
     quantiles,
     running_loop,
 )
@@ -58,26 +58,6 @@ def loop_lateness(near: Path, rate: int, spin_ns: int) -> np.ndarray:
     return ring.rows["lateness"][: ring.get(control_words.HEAD)].copy()
 
 
-def python_lateness(rate: int) -> np.ndarray:
-    """Return the lateness of each turn of a plain Python loop (ns), without real-time priority."""
-    period = 1_000_000_000 // rate
-    late: list[int] = []
-
-    def turns() -> None:
-        now = time.monotonic_ns()
-        end, due = now + round(SECONDS * 1e9), now + period
-        while due < end:
-            time.sleep(max(0, due - now) * 1e-9)
-            now = time.monotonic_ns()
-            late.append(now - due)
-            due += period * (1 + (now - due) // period)
-
-    thread = threading.Thread(target=turns)
-    thread.start()
-    thread.join()
-    return np.array(late)
-
-
 @pytest.mark.parametrize("load", ["idle", "loaded"])
 def test_the_loop_wakes_as_cyclictest_does(near: Path, tmp_path: Path, load: str) -> None:
     cyclictest = find_cyclictest()
@@ -89,7 +69,7 @@ def test_the_loop_wakes_as_cyclictest_does(near: Path, tmp_path: Path, load: str
             "cyclictest": lambda rate=rate: cyclictest_latency(cyclictest, rate, SECONDS, tmp_path),
             "rig": lambda rate=rate: loop_lateness(near, rate, 0),
             SPINNING: lambda rate=rate: loop_lateness(near, rate, SPIN_NS),
-            "plain Python": lambda rate=rate: python_lateness(rate),
+            "plain Python": lambda rate=rate: python_lateness(rate, SECONDS),
         }
         found: dict[str, list[tuple[float, ...]]] = {name: [] for name in contestants}
         with processor_hogs(len(CPUS) if load == "loaded" else 0):

@@ -11,6 +11,7 @@ import shutil
 import statistics
 import subprocess
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -245,6 +246,26 @@ def cyclictest_latency(program: str, rate: int, seconds: float, directory: Path)
     latencies = [np.full(count, int(us)) for us, count in thread["histogram"].items()]
     beyond = max(0, int(thread["cycles"]) - sum(map(len, latencies)))
     return np.concatenate([*latencies, np.full(beyond, int(thread["max"]))]) * 1000
+
+
+def python_lateness(rate: int, seconds: float) -> np.ndarray:
+    """Return the lateness of each turn of a plain Python loop (ns), without real-time priority."""
+    period = 1_000_000_000 // rate
+    late: list[int] = []
+
+    def turns() -> None:
+        now = time.monotonic_ns()
+        end, due = now + round(seconds * 1e9), now + period
+        while due < end:
+            time.sleep(max(0, due - now) * 1e-9)
+            now = time.monotonic_ns()
+            late.append(now - due)
+            due += period * (1 + (now - due) // period)
+
+    thread = threading.Thread(target=turns)
+    thread.start()
+    thread.join()
+    return np.array(late)
 
 
 # Numbers and tables ---------------------------------------------------------------------------------------
