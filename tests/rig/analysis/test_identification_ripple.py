@@ -54,7 +54,7 @@ def test_interval_holds_the_truth_as_often_as_stated() -> None:
     """95 % intervals in white noise contain it within four standard deviations of the binomial count."""
     rng, runs = np.random.default_rng(3), [swept(RIPPLES, load=hung) for hung in (0.0, LOAD)]
     held, trials = 0, 0
-    for _ in range(25):
+    for _ in range(12):
         free, loaded = (pairs(run, rng.normal(0.0, NOISE, len(run[0]))) for run in runs)
         ripple = fit_ripple(free, loaded, period=PERIOD, most_order=MOST)
         truth = zip(RIPPLES.orders, RIPPLES.ripple_cosine, RIPPLES.ripple_sine, strict=True)

@@ -173,7 +173,7 @@ def test_no_closed_form_is_given_where_back_emf_is_damping_of_slow_motion_only()
     assert found.stiffness == pytest.approx((0.0283 - damped.beta * 0.02) / 0.25e-4)
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(
     log_inertia=st.floats(-5.0, -2.0),
     log_damping=st.floats(-4.0, -1.5),

@@ -81,7 +81,7 @@ def test_a_machine_of_which_nothing_can_be_read_gives_findings_and_no_traceback(
         assert isinstance(json.dumps(plain(finding)), str)
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(st.text(max_size=200))
 def test_any_text_in_any_file_gives_findings(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     names = [
@@ -338,7 +338,7 @@ def test_brltty_is_found_running_or_waiting_for_an_adapter(tree: Tree) -> None:
 RULE = re.compile(r'[A-Z]+(\{[A-Za-z_]+\})?(==|\+=|=)"[^"]*"')
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.lists(st.tuples(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)), max_size=5))
 def test_rules_are_well_formed_and_match_before_they_assign(rigs: Any) -> None:
     text = udev_rules(rigs)

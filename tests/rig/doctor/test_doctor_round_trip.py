@@ -28,7 +28,6 @@ from rig.realtime.clock import VirtualClock
 from rig.realtime.plugs import TRANSFER_SIGNATURE, WAIT_SIGNATURE, NativeFunction
 from tests.conformance.served import served_rig
 
-WAIT_S = 30.0
 UNIT_NS = 62.5
 
 
@@ -222,7 +221,7 @@ def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement() -> None
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measured(EchoLink([100_000] * 10_000_000), 600.0, progress=stop)
+        measured(EchoLink([100_000] * 700_000), 600.0, progress=stop)
     assert not [thread for thread in threading.enumerate() if thread.name == "rig-ping"]
 
 
@@ -258,7 +257,7 @@ def port() -> Iterator[Any]:
 
 def test_over_a_port_a_trip_takes_some_time_and_the_line_is_in_order_afterwards(port: Any) -> None:
     with rig.devices.open_device(port) as device:
-        found = measure_link(device, 0.4)
+        found = measure_link(device, 0.2)
         assert not found.virtual
         assert found.sent > 5
         assert found.round_trip_s.p50.value > 0.0

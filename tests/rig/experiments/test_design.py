@@ -281,7 +281,9 @@ def test_the_section_to_paste_is_the_recommended_scheme(stored_design: Any, tmp_
 # --- wishes -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive("::test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it")
+@pytest.mark.exhaustive(
+    "tests/rig/experiments/test_design_rules.py::test_the_goal_decides_among_what_fulfils_the_wishes_and_nothing_else_before"
+)
 def test_a_wall_that_must_be_stable_decides_before_the_goal() -> None:
     wishes = Wishes(goal="stiffness", wall=(60.0, 0.3))
     with_wall = design(DesignRequest(experiment=X, schemes=SCHEMES[:2], rounds=QUICK, wishes=wishes))
@@ -317,7 +319,7 @@ def test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it(small: None)
     """With an unfiltered difference at 20 kHz and 4000 counts a turn, limit·T/Δ is only 0.019 N·m·s/rad."""
     coarse = config.override(X, {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0})
     schemes = (Scheme.parse("uniform:20k,estimator=fdm"), Scheme.parse("dual:20k/2k"))
-    found = design(replace(REQUEST, experiment=coarse, schemes=schemes))
+    found = design(replace(REQUEST, experiment=coarse, schemes=schemes, rounds=QUICK))
     (bare,) = (one for one in found.standings if "fdm" in one.label.split())
     assert bare.measures.damping <= 0.6 / 20_000 / coarse.rig.encoder.resolution / RENDERED
 

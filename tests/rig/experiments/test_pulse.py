@@ -81,10 +81,15 @@ def test_a_pulse_is_small_and_recorded(sound: Pulse) -> None:
     assert rows["effort_sent"][-1] == 0.0
 
 
-NAMED = [name for name, fault in FAULTS.items() if fault.named and "½" not in name]
+# By default one fault of scale, and all of direction and motion.
+NAMED = sorted(
+    (name for name, fault in FAULTS.items() if fault.named and "½" not in name), key=lambda x: "×" in x
+)
 
 
-@pytest.mark.parametrize(("loop", "name"), first_by_default(product(("device", "host"), NAMED), len(NAMED)))
+@pytest.mark.parametrize(
+    ("loop", "name"), first_by_default(product(("device", "host"), NAMED), len(NAMED) - 2)
+)
 def test_a_fault_is_refused_by_the_check_that_is_about_it(name: str, loop: str, tmp_path: Path) -> None:
     if loop == "device":
         need_compiler()

@@ -3,7 +3,6 @@
 import io
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,9 +114,7 @@ def test_a_column_has_its_unit_and_meaning_and_is_an_array_to_numpy(results: dic
         results["recording"]["effort_snt"]
 
 
-def test_each_has_its_picture_which_is_saved_as_its_name_ends(
-    results: dict[str, Any], tmp_path: Path
-) -> None:
+def test_each_has_its_picture(results: dict[str, Any]) -> None:
     shown = {name: result for name, result in results.items() if name != "thrown out"}
     drawn = {name: result.plot() for name, result in shown.items() if hasattr(result, "plot")}
     names = "hit recording column replay comparison impedance estimators zwidth frequency theory"
@@ -125,7 +122,6 @@ def test_each_has_its_picture_which_is_saved_as_its_name_ends(
     for name, picture in drawn.items():
         assert picture.figure.axes, name
     assert drawn["column"]._repr_png_().startswith(b"\x89PNG")
-    assert drawn["replay"].save(tmp_path / "a.svg").read_bytes().startswith(b"<?xml")
     with pytest.raises(ConfigError, match="a Plan cannot be drawn; give a hit"):
         rig.plot(results["plan"])
 

@@ -73,7 +73,7 @@ def kinds(found: Any, suffix: str = "") -> Any:
 
 def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Path) -> None:
     # Within homing's tolerance a hit without bytes starts where its seed says; the device starts where it is.
-    plan = plan_map(search=StiffnessSearch(way="bisection", lowest=20.0, highest=450.0, ratio=2.17))
+    plan = plan_map()
     person = Person()
     start = HitSimulator(plan.experiment).start
     found = zwidth_on_rig(plan, person.session(tmp_path, f"sim://?initial_position={start!r}"))
@@ -88,6 +88,7 @@ def test_over_the_byte_link_a_map_is_that_of_the_hits_without_bytes(tmp_path: Pa
 # --- a person ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive("tests/system/test_cli_zwidth.py::test_a_person_who_does_not_agree_ends_the_session")
 def test_a_person_who_declines_ends_the_session_and_the_same_plan_resumes(tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     whole = Person()
