@@ -158,6 +158,7 @@ POWERSAVE = {
 }
 ISOLATED = {f"{CPU}/online": "0-3", f"{CPU}/isolated": "3"}
 INFO, DMI = "proc/cpuinfo", "sys/class/dmi/id"
+is_virtual = kernel.virtual_machine
 
 
 def clocks(current: str, available: str) -> dict[str, str]:
@@ -214,41 +215,13 @@ def clocks(current: str, available: str) -> dict[str, str]:
         (kernel.isolation, ISOLATED, {"cpu": 3}, OK, "is isolated", ""),
         (kernel.isolation, ISOLATED, {"cpu": 2}, WARNING, "not isolated", "isolcpus=2"),
         (kernel.isolation, ISOLATED, {"cpu": 7}, REFUSED, "this computer has 0, 1, 2, 3", ""),
-        (kernel.virtual_machine, {}, {}, OK, "", ""),
-        (
-            kernel.virtual_machine,
-            {INFO: "processor : 0\nflags\t\t: fpu hypervisor lahf_lm\n"},
-            {},
-            WARNING,
-            "",
-            "",
-        ),
-        (
-            kernel.virtual_machine,
-            {INFO: "flags\t\t: fpu vme\nbugs\t: no_hypervisor hypervisor_x\n"},
-            {},
-            OK,
-            "",
-            "",
-        ),
-        (kernel.virtual_machine, {"sys/hypervisor/type": "xen\n"}, {}, WARNING, "", ""),
-        (kernel.virtual_machine, {f"{DMI}/sys_vendor": "QEMU\n"}, {}, WARNING, "", ""),
-        (
-            kernel.virtual_machine,
-            {f"{DMI}/sys_vendor": "LENOVO\n", f"{DMI}/product_name": "20XW"},
-            {},
-            OK,
-            "",
-            "",
-        ),
-        (
-            kernel.virtual_machine,
-            {"proc/device-tree/hypervisor/compatible": "linux,kvm\0"},
-            {},
-            WARNING,
-            "",
-            "",
-        ),
+        (is_virtual, {}, {}, OK, "", ""),
+        (is_virtual, {INFO: "processor : 0\nflags\t\t: fpu hypervisor lahf_lm\n"}, {}, WARNING, "", ""),
+        (is_virtual, {INFO: "flags\t\t: fpu vme\nbugs\t: no_hypervisor hypervisor_x\n"}, {}, OK, "", ""),
+        (is_virtual, {"sys/hypervisor/type": "xen\n"}, {}, WARNING, "", ""),
+        (is_virtual, {f"{DMI}/sys_vendor": "QEMU\n"}, {}, WARNING, "", ""),
+        (is_virtual, {f"{DMI}/sys_vendor": "LENOVO\n", f"{DMI}/product_name": "20XW"}, {}, OK, "", ""),
+        (is_virtual, {"proc/device-tree/hypervisor/compatible": "linux,kvm\0"}, {}, WARNING, "", ""),
         (access.serial_ports, {"etc/group": "dialout:x:20:\n"}, OTHERS, WARNING, "", ADD_TO_GROUP),
         (access.serial_ports, {"etc/group": "wheel:x:10:\n"}, OTHERS, OK, "", ""),
         (access.serial_ports, {"etc/group": "dialout:x:20:ada\n"}, {}, OK, "", ""),

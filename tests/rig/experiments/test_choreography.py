@@ -17,7 +17,6 @@ from rig.core.sample import HOLD, Phase, phase_name
 from rig.devices.framed import FramedDevice
 from rig.experiments.trials.judgement import judge
 from rig.recording.data import Recording
-from rig.recording.marks import marks
 from rig.recording.reader import open_recording
 from rig.session.engine._baseline import baseline
 from sim_backend.board.make_device import make_device
@@ -101,16 +100,6 @@ def test_a_slow_person_holds_as_long_and_an_absent_one_makes_the_trial_invalid(t
     verdict = judge(absent, HELD).verdict
     assert (verdict.kind, verdict.reasons) == (Kind.INVALID, ("the wall was never touched",))
     assert (absent.rows["phase"] == Phase.TRIAL).sum() == round(HELD.trial.duration_s * RATE)
-
-
-def test_the_sync_output_gives_the_cue_to_the_tick(tmp_path: Path) -> None:
-    """The output rises one tick after the trial's first: that tick's command becomes active then."""
-    recording = trial(tmp_path)
-    at = {mark.name: mark.tick for mark in marks(recording)}
-    first = int(np.argmax(recording.rows["phase"] == Phase.TRIAL))
-    assert at["trial"] == first
-    assert at["trial_out"] == first + 1
-    assert at["free space"] == int(np.argmax(recording.rows["phase"] == Phase.FREE))
 
 
 def test_the_foreperiod_is_the_seeds_and_spreads_over_its_range() -> None:

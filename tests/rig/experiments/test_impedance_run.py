@@ -192,27 +192,12 @@ def test_samples_at_the_ticks_show_a_free_mass_too_little_motion() -> None:
 # ---------------------------------------------------------------------- results
 
 
-def test_friction_moves_the_effective_damping_with_the_band_so_bands_are_not_compared() -> None:
-    """Without friction, the damping of one wall is the same in both bands."""
-    results = {}
-    for coulomb in (0.0, 0.19):
-        for high_hz in (25.0, 100.0):
-            changes = {
-                "rig.mechanics.motor_coulomb": coulomb,
-                "excitation.high_hz": high_hz,
-                "excitation.rms": 1.9,
-            }
-            x = config.override(presets.load("chawda-linear"), changes)
-            (results[coulomb, high_hz],) = measure_impedance(x, walls=[(20e3, 60.0)])
-    moved = {}
-    for coulomb in (0.0, 0.19):
-        narrow, wide = (results[coulomb, high_hz].fidelity for high_hz in (25.0, 100.0))
-        moved[coulomb] = (narrow.damping - wide.damping) / np.hypot(
-            narrow.damping_deviation, wide.damping_deviation
-        )
-    assert abs(moved[0.0]) < 0.5
-    assert moved[0.19] > 2.0
-    shown = [results[0.19, 25.0], results[0.19, 100.0]]
+def test_results_of_other_bands_are_not_drawn_together() -> None:
+    """Friction moves the effective damping with the band."""
+    shown = []
+    for high_hz in (25.0, 100.0):
+        x = config.override(CHAWDA, {"excitation.high_hz": high_hz, "excitation.rms": 1.9})
+        shown += measure_impedance(x, walls=[(20e3, 60.0)])
     with pytest.raises(
         ConfigError, match=r"1 to 25 Hz with 1\.9 N rms; 1 to 100 Hz with 1\.9 N rms"
     ) as refused:

@@ -1,6 +1,5 @@
 """Wall changes from outside a running loop: the loop gets the numbers of an experiment that began with that wall."""
 
-import json
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -10,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import rig.cli
 from rig.config import as_mapping, controller, override
 from rig.config.presets import load
 from rig.core.errors import ConfigError, PlanError, RigError, RunEndedError
@@ -18,7 +16,6 @@ from rig.experiments.trials import live
 from rig.realtime import control_words, running
 from rig.realtime.mailbox import SET_FLOATS, take
 from rig.realtime.ring import Ring
-from tests.conformance.running_loop import loop_process
 
 QUANTUM_A = 0.001
 EXPERIMENT = load("koul-compliant")
@@ -229,20 +226,3 @@ def test_two_terminals_at_once_lose_no_change() -> None:
     assert failures == []
     last = override(EXPERIMENT, {"wall.stiffness": 330.0, "wall.damping": 1.2})
     assert take_set(ring) == (6, numbers_of(last))
-
-
-def test_the_command_changes_the_wall_of_another_process(capsys: pytest.CaptureFixture[str]) -> None:
-    with loop_process(info_of()) as process:
-        assert process.stdout is not None
-        code = rig.cli.run(["set", "stiffness=400", "wall.pull=allow", "--pid", str(process.pid), "--json"])
-        out, err = capsys.readouterr()
-        assert code == 0, err
-        done = json.loads(out)
-        assert (done["pid"], done["number"], done["active"]) == (process.pid, 1, True)
-        got = json.loads(process.stdout.readline())
-        expected = numbers_of(override(EXPERIMENT, {"wall.stiffness": 400, "wall.pull": "allow"}))
-        assert (got["set"], got["values"][: len(expected)]) == (1, expected)
-        assert rig.cli.run(["set", "damping=1", "--pid", str(process.pid)]) == 0
-        out, err = capsys.readouterr()
-        assert out == f"process {process.pid}, parameter set 2: wall.damping = 1: active\n"
-        assert "when the handle is outside the wall" in err

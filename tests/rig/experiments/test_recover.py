@@ -111,28 +111,6 @@ def test_a_directory_is_searched_to_the_bottom_for_unsealed_captures(tmp_path: P
     assert (tmp_path / "sealed.rigcap").exists()
 
 
-def test_another_recording_of_that_name_is_never_touched(tmp_path: Path) -> None:
-    """A capture is compared with the sealed file of its name; if they differ, both stay."""
-    capture = tmp_path / "trial.rigcap"
-    write(capture)
-    (tmp_path / "trial.parquet").write_text("precious")
-    found = recover_one(capture)
-    assert found.outcome == CaptureState.FAILED
-    assert (tmp_path / "trial.parquet").read_text() == "precious"
-    assert capture.exists()
-
-
-def test_a_crash_of_the_sealing_itself_is_finished(tmp_path: Path) -> None:
-    """If capture and sealed file both exist and are equal, the capture is removed."""
-    capture = tmp_path / "trial.rigcap"
-    write(capture)
-    kept = capture.read_bytes()
-    recover_one(capture)
-    capture.write_bytes(kept)
-    assert recover_one(capture).outcome == CaptureState.SEALED
-    assert not capture.exists()
-
-
 def test_a_draft_of_a_sealing_that_was_killed_goes_with_the_capture(tmp_path: Path) -> None:
     write(tmp_path / "trial.rigcap")
     mine, other = tmp_path / ".trial.parquet.4711.draft", tmp_path / ".trial-2.parquet.4711.draft"

@@ -3,7 +3,6 @@
 Clusters are tested in `tests/extras/cluster/test_sweep_cluster.py`.
 """
 
-import errno
 import io
 import json
 import math
@@ -248,31 +247,6 @@ def test_one_process_at_a_time(tmp_path: Path) -> None:
     assert len(sweep.run(FEW, journal=path)) == 6
 
 
-def test_a_disk_that_fills_up_ends_the_sweep_and_what_was_kept_is_good(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "j"
-
-    class Full(io.FileIO):
-        room = 900
-
-        def write(self, data: Any) -> Any:
-            if self.room <= 0:
-                raise OSError(errno.ENOSPC, "")
-            written = super().write(data[: min(len(data), self.room, 100)])  # in pieces, the last one torn
-            self.room -= written
-            return written
-
-    monkeypatch.setattr(lines, "FileIO", Full)
-    with pytest.raises(RecordingError, match=r"cannot write .*No space left on device; free some space"):
-        sweep.run(sines_of(20), journal=path)
-    monkeypatch.undo()
-    assert path.stat().st_size == 900
-    seen = []
-    assert text(sweep.run(sines_of(20), journal=path, watch=seen.append)) == text(sweep.run(sines_of(20)))
-    assert 0 < seen[-1].kept < 20
-
-
 def test_a_missing_directory_of_the_journal_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="make the directory first"):
         sweep.run(FEW, journal=tmp_path / "none" / "j")
@@ -381,46 +355,6 @@ def test_ctrl_c_ends_a_watcher_that_blocks_as_a_stopped_terminal_does(tmp_path: 
         sweep.run(sines_of(3), journal=tmp_path / "j", watch=watch)
     assert not ended
     assert len(sweep.run(sines_of(3), journal=tmp_path / "j")) == 3
-
-
-def keep_interrupting(thread: Any, first_s: float, ended: threading.Event) -> None:
-    """Send Ctrl-C until the sweep stops: Python loses one that arrives in a finaliser."""
-    wait_s = first_s
-    while not ended.wait(wait_s):
-        signal.pthread_kill(thread, signal.SIGINT)
-        wait_s = 0.02
-
-
-# Between the return of open() and the entry of its "with" nothing can catch a signal: the collector closes that file.
-@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.signals
-@pytest.mark.exhaustive("::test_ctrl_c_keeps_finished_and_running_tasks_and_the_same_command_resumes")
-def test_ctrl_c_at_any_moment_never_harms_the_journal(tmp_path: Path) -> None:
-    journal, log, tasks = tmp_path / "j", tmp_path / "log", marks(400, tmp_path / "log", wait_s=0.001)
-    main = threading.main_thread().ident
-    rounds = 0
-    while True:
-        rounds += 1
-        ended = threading.Event()
-        interrupter = threading.Thread(target=keep_interrupting, args=(main, 0.003 * rounds, ended))
-        try:
-            try:
-                interrupter.start()
-                results = sweep.run(tasks, journal=journal, workers=4)
-            finally:  # which a last Ctrl-C may strike
-                ended.set()
-                interrupter.join()
-            break
-        except (KeyboardInterrupt, SweepStoppedError):
-            ended.set()
-            interrupter.join()
-    assert rounds > 5
-    assert list(results) == [task.key for task in tasks]
-    assert sorted(keys_in(journal)) == sorted(task.key for task in tasks)
-    # What ran was kept; only what a Ctrl-C caught between its end and the journal may have run once more.
-    ran = log.read_text().split()
-    assert set(ran) == {task.key for task in tasks}
-    assert len(ran) - len(tasks) <= 4 * rounds
 
 
 def test_an_error_of_the_watcher_comes_through_and_what_is_done_is_kept(tmp_path: Path) -> None:
