@@ -2,7 +2,6 @@
 
 import ctypes
 import errno
-import json
 import math
 import threading
 from collections.abc import Iterator
@@ -20,7 +19,6 @@ from firmware_protocol.packing import pack, unpack
 from rig import config
 from rig.config import presets
 from rig.core.errors import LinkLostError
-from rig.core.present import plain
 from rig.devices.device import DeviceUrl
 from rig.devices.port import LoopPort
 from rig.doctor._round_trip import TIMEOUT_S, WARM_UP, measure_link
@@ -223,12 +221,6 @@ def test_progress_rises_to_one_and_what_it_raises_ends_the_measurement() -> None
     with pytest.raises(KeyboardInterrupt):
         measured(EchoLink([100_000] * 700_000), 600.0, progress=stop)
     assert not [thread for thread in threading.enumerate() if thread.name == "rig-ping"]
-
-
-def test_a_measurement_is_plain_json() -> None:
-    mapping = plain(measured(EchoLink([100_000] * 10), 0.01))
-    assert json.loads(json.dumps(mapping))["round_trip_s"]["p50"]["value"] == pytest.approx(1e-4)
-    assert "exchanges" not in mapping
 
 
 # ---------------------------------------------------------------------- the simulated device
