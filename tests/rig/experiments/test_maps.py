@@ -114,14 +114,14 @@ def test_an_invalid_plan_is_refused_by_its_file_name(tmp_path: Path, text: str) 
         maps.read_plan(tmp_path)
 
 
-def test_every_wall_of_a_map_is_judged_as_a_recorded_hit_of_it_to_the_last_bit(
+def test_the_ends_of_a_series_are_judged_as_recorded_hits_of_them_to_the_last_bit(
     place: Any, tmp_path: Path
 ) -> None:
-    """Repeat each wall, offset and seed over the byte link; compare the verdicts by recording and by truth."""
+    """Repeat wall, offset and seed over the byte link; compare the verdicts by recording and by truth."""
     journal, _ = read_on(place / maps.JOURNAL)
     series_of = {series.key: series for series in PLAN.series()}
     for key, rows in journal:
-        for row in rows:
+        for row in (rows[0], rows[-1]):
             path = maps.recorded_hit(PLAN, series_of[key], row["stiffness"], tmp_path)
             trailer = open_recording(path).trailer or {}
             for suffix in ("", "_true"):
