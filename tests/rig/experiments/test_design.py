@@ -319,7 +319,7 @@ def test_a_scheme_whose_damping_is_not_rendered_gains_nothing_by_it(small: None)
     """With an unfiltered difference at 20 kHz and 4000 counts a turn, limit·T/Δ is only 0.019 N·m·s/rad."""
     coarse = config.override(X, {"rig.encoder.ratio": 1.0, "rig.limits.effort": 0.6, "wall.stiffness": 20.0})
     schemes = (Scheme.parse("uniform:20k,estimator=fdm"), Scheme.parse("dual:20k/2k"))
-    found = design(replace(REQUEST, experiment=coarse, schemes=schemes, rounds=QUICK))
+    found = design(replace(REQUEST, experiment=coarse, schemes=schemes))
     (bare,) = (one for one in found.standings if "fdm" in one.label.split())
     assert bare.measures.damping <= 0.6 / 20_000 / coarse.rig.encoder.resolution / RENDERED
 
