@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 import rig.cli
+from rig.analysis.theory import _summary as summary
 from rig.cli.hit import Artist
 from rig.views.plots import style
 from rig.views.plots.hit import draw_hit
@@ -48,3 +49,10 @@ def undrawn(coarse: None, monkeypatch: pytest.MonkeyPatch) -> None:
         return path
 
     monkeypatch.setattr(style, "save", save)
+
+
+@pytest.fixture
+def few_curve_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute curves at few points; the limits at B = 0 and at the wall's damping do not depend on the number."""
+    for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
+        monkeypatch.setattr(summary, name, number)

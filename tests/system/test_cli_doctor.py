@@ -26,7 +26,7 @@ from tests.conformance.claimed import claim_to_be_real
 from tests.conformance.served import served_rig
 
 WAIT_S = 30.0
-QUICK = ("--seconds", "0.3", "--set", "host.realtime=off")
+QUICK = ("--seconds", "0.1", "--set", "host.realtime=off")
 
 
 @pytest.fixture(autouse=True)
@@ -36,7 +36,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(examining, "machine_checks", lambda host: [check])
     monkeypatch.setattr(ports, "available_ports", lambda: [])
     monkeypatch.setattr("rig.doctor._ports.available_devices", lambda: [])
-    monkeypatch.setattr(gate, "LONGEST_S", 0.3)  # of measuring: a hit at 20 kHz does so for 1 s
+    monkeypatch.setattr(gate, "LONGEST_S", 0.1)  # of measuring: a hit at 20 kHz does so for 1 s
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_scheduling_that_is_required_and_refused_forbids_arming(
         return original(host, virtual=virtual)
 
     monkeypatch.setattr(examining, "obtained", obtained)
-    code, out, err = run("doctor", "--url", port, "--seconds", "0.3", "--set", "host.realtime=enforce")
+    code, out, err = run("doctor", "--url", port, "--seconds", "0.1", "--set", "host.realtime=enforce")
     assert code == 2
     assert "real-time scheduling: no SCHED_FIFO here" in out
     assert "round trip" in out

@@ -9,12 +9,7 @@ import pytest
 from rig.analysis import theory
 from rig.analysis.theory import _summary as summary
 
-
-@pytest.fixture(autouse=True)
-def few_curve_points(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute curves at few points; the limits at B = 0 and at the wall's damping do not depend on the number."""
-    for name, number in {"CURVE_POINTS": 5, "CORNER_POINTS": 3, "PASSIVE_POINTS": 5}.items():
-        monkeypatch.setattr(summary, name, number)
+pytestmark = pytest.mark.usefixtures("few_curve_points")
 
 
 def test_an_automated_trial_names_the_limit_in_a_normal_hand(run: Any) -> None:

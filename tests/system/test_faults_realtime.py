@@ -109,13 +109,13 @@ def broken(kind: FaultKind, *directions: Direction, strikes: int = 1) -> tuple[F
 
 # What breaks → script, error, the first fault of the device.
 ENDINGS: dict[str, tuple[dict[str, Any], type[Exception], Fault]] = {
+    "a pulled plug": ({"frames": broken(FaultKind.UNPLUG, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST),
     "silence to the device": (
         {"frames": broken(FaultKind.SILENCE, Direction.TO_DEVICE)}, LinkLostError, Fault.LINK_LOST,
     ),
     "silence to the host": (
         {"frames": broken(FaultKind.SILENCE, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST,
     ),
-    "a pulled plug": ({"frames": broken(FaultKind.UNPLUG, Direction.TO_HOST)}, LinkLostError, Fault.LINK_LOST),
     **{
         fault.name: ({"fault": fault}, DeviceFaultError, fault)
         for fault in (Fault.ENCODER, Fault.EMERGENCY_STOP, Fault.OVER_CURRENT)

@@ -114,7 +114,7 @@ def test_a_changed_scale_at_rest_is_not_detected_and_its_effect_is_small(tmp_pat
 
 
 def test_without_known_effort_or_friction_the_encoder_scale_is_not_judged(tmp_path: Path) -> None:
-    x = walls_on("koul-compliant", {})
+    x = walls_on("chawda-linear", {})
     judged(x, tmp_path / "trial.rigcap")
     recording = open_recording(tmp_path / "trial.rigcap")
     for unknown in (
