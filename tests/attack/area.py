@@ -40,13 +40,10 @@ class Outcome:
         What it did, to be summed: bytes, ticks, ticks_armed, runs, kills, …
     known
         Names of findings that are expected until they are fixed.
-    skipped
-        What this machine did not permit.
     """
 
     figures: Counter[str] = field(default_factory=Counter)
     known: Counter[str] = field(default_factory=Counter)
-    skipped: Counter[str] = field(default_factory=Counter)
 
 
 class Area(Protocol):

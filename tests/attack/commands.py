@@ -37,7 +37,6 @@ class Ended:
     out: str
     err: str
     interrupted: bool  # it took so long that it got Ctrl-C
-    seconds: float
 
     def check(self, allowed: frozenset[int]) -> None:
         """Require a documented exit code, and an output without a traceback."""
@@ -121,9 +120,7 @@ def waited(child: int, directory: Path, patience_s: float) -> Ended:
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(child, signal.SIGKILL)
     code = os.waitstatus_to_exitcode(status)
-    return Ended(
-        code, read_output(directory, "out"), read_output(directory, "err"), bool(interrupted), now - begun
-    )
+    return Ended(code, read_output(directory, "out"), read_output(directory, "err"), bool(interrupted))
 
 
 def read_output(directory: Path, name: str) -> str:

@@ -15,13 +15,12 @@ class AreaReport:
     seconds: float = 0.0
     figures: Counter[str] = field(default_factory=Counter)
     known: Counter[str] = field(default_factory=Counter)
-    skipped: Counter[str] = field(default_factory=Counter)
     failures: dict[int, str] = field(default_factory=dict)  # case → what
 
     def add(self, answer: dict[str, Any]) -> None:
         """Add the result of a case."""
         self.tries += 1
-        for kind in ("figures", "known", "skipped"):
+        for kind in ("figures", "known"):
             getattr(self, kind).update(answer.get(kind, {}))
         if "failure" in answer:
             self.failures[answer["case"]] = answer["failure"]
@@ -53,7 +52,6 @@ class AreaReport:
         ]
         lines += [f"  {what} {value:,.3g}" for what, value in self.shares().items()]
         lines += [f"  known: {what} ({times} times)" for what, times in sorted(self.known.items())]
-        lines += [f"  skipped: {what} ({times} times)" for what, times in sorted(self.skipped.items())]
         for case, what in self.failures.items():
             lines += [f"  FAILED: --only {name} --seed {seed} --case {case}", *_indent(what[:SHOWN])]
         return lines

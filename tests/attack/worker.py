@@ -39,7 +39,7 @@ def answer(area: Area, name: str, seed: int, case: int) -> dict[str, object]:
     except Exception as error:
         shown = traceback.format_exc() if os.environ.get("ATTACK_DEBUG") else ""
         return {"case": case, "failure": f"{type(error).__name__}: {error}\n{shown}".strip()}
-    return {"case": case, **{kind: dict(getattr(outcome, kind)) for kind in ("figures", "known", "skipped")}}
+    return {"case": case, **{kind: dict(getattr(outcome, kind)) for kind in ("figures", "known")}}
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """A simulated device in its own process, with a line that fails on command and a witness file that outlives it.
 
-The device writes the witness, a small file that every process can read, at every tick: its current, its latched fault
-and its losses. So a test can check what the device did when no frame can report it.
+The device writes the witness, a small file that every process can read, at every tick: its current and its latched
+fault. So a test can check what the device did when no frame can report it.
 
 The result does not depend on the load of this machine: the device's time stops while its process or its host gets no
 processor (`PatientClock`, `FaultyPort`), and the host has longer timeouts for samples and replies
@@ -63,17 +63,11 @@ WITNESS = np.dtype(
         ("ticks", "<i8"),
         ("running", "<i8"),  # ticks in RUNNING
         ("current", "<i8"),  # active (quanta)
-        ("peak", "<i8"),  # largest current so far, either way
         ("rises", "<i8"),  # ticks of a ramp in which the current rose
         ("state", "<i8"),
         ("fault", "<i8"),
         ("first_fault", "<i8"),  # the first one ever
         ("acted", "<i8"),  # faults of the line that have struck
-        # what the device's end of the protocol counted
-        ("lost", "<i8"),
-        ("bad_frames", "<i8"),
-        ("duplicated", "<i8"),
-        ("reordered", "<i8"),
     ]
 )
 
@@ -135,14 +129,13 @@ class Witness:
         self._witness = witness
         self._script = script
         self._struck = False
-        self.ticks = self.running = self.peak = self.rises = 0
+        self.ticks = self.running = self.rises = 0
         self._first_fault = Fault.NONE
 
-    def see_tick(self, state: State, current: int, fault: Fault) -> None:
+    def see_tick(self, state: State, fault: Fault) -> None:
         """Count a tick that has passed, and inject the fault when it is due."""
         self.ticks += 1
         self.running += state is State.RUNNING
-        self.peak = max(self.peak, abs(current))
         self._first_fault = self._first_fault or fault
         script, device = self._script, self._device
         if self._struck or self.running <= script.after:
@@ -153,14 +146,11 @@ class Witness:
         elif script.fault:
             device.inject_fault(script.fault)
 
-    def write(self, state: State, current: int, fault: Fault, statistics: Any) -> None:
+    def write(self, state: State, current: int, fault: Fault) -> None:
         """Write the present values to the shared record."""
         w = self._witness[0]
-        w["running"], w["peak"], w["rises"] = self.running, self.peak, self.rises
+        w["running"], w["rises"] = self.running, self.rises
         w["current"], w["state"], w["fault"], w["first_fault"] = current, state, fault, self._first_fault
-        w["lost"] = statistics.lost
-        w["bad_frames"] = statistics.crc_errors + statistics.framing_errors + statistics.malformed
-        w["duplicated"], w["reordered"] = statistics.duplicated, statistics.reordered
         w["ticks"] = self.ticks
 
 
@@ -176,8 +166,8 @@ class WatchedDevice(SimulatedDevice):
         sent = super().tick()
         if self.board.rules[AT.ramping] and abs(self.current) > before:
             self.witness.rises += 1
-        self.witness.see_tick(self.connection.state, self.current, self.fault)
-        self.witness.write(self.connection.state, self.current, self.fault, self.connection.statistics)
+        self.witness.see_tick(self.connection.state, self.fault)
+        self.witness.write(self.connection.state, self.current, self.fault)
         return sent
 
 
@@ -192,8 +182,8 @@ class WatchedFirmware(FirmwareDevice):
         before = self.time
         super().passed(world)
         if self.time != before:  # one tick, as asked
-            self.witness.see_tick(self.state, self.current, self.fault)
-            self.witness.write(self.state, self.current, self.fault, self.status.counters)
+            self.witness.see_tick(self.state, self.fault)
+            self.witness.write(self.state, self.current, self.fault)
 
 
 class FaultyPort:

@@ -1,6 +1,5 @@
 """Wall changes while the law runs on the compiled firmware: device and host switch at the same sample."""
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -133,19 +132,6 @@ def test_walls_change_on_both_sides_at_one_sample(estimator: str) -> None:
         assert rows["penetration"][change["tick"]] <= 0.0
     there = device_law.rendered_wall(session.host.active_parameters(), session.bundle)
     assert there.stiffness == pytest.approx([first, second, *third][-1]["parameters"][0], rel=1e-7)
-
-
-def test_a_device_that_took_a_wall_is_configured_again() -> None:
-    """The host tracks parameters that a loop changed, and does not mistake them for a restart of the device."""
-    session = Session("fdm-butterworth-fixed", {HOMING: 500.0})
-    session.run()
-    session.host._dictionary = replace(session.host.dictionary, simulated=False)
-    before = session.echo.values
-    assert session.host.active_parameters()["fixed_stiffness"] != before["fixed_stiffness"]
-    assert (
-        session.host.configure(before | {"verified": 1}).values["fixed_stiffness"]
-        == before["fixed_stiffness"]
-    )
 
 
 @pytest.mark.exhaustive("::test_walls_change_on_both_sides_at_one_sample")
