@@ -417,6 +417,20 @@ def test_a_current_that_is_no_number_is_a_fault(library: ctypes.CDLL) -> None:
     assert board.samples[-1].count == step % 2  # of the tick that caused it
 
 
+def test_a_law_begins_anew_in_each_session(library: ctypes.CDLL, law: LawLibrary) -> None:
+    p = push(trial_ticks=20)
+    board = Board(library).begin(**run_values(p))
+    for _ in range(3):
+        board.frames.clear()
+        board.run([0] * 40)
+        assert board.states[-1].phase == Phase.DONE
+        board.disarm()
+        assert resulting_currents(board.samples) == expected(law, p, board.samples)[:-1]
+        assert board.arm().status == Status.OK
+        board.tick()
+        assert board.states[-1].phase == Phase.WAIT
+
+
 def test_without_a_law_supervision_gives_no_current(library: ctypes.CDLL) -> None:
     board = Board(library).begin(law=0)
     board.run([500] * 100)
@@ -617,14 +631,19 @@ def test_a_fault_in_the_middle_of_a_change_leaves_the_old_wall(library: ctypes.C
     assert bytes(law_of(board)) == before
 
 
-def test_a_host_that_does_not_wait_finds_the_change_done(library: ctypes.CDLL) -> None:
-    board = Slow(library).begin(**run_values(push()))
-    board.run([0] * 5)
-    board.begin_change(fixed_surface=95 * 256)
+def test_a_request_in_the_same_bytes_finds_the_change_done(library: ctypes.CDLL) -> None:
+    board = Board(library).begin(**run_values(push()))
     board.nonce += 1
-    answers = board.take(board.core.receive(board.host.send(m.GetParameters(board.nonce, 0))))
-    assert [type(answer) for answer in answers] == [m.Ack, m.Parameters]
-    assert answers[0].crc == answers[1].crc  # type: ignore[attr-defined]
+    *messages, commit = set_parameters(encode_block({"fixed_surface": 95 * 256}), board.nonce)
+    for message in messages:
+        assert board.ask(message).status == Status.OK
+    question = m.GetParameters(board.nonce + 1, 0)
+    data = board.host.send(commit) + board.host.send(question)
+    assert library.host_poll(board.core.address, data, len(data)) == len(data)
+    ack, page = board.take(board.core.take())
+    assert isinstance(ack, m.Ack)
+    assert isinstance(page, m.Parameters)
+    assert (ack.status, ack.crc) == (Status.OK, page.crc)
 
 
 def test_a_reset_forgets_a_change(library: ctypes.CDLL) -> None:
