@@ -65,10 +65,6 @@ def test_an_unknown_type_is_the_peers_fault() -> None:
         unpack(HEADER.pack(m.MAJOR, 0x7E, 0, 0, 0))
 
 
-def test_the_header_has_the_size_that_framing_counts_with() -> None:
-    assert HEADER.size == HEADER_BYTES
-
-
 def test_identify_and_identity_are_fixed_for_ever() -> None:
     # If this test fails the change is wrong, not the test: any host can ask any device, whose major is the first byte.
     assert pack(m.Identify(0x1234, 0x5678)) == bytes([m.MAJOR]) + bytes.fromhex("0000000000 3412 7856")

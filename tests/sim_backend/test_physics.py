@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from rig.core.model import RigModel, Simulation, state_space
 from rig.core.operators import GRIPS
 from sim_backend.mechanics.plant import DiscretePlant, advance, energy
 from tests.sim_backend.test_plant import FRICTIONLESS, LINEAR, ROTARY, run, with_mechanics
-
-Rows = NDArray[np.float64]
 
 CAPSTAN = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
 RELAXED, NORMAL = GRIPS["relaxed"], GRIPS["normal"]
@@ -87,50 +84,6 @@ def test_without_any_damping_the_energy_of_a_held_rig_stays(rig: RigModel) -> No
 
 
 # Friction
-
-
-def test_a_mass_on_a_moving_spring_sticks_and_slips_as_the_closed_form_says() -> None:
-    """The far end of a spring moves at V, then back; F is the friction.
-
-    The mass sticks until the spring pulls with F, slides by x = V τ − V/ω · sin ω τ, and rests after one period. After
-    the reversal it sticks until the spring force has changed by 2 F.
-    """
-    mass, stiffness, coulomb, speed = 0.52, 400.0, 0.2, 0.01
-    omega = math.sqrt(stiffness / mass)
-    tick_s = 2 * math.pi / omega / 2000  # one slide takes 2000 ticks
-    moving_end = replace(  # so heavy that nothing changes its motion
-        NORMAL, pads_mass=0.0, pads_stiffness=stiffness, pads_damping=0.0,
-        hand_mass=1e12, hand_stiffness=0.0, hand_damping=0.0,
-    )  # fmt: skip
-    plant = DiscretePlant.build(changed(LINEAR, motor_coulomb=coulomb).held_by(moving_end, None), tick_s)
-    assert plant.hand_position is not None
-    state = plant.at_rest(0.0)
-    x, hand = plant.sensed_position, plant.hand_position
-
-    state[hand + 1] = speed
-    loading = coulomb / (stiffness * speed) / tick_s  # ticks
-    rows = run(plant, math.floor(loading) + 2000, state=state)
-    stuck = rows[: math.floor(loading) - 1, x]
-    assert not stuck.any(), "stuck means stuck, to the last bit"
-
-    def slid(ticks: Rows) -> Rows:
-        t = ticks * tick_s
-        return speed * t - speed / omega * np.sin(omega * t)
-
-    times = np.arange(1, len(rows) + 1) - loading
-    sliding = times > 0.0
-    scale = speed * 2 * math.pi / omega
-    assert rows[sliding, x] == pytest.approx(slid(times[sliding]), abs=1e-5 * scale)
-
-    rest = state[x]
-    state[hand + 1] = -speed
-    rows = run(plant, math.floor(2 * loading) + 2000, state=state)
-    stuck = rows[20 : math.floor(2 * loading) - 20, x]
-    assert len(stuck) > 500
-    assert (stuck == stuck[0]).all()
-    times = np.arange(1, len(rows) + 1) - 2 * loading
-    sliding = times > 0.0
-    assert rows[sliding, x] - rest == pytest.approx(-slid(times[sliding]), abs=1e-3 * scale)
 
 
 @pytest.mark.parametrize("rig", [LINEAR, CAPSTAN], ids=["rigid", "two-mass"])

@@ -4,7 +4,6 @@ import ctypes
 import math
 import subprocess
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -168,32 +167,6 @@ def test_the_inner_step_divides_the_tick_and_is_never_longer_than_asked() -> Non
         assert steps == 1 or tick_s / (steps - 1) > 5e-5
 
 
-def test_two_masses_ring_at_the_free_free_mode_of_the_capstan_and_decay_with_its_damping_ratio() -> None:
-    rig = with_mechanics(ROTARY, motor_damping=0.0, link_damping=0.0, **FRICTIONLESS)
-    plant = DiscretePlant.build(rig, 1e-5)
-    state = plant.at_rest(0.0)
-    state[LINK] = 1e-3
-    rows = run(plant, 2000, state=state)
-    stretch = rows[:, LINK] - rows[:, MOTOR]
-    rising = np.flatnonzero((stretch[:-1] < 0) & (stretch[1:] >= 0))
-    crossings = rising - stretch[rising] / (stretch[rising + 1] - stretch[rising])
-    period_s = 1e-5 * np.diff(crossings).mean()
-    assert 1.0 / period_s == pytest.approx(586.0, rel=3e-3)
-    peaks = [stretch[a:b].max() for a, b in pairwise(rising)]
-    decrement = math.log(peaks[0] / peaks[-1]) / (len(peaks) - 1)
-    assert decrement == pytest.approx(2 * math.pi * 0.035 / math.sqrt(1 - 0.035**2), rel=2e-3)
-
-
-def test_a_linear_and_a_rotary_rig_of_equal_numbers_move_alike_to_the_last_bit() -> None:
-    rotary = with_mechanics(ROTARY, handle_radius=1.0)
-    linear = replace(rotary, motion="linear", encoder=Encoder(quantum=rotary.encoder.resolution))
-    ends = []
-    for rig in (rotary, linear):
-        plant = DiscretePlant.build(rig, TICK_S)
-        ends.append(run(plant, 500, state=plant.at_rest(0.0), command=0.3, external=-0.1).tobytes())
-    assert ends[0] == ends[1]
-
-
 # Amplifier -------------------------------------------------------------------------------------------------------
 
 
@@ -302,7 +275,7 @@ def test_a_push_above_the_friction_level_accelerates_by_the_difference() -> None
     assert rows[-1, :2] == pytest.approx([acceleration * t**2 / 2, acceleration * t], rel=1e-12)
 
 
-@given(speed=st.floats(1e-4, 1.0), push=st.floats(-0.15, 0.15, allow_subnormal=False))
+@given(speed=st.floats(1e-4, 0.3), push=st.floats(-0.1, 0.1, allow_subnormal=False))
 @settings(max_examples=10)
 def test_a_sliding_mass_stops_when_and_where_constant_deceleration_says(speed: float, push: float) -> None:
     coulomb, mass, step_s = 0.19, 0.52, 1e-3

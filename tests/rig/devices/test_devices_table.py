@@ -211,21 +211,24 @@ def test_a_device_is_built_before_its_scheduling(monkeypatch: pytest.MonkeyPatch
     assert happened == ["made", "scheduled", "port", "served"]
 
 
-def test_a_device_process_imports_nothing_from_the_working_directory_and_ends_with_its_context(
+def test_a_device_process_is_that_of_its_url_and_ends_with_its_context(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C reaches a whole process group: inside it the device would end before its host."""
+    """It imports nothing from the working directory. Inside the host's group Ctrl-C would end it before its host."""
+    need_compiler()
     monkeypatch.chdir(tmp_path)
     for name in ("json", "pickle", "socket", "signal"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(77)")
     before = set(children())
-    with local.serve_locally("sim://chawda-linear", config.rig_model(presets.load("koul-compliant"))) as url:
+    model = config.rig_model(presets.load("koul-compliant"))
+    with local.serve_locally("sim://chawda-linear?firmware=1", model) as url:
         (process,) = set(children()) - before
         assert os.getpgid(process) != os.getpgid(0)
         assert url.startswith("unix:///")
         with rig.devices.open_device(url) as device:
             assert device.dictionary.device == "chawda-linear"
             assert device.dictionary.simulated
+            assert device.dictionary.parameter("law").maximum == 2, "the firmware, as the URL says"
     assert process not in children()
     with pytest.raises(DeviceNotFoundError):
         rig.devices.open_device(url)
@@ -293,13 +296,3 @@ def test_a_map_of_a_simulated_device_asks_for_no_scheduling_when_the_experiment_
     with examined(OnDevice(url="sim://", recordings=tmp_path, realtime=True), experiment):
         pass
     assert served_options[0]["realtime"] == "off"
-
-
-def test_a_device_process_is_the_firmware_when_the_url_says_so() -> None:
-    need_compiler()
-    with (
-        local.serve_locally("sim://chawda-linear?firmware=1", rotary_rig()) as url,
-        rig.devices.open_device(url) as device,
-    ):
-        assert device.dictionary.device == "chawda-linear"
-        assert device.dictionary.parameter("law").maximum == 2

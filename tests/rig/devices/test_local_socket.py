@@ -52,6 +52,7 @@ def test_it_conforms_as_a_link(path: Path, tmp_path: Path) -> None:
 def test_after_a_lost_host_the_next_one_finds_link_lost_and_an_empty_line(path: Path) -> None:
     host = Host(opened(path))
     host.begin()
+    host.command(20)  # without one the device waits for half a second
     last = host.next_state()
     host.link.close()  # no STOP, no DISARM
     heir = Host(opened(path), first_nonce=500)
@@ -94,7 +95,7 @@ def test_a_loop_shares_the_processor_of_its_device_unless_the_user_names_another
 
 
 @pytest.mark.exhaustive(
-    "tests/rig/devices/test_devices_table.py::test_a_device_process_is_the_firmware_when_the_url_says_so"
+    "tests/rig/devices/test_devices_table.py::test_a_device_process_is_that_of_its_url_and_ends_with_its_context"
 )
 def test_a_plain_script_may_start_one(tmp_path: Path) -> None:
     """The script has no `if __name__ == "__main__"`: the child must not run it again."""

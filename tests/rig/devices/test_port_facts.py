@@ -173,13 +173,6 @@ def slave() -> Iterator[Any]:
     os.close(master)
 
 
-def test_a_pseudo_terminal_has_neither_modem_lines_nor_low_latency(slave: Any) -> None:
-    assert tty.low_latency(slave) is None
-    assert tty.set_low_latency(slave) is None
-    assert tty.dtr(slave) is None
-    assert tty.set_dtr_rts(slave, False) is None
-
-
 def test_settings_are_read_back_as_they_were_set(slave: Any) -> None:
     tty.configure(slave)
     assert tty.blocks_for_a_byte(slave)

@@ -900,7 +900,7 @@ def test_the_loop_needs_no_python_while_it_runs(wire: Any) -> None:
         sys.setswitchinterval(60.0)  # no thread is asked to release the GIL
         for k in range(2, 60):
             os.write(wire.theirs.fileno(), state_frame(k))
-        ctypes.PyDLL(None).usleep(300_000)
+        ctypes.PyDLL(None).usleep(150_000)
         stepped = memory.get(control_words.TICKS), memory.get(control_words.SKIPPED)
     finally:
         sys.setswitchinterval(interval)
@@ -913,7 +913,7 @@ def test_stopping_a_loop_in_real_time_ends_with_stops_on_the_wire(wire: Any) -> 
     thread, _ = start(wire)
     seen = []
     wire.theirs.send(state_frame(1))
-    threading.Timer(0.1, thread.stop).start()
+    threading.Timer(0.05, thread.stop).start()
     thread.wait(lambda done, phase: seen.append((done, phase)))
     thread.finish()
     assert thread.end().reason == EndReason.STOPPED
@@ -963,7 +963,7 @@ def waits_for_a_word(penetration: Any, velocity: Any, elapsed_ticks: Any, state:
 
 
 def test_a_run_ends_though_its_law_never_returns(wire: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.loop._run.JOIN_S", 0.2)
+    monkeypatch.setattr("rig.loop._run.JOIN_S", 0.05)
     words = np.zeros(2, np.int64)
     entered, freed = (int(words.ctypes.data) + 8 * place for place in range(2))
     law = Law("waits", "for this test", waits_for_a_word, 2, lambda wall: [float(entered), float(freed)])

@@ -12,11 +12,9 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -29,58 +27,17 @@ from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import Realtime, Rights, ThreadState, facts, obtained, refusals
 from rig.realtime.scheduling import _calls as calls
 from rig.realtime.scheduling import _memory as memory
+from tests.conformance.scheduled import (
+    CHILD_S,
+    Asked,
+    all_threads,
+    in_thread,
+    latency_requests,
+    locked,
+    state,
+)
 
-CHILD_S = 60.0
-PATIENCE_S = 5.0
 KIB = 1024
-
-
-@dataclass(frozen=True)
-class Asked:
-    """The part of `experiment.host` that scheduling reads."""
-
-    realtime: str = "try"
-    priority: int = 70
-    cpu: int | None = None
-
-
-def locked() -> int:
-    return facts.status_kilobytes("VmLck")
-
-
-def latency_requests() -> int:
-    held = 0
-    for name in os.listdir("/proc/self/fd"):
-        try:
-            held += os.readlink(f"/proc/self/fd/{name}") == "/dev/cpu_dma_latency"
-        except OSError:
-            continue
-    return held
-
-
-def all_threads() -> set[tuple[int, tuple[int, ...]]]:
-    found = set()
-    for task in map(int, os.listdir("/proc/self/task")):
-        with suppress(ProcessLookupError):  # a thread that was joined is still here for a moment
-            found.add((os.sched_getscheduler(task), tuple(sorted(os.sched_getaffinity(task)))))
-    return found
-
-
-def state() -> tuple[object, ...]:
-    return locked(), latency_requests(), ThreadState.here(), os.sched_getaffinity(os.getpid())
-
-
-def wait_for_state(before: object, now: Any) -> bool:
-    """Wait until the state equals `before`: a joined thread stays in /proc for a moment."""
-    deadline = time.monotonic() + PATIENCE_S
-    while now() != before and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return now() == before
-
-
-def in_thread(function: Any) -> Any:
-    with ThreadPoolExecutor(1) as fresh:
-        return fresh.submit(function).result(CHILD_S)
 
 
 @pytest.fixture(scope="module")
@@ -325,7 +282,7 @@ import json, os, resource, sys, threading
 from rig.core.errors import RealtimeError
 from rig.realtime.scheduling import _calls as calls, facts, obtained
 from rig.realtime.scheduling._thread import ThreadState
-from tests.rig.realtime.test_scheduling import Asked, all_threads, in_thread, wait_for_state, state
+from tests.conformance.scheduled import Asked, all_threads, in_thread, state, wait_for_state
 
 group, rtprio, memlock, user = json.loads(sys.argv[1])
 if group:
