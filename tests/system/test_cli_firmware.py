@@ -56,3 +56,11 @@ def test_an_image_is_built_and_inspected(run: Any, built_image: Any) -> None:
     assert all(
         words in out for words in ("mps2", "koul-rigid", built_image["dictionary_hash"], "compatible", "yes")
     )
+
+
+@pytest.mark.exhaustive("tests/firmware/test_build.py::test_unknown_boards_and_settings_are_refused")
+def test_a_setting_that_the_board_cannot_have_is_refused_by_name(run: Any) -> None:
+    cross.need_compiler()
+    code, _, err = run("firmware", "build", "--set", "enable_pin=2")
+    assert code == 2
+    assert "encoder_pin and enable_pin of board rp2040 both use pin 2" in err

@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 SHORT = ("--periods", "2", "--realisations", "2", "--set", "excitation.settle_periods=1")
 
 
@@ -37,6 +39,31 @@ def test_the_exit_code_reports_whether_the_rig_is_passive(run: Any) -> None:
     assert code == 17
     assert "every line" in out
     assert "is passive, expected not-passive; look at the frequencies of this wall in the table" in err
+
+
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
+def test_welch_and_schroeder_by_the_papers_way(run: Any) -> None:
+    code, out, _ = run(
+        "impedance", "measure", "--bare", "--method", "welch", "--kind", "schroeder", "--json", "--no-plot"
+    )
+    assert code == 0
+    (only,) = json.loads(out)["results"]
+    assert only["method"] == "welch"
+    assert only["excitation"]["realisations"] == 1
+    assert only["fitted"]["values"]["inertia"] == pytest.approx(0.52, rel=0.05)
+
+
+@pytest.mark.exhaustive("tests/system/test_commands.py::test_a_good_run_ends_with_0_as_json_and_as_text")
+def test_over_the_link_the_rigs_motor_excites_and_every_run_is_recorded(run: Any, tmp_path: Path) -> None:
+    code, out, _ = run("impedance", "measure", "--url", "sim://", *SHORT, "-K", "10000", "-B", "20")
+    assert code == 0
+    assert "K = 10000 N/m" in out
+    (place,) = (tmp_path / "impedances").iterdir()
+    recordings = [file for file in place.glob("*.parquet") if file.name != "impedance.parquet"]
+    assert len(recordings) == 2
+    summary = json.loads((place / "impedance.json").read_text())["results"][0]
+    assert summary["excitation"]["channel"] == "motor"
+    assert sorted(summary["recordings"]) == sorted(str(file.relative_to(tmp_path)) for file in recordings)
 
 
 def test_a_wall_that_ends_every_run_gives_an_exit_code(run: Any) -> None:

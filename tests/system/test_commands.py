@@ -161,11 +161,12 @@ ROWS = (
         "evaluations toml", "within 10 %", (
         ("fdm", 2, "no tunable setting"), ("fdm-butterworth --rate 1k,2k", 2, "expected a single rate"),
         ("fdm-butterworth --objective beauty", 2, "choose one of"), ("fdm-butterworth -o mine.toml", 2, "exists"),
+        (f"fdm-butterworth {NO_FILE}", 9, NO_FILE),
     ), "fdm-butterworth-tuned.toml"),
     Row("estimators export", "kalman:gain=steady --rig koul-rigid --no-costs --overwrite",
         "estimator settings rig velocity_rate_hz resolution unit motion samples tolerance costs "
         "cost_unknown header test arithmetic", "kalman",
-        (("period --rig koul-rigid", 2, "cannot be exported as C"),), "kalman.h"),
+        (("period --rig koul-rigid", 2, "cannot be exported as C"), (f"fdm {NO_FILE}", 9, NO_FILE)), "kalman.h"),
     Row("estimators lipschitz", "hit.parquet",
         "lipschitz residual_rms offset frequencies_hz amplitudes phases lipschitz_with_one_more_sine", "use it",
         ((NO_FILE, 9, NO_FILE),)),

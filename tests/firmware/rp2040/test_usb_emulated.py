@@ -83,6 +83,13 @@ def test_its_serial_number_is_that_of_its_flash_or_else_of_its_build(built: Buil
     assert serial.lower() == (flash if len(set(flash)) > 1 else built.dictionary_hash)
 
 
+@pytest.mark.parametrize("pipe", [RIG, PORT])
+def test_reply_comes_on_the_pipe_of_the_request(pico: emulator.Pico, pipe: int) -> None:
+    line = UsbLine(pico, pipe)
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
+
+
 def test_after_a_fault_on_the_serial_line_it_answers_by_usb(powered: Callable[..., Session]) -> None:
     session = powered()
     session.configure(position_rate=5_000)
@@ -109,6 +116,15 @@ def test_both_links_take_turns_in_one_memory(powered: Callable[..., Session]) ->
         session.listen(0.02)
     counted = session.host.connection.statistics
     assert counted.crc_errors == 0
+
+
+def test_device_refuses_unknown_requests_and_continues(pico: emulator.Pico) -> None:
+    line = UsbLine(pico)
+    assert line.control(0x80, 6, 0x600, 0, 10)[0] == STALL
+    assert line.control(0xC0, 0x77)[0] == STALL
+    assert line.control(0xC0, 0x20, 0, 7)[0] == 0
+    line.send(Connection(Role.HOST).send(IDENTIFY))
+    assert isinstance(answer_of(line.run(5_000.0)), m.Identity)
 
 
 def test_a_transfer_that_is_withdrawn_at_any_time_ends_once(pico: emulator.Pico) -> None:
