@@ -78,7 +78,6 @@ class Worker:
         return answer
 
     def close(self) -> None:
-        """End the process and everything that it started."""
         self._context.__exit__(None, None, None)
         self._stderr.close()
         self._place.cleanup()

@@ -58,7 +58,6 @@ class Area(Protocol):
 
 
 def chance_of(seed: int, area: str, case: int) -> random.Random:
-    """Return the random generator of a case."""
     return random.Random(f"{seed}/{area}/{case}")
 
 

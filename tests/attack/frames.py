@@ -44,7 +44,6 @@ def any_message(chance: random.Random, classes: Sequence[type[Message]]) -> Mess
 
 
 def frame_of(message: Message, session: int, sequence: int, major: int = m.MAJOR, flags: int = 0) -> bytes:
-    """Return the encoded frame of a message."""
     layout = LAYOUT_OF[type(message)]
     return encode_frame(HEADER.pack(major, layout.type_id, flags, session, sequence) + layout.pack(message))
 

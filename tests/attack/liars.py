@@ -172,7 +172,6 @@ class Liar(SimulatedDevice):
 
     @property
     def lie_count(self) -> int:
-        """The number of false messages sent so far."""
         return self._lies
 
     def tick(self) -> bytes:

@@ -93,7 +93,6 @@ class Talk(Pair):
         return answers
 
     def deliver(self, data: bytes) -> None:
-        """Deliver bytes to the host and read all its events."""
         host = self.host
         host.receive_data(data)
         while True:

@@ -18,7 +18,6 @@ class AreaReport:
     failures: dict[int, str] = field(default_factory=dict)  # case → what
 
     def add(self, answer: dict[str, Any]) -> None:
-        """Add the result of a case."""
         self.tries += 1
         for kind in ("figures", "known"):
             getattr(self, kind).update(answer.get(kind, {}))
@@ -36,13 +35,11 @@ class AreaReport:
         return found
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the report as plain data for JSON."""
         # asdict() breaks a Counter's names.
         named = {one.name: getattr(self, one.name) for one in fields(self)}
         return {**named, "shares": self.shares()}
 
     def lines(self, name: str, seed: int) -> list[str]:
-        """Return the report as lines of text."""
         sums = ", ".join(
             f"{value:,} {what.replace('_', ' ')}" for what, value in sorted(self.figures.items())
         )

@@ -226,13 +226,11 @@ class BatchDevice:
         self._arrive(encode_frame(pack(message, session=self.session)))
 
     def commands(self) -> list[m.Command]:
-        """The COMMANDs received, in order."""
         return [message for _, message in self.received if isinstance(message, m.Command)]
 
     def failure(self) -> None:
         """Implement `rig.devices.device.Link.failure`: this link never fails."""
 
     def port(self) -> LoopPort:
-        """Return the loop's port onto this device."""
         plugs = callback_plugs(read=self._read, write=self._write, wait=self._wait)
         return LoopPort.on(self.clock, **plugs._asdict())

@@ -118,18 +118,15 @@ class Moteus:
         self.found = replace(find_moteus(self.drive, model), switches=moteus.switches_of(switches))
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
-        """Return the adapter of the line: CAN-FD or UART."""
         return SocketCan(fd=True, padding=NOP) if socket else Uart()
 
     def register(self, number: int) -> float:
-        """Return a register, read as float."""
         (answer,) = self.drive.receive(Frame(0xFF00 | 1, bytes((0x1D, number))))
         (value,) = struct.unpack_from("<f", answer.data, 2)
         return float(value)
 
     @property
     def mode(self) -> int:
-        """The mode of the drive."""
         return round(self.register(0x000))
 
     @property
@@ -155,17 +152,14 @@ class Odrive:
         self.found = find_odrive(self.drive, model)
 
     def adapter(self, socket: bool) -> SimulatedAdapter:
-        """Return the adapter of the line: a CAN bus."""
         return SocketCan()
 
     def ask(self, command: CanSimpleCommand, form: str) -> tuple[Any, ...]:
-        """Request a message and return its fields."""
         (answer,) = self.drive.receive(Frame(command, b"", remote=True))
         return struct.unpack("<" + form, answer.data)
 
     @property
     def mode(self) -> int:
-        """The state of the axis."""
         return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
@@ -254,7 +248,6 @@ class Bridged:
             self._to_drive(self.bridge.receive_host(data, self._now))
 
     def port(self) -> LoopPort:
-        """Return the loop's port with callbacks into this object."""
         plugs = callback_plugs(read=self._read_now, write=self.write, wait=self._wait, failed=self._failed)
         return LoopPort.on(self.clock, **plugs._asdict())
 
@@ -364,7 +357,6 @@ class Bridged:
 
     @property
     def mode(self) -> int:
-        """The mode of the drive."""
         return self.far.mode
 
     @property

@@ -47,7 +47,6 @@ class Census:
 
     @classmethod
     def of_self(cls) -> Census:
-        """Read the resources of this process."""
         import resource  # noqa: PLC0415
 
         return cls(

@@ -41,7 +41,6 @@ class Moteus:
         self.drive = SimulatedMoteus(model or drive_rig(), MoteusOptions(settings=settings or {}, **options))
 
     def wait(self, seconds: float) -> None:
-        """Advance the drive's time."""
         self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, data: bytes, identifier: int = 0x8001) -> bytes | None:
@@ -102,7 +101,6 @@ class Odrive:
         self.drive = SimulatedOdrive(model or drive_rig(), OdriveOptions(settings=settings or {}, **options))
 
     def wait(self, seconds: float) -> list[Frame]:
-        """Advance the drive's time; return the frames that it sent."""
         return self.drive.run(self.drive.ticks + round(seconds * self.drive.rate_hz))
 
     def send(self, command: CanSimpleCommand, form: str = "", *values: float) -> list[Frame]:
@@ -122,7 +120,6 @@ class Odrive:
 
     @property
     def state(self) -> int:
-        """The state of the axis."""
         return int(self.ask(CanSimpleCommand.HEARTBEAT, "IBBBx")[1])
 
     @property
@@ -168,7 +165,6 @@ class Wire:
         self.sent.append((self.now, frames))
 
     def unplug(self) -> None:
-        """Mark the line as unplugged."""
         self.pulled = True
 
 

@@ -61,7 +61,6 @@ def grid() -> list[tuple[str, int, float]]:
 
 
 def row_of(found: Score, tuned: str | None) -> Row:
-    """Return a score as a row of the table."""
     row: Row = {
         "estimator": found.estimator,
         "case": found.case,
@@ -92,7 +91,6 @@ def measure(name: str) -> list[Row]:
 
 
 def make_table(names: Sequence[str]) -> dict[str, Any]:
-    """Measure all rows anew."""
     case = case_of(HIT, COST_RATE, FINE)
     rows = []
     for name in names:
@@ -109,7 +107,6 @@ def make_table(names: Sequence[str]) -> dict[str, Any]:
 
 
 def read_table() -> dict[str, Any]:
-    """Return the committed table."""
     return dict(json.loads(TABLE.read_text(encoding="utf-8")))
 
 

@@ -147,7 +147,6 @@ class Witness:
             device.inject_fault(script.fault)
 
     def write(self, state: State, current: int, fault: Fault) -> None:
-        """Write the present values to the shared record."""
         w = self._witness[0]
         w["running"], w["rises"] = self.running, self.rises
         w["current"], w["state"], w["fault"], w["first_fault"] = current, state, fault, self._first_fault
@@ -235,7 +234,6 @@ class FaultyPort:
         return data
 
     def write(self, frames: bytes) -> None:
-        """Write as `DevicePort.write` does, through the faulty line."""
         if not self._gone:
             self._port.write(self._passed(frames))
 
@@ -276,7 +274,6 @@ class PluggedPort:
         self._received = b""
 
     def loop_port(self) -> LoopPort:
-        """Return the loop port."""
         plugs = callback_plugs(read=self._read, write=self._port.write, wait=self._wait)
         return self._clock.loop_port(**plugs._asdict())
 
@@ -404,7 +401,6 @@ class FarEnd:
         os.kill(self.process.pid, signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Continue the stopped process."""
         os.kill(self.process.pid, signal.SIGCONT)
 
     def kill(self) -> None:
@@ -430,7 +426,6 @@ class FarEnd:
         assert self["rises"] == 0, "a ramp only falls"
 
     def close(self) -> None:
-        """End the process."""
         if self.process.is_alive():
             self.resume()
             self.process.terminate()
@@ -474,7 +469,6 @@ class HostProcess:
             return "killed"
 
     def close(self) -> None:
-        """Kill the process if it still runs."""
         if self.process.is_alive():
             self.process.kill()
             self.process.join(WAIT_S)

@@ -101,7 +101,6 @@ class FarEnd(ABC):
         return self.host.arm(self.next_session(), ack.crc)
 
     def next_session(self) -> int:
-        """Return the number of a new session."""
         self.session = self.session % 255 + 1
         return self.session
 
@@ -119,7 +118,6 @@ class FarEnd(ABC):
         assert self.effort() != 0.0
 
     def command(self, mode: int | None = None) -> None:
-        """Send a valid command."""
         mode = self.mode if mode is None else mode
         self.host.command(self.current, lifetime_us=self.lifetime_us, mode=mode)
 
@@ -155,12 +153,10 @@ class FarEnd(ABC):
         return encode_frame(pack(m.Command(**fields), session=of, sequence=sequence & _U16))
 
     def ticks_of(self, us: int) -> int:
-        """Convert microseconds to ticks."""
         return round(us * 1e-6 * self.rate)
 
     @property
     def state(self) -> m.State:
-        """The newest STATE."""
         return self.host.states[-1]
 
 
@@ -387,14 +383,12 @@ BESIDE = "invalid frames beside commands"
 
 
 def faults_of(far_end: FarEnd) -> list[str]:
-    """Return the names of all faults that a device can have."""
     held = type(far_end).hold is not FarEnd.hold
     ends = [name for name in ENDS if held or name != "hold-to-run is released"]
     return [*INEFFECTIVE, BESIDE, *ends, *far_end.strikes]
 
 
 def check_fault(make_far_end: MakeFarEnd, name: str) -> None:
-    """Check one fault of `faults_of`."""
     if name in INEFFECTIVE:
         check_ineffective(make_far_end, name)
     elif name == BESIDE:

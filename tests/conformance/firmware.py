@@ -8,7 +8,6 @@ from sim_backend.board import firmware_library, make_device
 
 
 def need_compiler() -> None:
-    """Skip the test without a C compiler."""
     try:
         firmware_library.FIRMWARE.compiler()
     except ConfigError:

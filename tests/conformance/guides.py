@@ -23,7 +23,6 @@ class Block:
     file: str = ""
 
     def commands(self) -> list[str]:
-        """Return the shell commands of the block."""
         return [line for line in self.text.splitlines() if line.strip()] if self.language == "sh" else []
 
 
@@ -41,12 +40,10 @@ def blocks(page: Path) -> list[Block]:
 
 
 def examples(guide: Path) -> list[str]:
-    """Return the Python examples of a guide."""
     return _EXAMPLE.findall(guide.read_text(encoding="utf-8"))
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 

@@ -58,12 +58,10 @@ class Host:
             yield event
 
     def ask(self, message: Message, session: int | None = None) -> Any:
-        """Send a request and return its reply."""
         self.send(message, session)
         return self.answer(message.nonce)  # type: ignore[attr-defined]
 
     def answer(self, nonce: int) -> Any:
-        """Wait for the reply with a nonce."""
         deadline_ns = self.link.clock.now_ns() + round(ANSWER_S * 1e9)
         while self.link.clock.now_ns() < deadline_ns:
             for event in self.events(0.01):
@@ -90,7 +88,6 @@ class Host:
         return _dictionaries.setdefault(self.hash, dictionary.decode(reader.content))
 
     def parameters(self) -> bytes:
-        """Read the active parameter block."""
         reader = transfer.PageReader(0xFFFF)
         while not reader.complete:
             page = self.ask(m.GetParameters(self.nonce(), reader.offset))
@@ -106,7 +103,6 @@ class Host:
         return ack
 
     def configure(self, **values: Value) -> m.Ack:
-        """Set parameters and activate them."""
         return self.set_block(encode_block(values))
 
     def arm(self, session: int, crc: int) -> m.Ack:
@@ -120,7 +116,6 @@ class Host:
                 pass
 
     def disarm(self, clear_fault: bool = False) -> m.Ack:
-        """Send DISARM, with or without CLEAR_FAULT."""
         ack: m.Ack = self.ask(m.Disarm(self.nonce(), int(m.DisarmFlag.CLEAR_FAULT) if clear_fault else 0))
         return ack
 
@@ -129,7 +124,6 @@ class Host:
         self.connection.state = state
 
     def begin(self, session: int = 1, **values: Value) -> None:
-        """Identify, configure and arm the device."""
         self.identify()
         ack = self.configure(**{**RUN_PARAMETERS, **values})
         assert ack.status == 0, ack

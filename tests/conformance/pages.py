@@ -20,7 +20,6 @@ class ParsedPage(HTMLParser):
 
     @property
     def flat_text(self) -> str:
-        """The text of the page in one line."""
         return " ".join(self.text.split())
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:

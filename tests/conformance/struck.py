@@ -102,15 +102,12 @@ class StruckTrial:
 
     @property
     def recording(self) -> Any:
-        """The recording, read again."""
         return open_recording(self.path)
 
     @property
     def rows(self) -> Any:
-        """The ticks of the recording."""
         return self.recording.rows
 
     @property
     def counters(self) -> Any:
-        """The counters of the host."""
         return self.recording.trailer["counters"]

@@ -150,7 +150,6 @@ class Sitting:
                 return
 
     def observer(self, condition: str, damping: float, trial: int, shift: float = 0.0) -> Observer:
-        """Return the observer who judges this trial."""
         return Observer(
             threshold=self.person.threshold(condition, damping) + self.person.drift * trial + shift,
             spread=self.person.spread,
@@ -158,7 +157,6 @@ class Sitting:
         )
 
     def hit(self, wall: Presented) -> None:
-        """Log a hit as the rig would have measured it."""
         self.now[0] += 8.0
         invalid = self.drawn.random() < self.person.invalid
         observer = self.observer(wall.condition, wall.damping, wall.trial, self.person.automatic)
@@ -181,7 +179,6 @@ class Sitting:
         self.record("trial", **event_of(wall, hit))
 
     def verdict(self, trial: Any) -> str:
-        """Return the person's verdict on a trial."""
         if self.state.protocol.study.judge == "automatic":
             return "stable" if trial.passes["any"] else "buzz"
         if self.drawn.random() < self.person.unsure:

@@ -69,7 +69,6 @@ def raise_as_given(payload: Payload) -> int:
 
 
 def always_kill_the_worker(payload: Payload) -> None:
-    """Kill the worker process."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -85,7 +84,6 @@ def open_one_and_wait_for_another(payload: Payload) -> str:
 
 
 def wait_for_ever(payload: Payload) -> None:
-    """Never return a result."""
     threading.Event().wait()
 
 
@@ -98,7 +96,6 @@ def large(payload: Payload) -> str:
 
 
 def sines_of(number: int, **payload: Any) -> list[Task]:
-    """Return tasks of `sines`."""
     return [Task(f"seed {seed}", sines, {"seed": seed, **payload}) for seed in range(number)]
 
 

@@ -84,7 +84,6 @@ class Terminal:
         self.close()
 
     def close(self) -> None:
-        """Close all descriptors."""
         if self._closed:
             return
         self._closed = True
@@ -112,7 +111,6 @@ class Terminal:
         return Program(process, int(process.stderr.readline()), [writer])
 
     def type(self, keys: str) -> None:
-        """Send keys to the program."""
         self._typed = len(self.printed)
         os.write(self.master, keys.encode())
 
@@ -123,7 +121,6 @@ class Terminal:
 
     @property
     def bells(self) -> int:
-        """The number of rings of the bell."""
         return self.printed.count("\a")
 
     def wait(self, *texts: str, patience_s: float = PATIENCE_S) -> str:
@@ -141,7 +138,6 @@ class Terminal:
             return self.fresh
 
     def attributes_are_back(self) -> bool:
-        """Return True if the terminal has its original settings."""
         return termios.tcgetattr(self.slave) == self.before
 
     def _read(self) -> None:

@@ -75,5 +75,4 @@ def closure_of(module: str) -> frozenset[str]:
 
 
 def lines_of(module: str) -> int:
-    """Count the lines of a module."""
     return modules()[module].read_text(encoding="utf-8").count("\n")

@@ -88,7 +88,6 @@ class Walled:
 
     @property
     def state(self) -> m.State:
-        """The newest STATE."""
         return self.host.states[-1]
 
 

@@ -21,7 +21,6 @@ def integers_of(ctype: str) -> st.SearchStrategy[int]:
 
 @cache
 def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
-    """Return a strategy for all messages of a class."""
     parts = {
         name: st.binary(max_size=data_limit(cls)) if wire.ctype == "bytes" else integers_of(wire.ctype)
         for name, wire in wire_fields(cls).items()
@@ -31,12 +30,10 @@ def messages_of(cls: type[Message]) -> st.SearchStrategy[Message]:
 
 @cache
 def any_message() -> st.SearchStrategy[Message]:
-    """Return a strategy for all messages."""
     return st.sampled_from(sorted(MESSAGES)).flatmap(lambda type_id: messages_of(MESSAGES[type_id]))
 
 
 def values_of(parameter: Parameter) -> st.SearchStrategy[int | float]:
-    """Return a strategy for all values that a parameter accepts."""
     if parameter.ctype == "f32":
         return st.floats(parameter.minimum, parameter.maximum, width=32)
     return st.integers(int(parameter.minimum), int(parameter.maximum)).filter(parameter.accepts)

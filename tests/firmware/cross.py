@@ -25,7 +25,6 @@ PYTHON = ("firmware_protocol", "rig.firmware", "rig.config", "rig.core")  # what
 
 
 def need_compiler() -> None:
-    """Skip the test without a cross compiler and its C library."""
     if shutil.which(COMPILER) is None:
         pytest.skip(f"{COMPILER} is not installed (package gcc-arm-none-eabi)")
     if not _has_newlib():
@@ -53,7 +52,6 @@ def image(board: str, application: str = "device", rig: str = RIG) -> BuildResul
 
 
 def built(board: str, model: RigModel, application: str = "device", **settings: Any) -> BuildResult:
-    """Return an image, built at the first call."""
     need_compiler()
 
     def make(output: Path) -> None:

@@ -71,7 +71,6 @@ class Supervisor:
         raise NotImplementedError
 
     def tick(self) -> None:
-        """Advance by one period."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ the conversation
@@ -144,7 +143,6 @@ class Supervisor:
 
     @property
     def samples(self) -> list[Sample]:
-        """The samples of all BATCH frames so far."""
         return [sample for frame in self.frames for sample in frame.samples]
 
 

@@ -131,20 +131,17 @@ class InTheWall(Simulated):
         return {**PARAMETERS, **lifetimes, **self.changes}
 
     def push(self) -> None:
-        """Supervise until the wall pushes back."""
         while self.device.hardware.count <= 0 or self.device.current >= -20:
             assert self.device.sample_index < 2 * RATE, "the handle does not come to the wall"
             self.run(self.send_every)
 
     def run(self, ticks: int) -> None:
-        """Supervise for `ticks` ticks."""
         for _ in range(0, ticks, self.send_every):
             self.command()
             self._wait_until(self.link.clock.now_ns() + round(self.send_every * 1e9 / self.rate))
 
     @property
     def samples(self) -> list[Sample]:
-        """The samples of all BATCH frames so far."""
         batches = (message for message in self.received if isinstance(message, m.Batch))
         return [sample for batch in batches for sample in samples_of(batch)]
 

@@ -25,7 +25,6 @@ PENDING_BYTES = 8192
 
 
 def is_here() -> bool:
-    """Return True if this kernel has a virtual bus and gadgets."""
     return (CONFIGFS / "usb_gadget").exists() and any(CONTROLLERS.iterdir())
 
 
@@ -40,7 +39,6 @@ class AcmGadget:
         (self._directory / "UDC").write_text(self._controller)
 
     def pull(self) -> None:
-        """Unplug the gadget; may be called twice."""
         with contextlib.suppress(OSError):  # ENODEV: it is out
             (self._directory / "UDC").write_text("\n")
 

@@ -41,7 +41,6 @@ class PluggedPico:
 
 
 def port() -> Path | None:
-    """Return the virtio port of a board, or None."""
     for place in PORTS.glob("*"):
         if (place / "name").read_text().strip() == PORT:
             return Path("/dev") / place.name

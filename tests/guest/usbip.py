@@ -81,7 +81,6 @@ class Bus:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Unplug the device; may be called twice."""
         with self._lock:
             self._ending = True
         self._nudge()

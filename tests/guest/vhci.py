@@ -16,7 +16,6 @@ DEVICE_ID = 0x10001  # bus and number at the far end; any will do
 
 
 def is_here() -> bool:
-    """Return True if this kernel has vhci_hcd loaded."""
     return (CONTROLLER / "attach").exists()
 
 
@@ -40,7 +39,6 @@ def free_port() -> int:
 
 
 def wait_for_free(port: int) -> None:
-    """Wait until a port of the controller is free."""
     wait_until(
         f"port {port} is free",
         lambda: re.search(rf"^hs\s+0*{port}\s+0*{FREE}\s", (CONTROLLER / "status").read_text(), re.M),
@@ -48,7 +46,6 @@ def wait_for_free(port: int) -> None:
 
 
 def devices_with(serial: str) -> list[Path]:
-    """Return the sysfs directories of the devices with this serial number."""
     found = []
     for path in DEVICES.glob("*/serial"):
         try:

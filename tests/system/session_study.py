@@ -47,7 +47,6 @@ text = "How tired?"
 
 
 def written(directory: Path) -> Path:
-    """Write the protocol to a file and return its path."""
     path = directory / "quick.toml"
     path.write_text(PROTOCOL)
     return path

@@ -26,7 +26,6 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Rehearse the session of one participant and return the directory."""
     place = tmp_path_factory.mktemp("study")
     code = rig(
         ["session", "run", str(written(place)), "P01", "--rehearse", "--study", str(place / "all"), "--json"]

@@ -301,7 +301,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copied_files(made: Path, tmp_path: Path) -> None:
-    """Copy the files of `made` to the working directory."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
 
 

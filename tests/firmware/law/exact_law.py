@@ -104,7 +104,6 @@ class ExactLaw:
             self._enter(Phase.DONE)
 
     def _unlimited_effort(self, travel: int, depth: int, elapsed: int) -> Fraction:
-        """Return the unlimited effort (quanta)."""
         p, w = self.p, self.w
         if self.phase in (Phase.HOMING, Phase.SETTLE):
             self.setpoint += clamp(p.home_target - self.setpoint, p.home_step * min(elapsed, 65535))

@@ -32,7 +32,6 @@ def compile_law(output: Path, *options: str) -> Path:
 
 
 def kept_law(name: str, *options: str) -> Path:
-    """Return the cached output of `compile_law`."""
     read = content([*SOURCES.iterdir(), DRIVER])
 
     def make(output: Path) -> None:
@@ -190,7 +189,6 @@ class LawLibrary:
     def tick(
         self, state: ct.Structure, parameters: ct.Structure, count: int, elapsed: int = 1, active: int = 0
     ) -> ct.Structure:
-        """Run one tick and return its output."""
         sample = Input(count, elapsed, active)
         return self.so.law_tick(ct.byref(state), ct.byref(parameters), ct.byref(sample))
 

@@ -32,13 +32,11 @@ def experiment_of(
 
 
 def controller_of(experiment: Experiment, reference_count: int = 0) -> ControllerState:
-    """Return a new controller."""
     quantum = experiment.rig.amplifier.current_quantum_a
     return controller.for_experiment(experiment, current_quantum_a=quantum, reference_count=reference_count)
 
 
 def plant_of(experiment: Experiment) -> DiscretePlant:
-    """Return the rig, discretised at the experiment's tick."""
     return DiscretePlant.build(config.rig_model(experiment), 1.0 / experiment.controller.position_rate)
 
 

@@ -35,7 +35,6 @@ def delayed() -> tuple[RigModel, BuildResult]:
 
 @pytest.fixture(scope="session", autouse=True)
 def emulators() -> Iterator[None]:
-    """End the emulator processes after the tests."""
     yield
     emulator.end()
 

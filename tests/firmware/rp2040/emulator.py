@@ -105,7 +105,6 @@ class Ticks:
 
     @property
     def cycles(self) -> NDArray[np.int64]:
-        """The duration of the tick interrupt, from entry to return (cycles)."""
         return self.left - self.entered
 
     def __getitem__(self, which: Any) -> Ticks:
@@ -117,7 +116,6 @@ _idle: list[subprocess.Popen[str]] = []
 
 
 def _take_process() -> subprocess.Popen[str]:
-    """Return an idle emulator process, or a new one."""
     if _idle:
         return _idle.pop()
     return subprocess.Popen(

@@ -134,7 +134,6 @@ class Host:
         return data
 
     def control_out(self, kind: int, request: int, value: int = 0, index: int = 0, data: bytes = b"") -> None:
-        """Send a request with data to the device, or without."""
         assert not kind & IN
         self.setup(kind, request, value, index, len(data))
         self.toggles[0], self.toggles[IN] = 1, 1
