@@ -1,4 +1,4 @@
-"""Why does the disturbance observer gain less on koul-rigid than in a simulation by others? One change at a time.
+"""What limits the gain of the disturbance observer on koul-rigid? One change at a time.
 
     python -m tests.benchmarks.observer_gain            # the table; four minutes of one core
 

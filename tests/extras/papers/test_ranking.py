@@ -179,6 +179,8 @@ def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme
     wins = {pair for one in found for n in one.delays for pair in one.recommended(n) if is_new(pair)}
     listed = {name for name, _ in _listing._estimators(presets.load("chawda-linear"), 1000)}
     assert {pair.split(", ")[0] for pair in wins} == listed & {"tracking", "disturbance"}
+    assert {name for name in rule.ESTIMATORS if not is_new(name)} == listed & {*rule.ESTIMATORS}
+    assert is_new("disturbance-two-mass"), "an entry"
 
 
 def test_an_unknown_rig_is_refused() -> None:

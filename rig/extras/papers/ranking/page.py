@@ -14,7 +14,7 @@ from rig import config
 from rig.core.sample import unit_of
 from rig.extras.papers.ranking import rule
 from rig.extras.papers.ranking.compare import Ratio, RigResults, scores, stability
-from rig.extras.papers.ranking.rule import ESTIMATED, PASSIVE, PLAIN, Ground, Pair
+from rig.extras.papers.ranking.rule import PLAIN, Ground, Pair
 from rig.firmware.tick_budget import TICKS
 
 COMMAND = "rig estimators rank"
@@ -82,6 +82,8 @@ def _blocks(results: Sequence[RigResults]) -> Iterator[str]:
         ["rig", *(f"delay {delay}" for delay in delays)],
         ([result.rig, *(_recommendation(result, delay) for delay in delays)] for result in results),
     )
+    notes = [] if missing else NOTES.read_text(encoding="utf-8").strip().split("\n\n")
+    yield from notes[:1]
     yield _paragraph(
         "`rig design` may recommend a tracking loop, a disturbance observer or another law only where this table does: "
         + ("; ".join(sorted(new)) if new else "nowhere")
@@ -106,8 +108,7 @@ def _blocks(results: Sequence[RigResults]) -> Iterator[str]:
             for delay in delays
         ),
     )
-    if not missing:
-        yield NOTES.read_text(encoding="utf-8").strip()
+    yield from notes[1:]
     yield "## Tuned values, noise and cost"
     yield _paragraph(
         "Value of the tuned parameter, with * if the optimum is at the end of its grid; in brackets the rms velocity "
@@ -125,7 +126,7 @@ def _blocks(results: Sequence[RigResults]) -> Iterator[str]:
     yield from _rig_sections(results, delays)
     yield "## Your own entry"
     yield _paragraph(
-        "An estimator of your own needs a function and an entry point; see [your own "
+        "An estimator of your own needs a function and [an entry point](ranking-entries.md); see [your own "
         "estimator](../tutorials/own-estimator.md). This one is whole:"
     )
     yield "<!-- not run: the tutorial runs one -->\n" + ENTRY
@@ -168,9 +169,8 @@ def _rig_sections(results: Sequence[RigResults], delays: Sequence[str]) -> Itera
 
 
 def is_new(pair: str) -> bool:
-    """Return True for an estimator–law pair that `rig design` does not list: an observer, or no plain wall."""
-    name, *rest = pair.split(", ")
-    return name in ("tracking", "disturbance") or bool({PASSIVE, ESTIMATED} & set(rest))
+    """Return True for a pair that `rig design` does not list: an observer, an entry, or not a plain wall."""
+    return pair.removesuffix(", dual-rate") not in ("fdm", "fdm-butterworth", "foaw-best", "kalman", "levant")
 
 
 def _impact_sentence(result: RigResults) -> str:
