@@ -17,8 +17,8 @@ from rig.views.site import build_site
 def docs(opened: bool, strict: bool, directory: Path, as_json: bool) -> None:
     """Build the documents of this version as a site, and open it: tutorials, how-tos, reference, gallery.
 
-    Needs haptic-rig[docs] and no network. The gallery is executed, which takes a minute; unchanged examples are not
-    executed again.
+    Needs haptic-rig[docs] and no network; with haptic-rig[page] (411 MB) the first page also has a wall to touch. The
+    gallery is executed, which takes a minute.
     """
     output.note("building the documents …")
     built = build_site(directory, strict=strict)

@@ -56,6 +56,7 @@ def runnable_blocks(page: Path) -> list[Block]:
 
 
 LONG = {  # half a second and more
+    "explanation/linear-theory.md",
     "how-to/cluster.md",
     "how-to/device-loop.md",
     "first-walls.md",
