@@ -217,26 +217,6 @@ def test_the_frequency_of_the_mode_is_not_aliased_to_the_velocity_rate(scheme: s
     assert limit.frequency_hz == pytest.approx(628.2, rel=1e-3)
 
 
-def test_the_frequency_is_that_of_a_simulation() -> None:
-    """The oracle counts zero crossings of a wall just above its limit."""
-    limit = theory.k_max("koul-rigid", "dual:20k/2k", 0.3)
-    a, into = plant(RIGID)
-    phi, gamma = cont2discrete((a, into, np.eye(3), np.zeros((3, 1))), 5e-5)[:2]
-    ((b0, b1, b2, _, a1, a2),) = butter(2, 200.0, fs=2000, output="sos")
-    x, before, s1, s2, v, crossings = np.array([1e-3, 0.0, 0.0]), 1e-3, 0.0, 0.0, 0.0, []
-    for i in range(20_000):
-        if i % 10 == 0:
-            raw, before = (x[0] - before) * 2000.0, x[0]
-            v = b0 * raw + s1
-            s1, s2 = b1 * raw - a1 * v + s2, b2 * raw - a2 * v
-        after = phi @ x - gamma[:, 0] * (limit.stiffness * x[0] + 0.3 * v)
-        if x[0] < 0.0 <= after[0]:
-            crossings.append(i)
-        x = after
-    measured = 20_000 * (len(crossings[10:]) - 1) / (crossings[-1] - crossings[10])
-    assert limit.frequency_hz == pytest.approx(measured, rel=5e-3)
-
-
 def test_a_rig_may_be_a_name_a_file_an_experiment_or_a_model(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('preset = "koul-rigid"\n[wall]\nstiffness = 100.0\n')

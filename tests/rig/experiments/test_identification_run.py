@@ -43,7 +43,7 @@ CHAWDA, RIGID, COMPLIANT = (presets.load(name) for name in ("chawda-linear", "ko
 
 
 def identified(experiment: Any, directory: Any, **options: Any) -> Any:
-    given = {"realisations": 3, "seed": 1, **options}
+    given = {"realisations": 2, "seed": 1, **options}
     return rig.identify(experiment, output=directory, **given)
 
 
@@ -72,23 +72,6 @@ def test_chawda_linear_comes_out_within_a_per_cent(chawda: Any) -> None:
     assert chawda.dynamics.delay_s.value == pytest.approx(0.0, abs=2e-6)
     assert chawda.dynamics.mode is None
     assert np.median(chawda.dynamics.coherence) > 0.999
-
-
-@pytest.mark.exhaustive(
-    "tests/rig/analysis/test_identification_fits.py::test_two_masses_show_their_mode_and_how_the_inertia_splits"
-)
-def test_koul_compliant_shows_its_mode_and_how_its_inertia_splits(compliant: Any) -> None:
-    """The expected 587 Hz is the resonance of the free handle without the end mass."""
-    mode = compliant.dynamics.mode
-    assert mode is not None
-    assert mode.resonance_hz.value == pytest.approx(587.4, rel=0.005)
-    assert mode.antiresonance_hz.value == pytest.approx(192.4, rel=0.01)
-    assert compliant.dynamics.inertia.value == pytest.approx(1.77e-3, rel=0.01)
-    assert mode.motor_inertia.value == pytest.approx(1.9e-4, rel=0.02)
-    assert mode.stiffness.value == pytest.approx(2310.0, rel=0.02)
-    assert compliant.sliding.coulomb.value == pytest.approx(0.0067, rel=0.02)
-    assert compliant.sliding.damping.value == pytest.approx(0.0037, rel=0.05)
-    assert compliant.dynamics.delay_s.value == pytest.approx(1e-4, rel=0.05)
 
 
 @pytest.mark.parametrize(("experiment", "inertia"), first_by_default([(COMPLIANT, 1.77e-3), (RIGID, 3.2e-4)]))
@@ -377,7 +360,7 @@ def test_shares_that_one_sensor_cannot_separate_keep_the_described_proportion(co
 
 def test_every_motion_is_a_recording_with_its_kind_and_law(chawda: Any) -> None:
     assert {name: len(paths) for name, paths in chawda.recordings.items()} == {
-        "signs": 1, "sliding": 1, "dynamics": 3,
+        "signs": 1, "sliding": 1, "dynamics": 2,
     }  # fmt: skip
     laws = {"signs": "nudges", "sliding": "traced", "dynamics": "excited"}
     for name, paths in chawda.recordings.items():
