@@ -281,7 +281,7 @@ def random_rig(seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int = 20) -> list[list[Any]]:
+def stuck_records(rigs: list[dict[str, Any]], realisations: int, steps: int = 20) -> list[list[Any]]:
     """Return records of rigs with Coulomb friction and stepwise effort, integrated together in small steps."""
     mass, damping, coulomb, lag = (
         np.array([[one[key]] for one in rigs]) for key in ("mass", "damping", "coulomb", "lag")
@@ -317,14 +317,16 @@ def stuck_records(rigs: list[dict[str, Any]], realisations: int = 4, steps: int 
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("number", "at_least", "widest"), first_by_default([(1, 1, 0.005), (10, 9, 0.002)]))
+@pytest.mark.parametrize(
+    ("number", "realisations", "at_least", "widest"), first_by_default([(1, 3, 1, 0.005), (10, 4, 9, 0.002)])
+)
 def test_the_intervals_of_random_rigs_hold_inertia_delay_and_lag(
-    number: int, at_least: int, widest: float
+    number: int, realisations: int, at_least: int, widest: float
 ) -> None:
     """More in `tests.benchmarks.identified_intervals`."""
     rigs = [random_rig(seed) for seed in range(number)]
     held, widths = np.zeros(3), []
-    for one, runs in zip(rigs, stuck_records(rigs), strict=True):
+    for one, runs in zip(rigs, stuck_records(rigs, realisations), strict=True):
         sliding = known_sliding(one["coulomb"], one["damping"])
         found = fit_dynamics(
             runs, resolution=one["count"], inertia=0.5, sliding=sliding, damping=sliding.damping

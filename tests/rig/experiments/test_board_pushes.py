@@ -20,6 +20,7 @@ from rig.experiments.motion.pulse import PUSHES, pulse
 from rig.experiments.trials._identify_motions import PUSH_COUNTS, PUSH_S, REST_S, most_push, slow_rate, still
 from rig.experiments.trials.replay import replay
 from rig.recording.reader import open_recording
+from sim_backend.board.firmware import FirmwareDevice
 from sim_backend.ends.link import MemoryLink
 from tests.benchmarks.pulses import TickByTick
 from tests.conformance.firmware import need_compiler
@@ -103,7 +104,7 @@ def test_a_host_that_falls_silent_leaves_zero_effort_behind() -> None:
 
 
 def test_each_push_is_a_recording_that_replays_to_the_last_bit(tmp_path: Path) -> None:
-    host, _ = board()
+    host = FramedDevice(MemoryLink(FirmwareDevice(config.rig_model(still(X)), initial_position=AT)))
     found = pulse(host, X, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
     assert found.ok
     assert host.moved_as_described
@@ -122,7 +123,7 @@ def test_each_push_is_a_recording_that_replays_to_the_last_bit(tmp_path: Path) -
 def test_a_rig_that_hardly_rubs_rolls_out_before_the_next_push(tmp_path: Path) -> None:
     """The board has no brake, so only damping stops the handle; the measured rig must still match its description."""
     x = config.override(X, {"rig.mechanics.motor_coulomb": 0.0})
-    device = TickByTick(config.rig_model(still(x)), initial_position=AT)
+    device = FirmwareDevice(config.rig_model(still(x)), initial_position=AT)
     with FramedDevice(MemoryLink(device)) as host:
         found = pulse(host, x, recording=tmp_path / "pulse.rigcap", verified=True, reference_count=0)
     assert found.ok

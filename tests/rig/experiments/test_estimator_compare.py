@@ -297,7 +297,7 @@ def test_whole_numbers_are_tuned_as_whole_numbers() -> None:
 
 def test_a_setting_that_makes_no_difference_stays_where_it_was() -> None:
     """The window limit ends each chord before the band does, so the band has no effect and stays at 1."""
-    found = tune_estimator("foaw-end", hit(20_000, COARSE))
+    found = tune_estimator("foaw-end", hit(10_000, COARSE))
     assert list(found.settings) == ["window_limit"]
     assert {r.setting: (r.value, r.open_above) for r in found.ranges}["band"] == (1.0, True)
 

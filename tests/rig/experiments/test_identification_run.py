@@ -462,7 +462,7 @@ def test_a_rig_of_another_scale_is_refused_before_it_is_excited(
         lambda url, model: FramedDevice(MemoryLink(SimulatedDevice(heavy))),
     )
     with pytest.raises(IdentificationError, match="times the described inertia"):
-        identified(CHAWDA, tmp_path)
+        identified(CHAWDA, tmp_path, rate_hz=500)
     assert len(list(tmp_path.glob("*.parquet"))) == 1
 
 
