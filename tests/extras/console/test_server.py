@@ -149,25 +149,27 @@ def test_a_running_loop_is_found_and_followed(tmp_path: Path) -> None:
         play(tmp_path, scenario)
 
 
-@pytest.mark.parametrize(
-    "experiment", [["x"], {"controller": ["x"]}, {"controller": {"position_rate": "fast"}},
-                   {"controller": {"position_rate": 1e999}}, {"controller": {"position_rate": -1}}],
-)  # fmt: skip
-def test_a_loop_that_says_nonsense_of_itself_ends_no_console(
-    experiment: Any, tmp_path: Path, searched: Searched
-) -> None:
+NONSENSE: tuple[Any, ...] = (
+    ["x"],
+    {"controller": ["x"]},
+    *({"controller": {"position_rate": rate}} for rate in ("fast", 1e999, -1)),
+)
+
+
+def test_a_loop_that_says_nonsense_of_itself_ends_no_console(tmp_path: Path, searched: Searched) -> None:
     async def scenario(console: Served) -> None:
         async with console.page() as page:
-            for _ in range(2):
-                assert "result" in await page.ask("look", pid=os.getpid())
-                await searched(2)
-            assert page.newest("loop") is None
-            await page.ask("stop")
-            assert loop.ring.get(control_words.STOP) == -os.getpid()
+            for experiment in NONSENSE:
+                with HandTurnedLoop(64, shared=True, info={"experiment": experiment}).ring as ring:
+                    for _ in range(2):
+                        assert "result" in await page.ask("look", pid=os.getpid())
+                        await searched(2)
+                    assert page.newest("loop") is None, experiment
+                    await page.ask("stop")
+                    assert ring.get(control_words.STOP) == -os.getpid()
+                    ring.put(control_words.LOOP_DONE, 1)
 
-    loop = HandTurnedLoop(64, shared=True, info={"experiment": experiment})
-    with loop.ring:
-        play(tmp_path, scenario)
+    play(tmp_path, scenario)
 
 
 def test_a_search_that_finds_no_descriptor_left_is_tried_again(
@@ -417,19 +419,28 @@ def test_of_too_many_hold_sockets_the_silent_one_goes(
     play(tmp_path, scenario)
 
 
-def test_a_flood_of_beats_is_cut_off_and_stops_all_the_same(
+async def flood(socket: ClientConnection, messages: list[str]) -> None:
+    for message in messages:
+        await socket.send(message)
+    while True:
+        await socket.recv()
+
+
+def test_a_flood_or_a_long_message_is_cut_off_and_stops_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig.extras.console.server.CLOSE_S", 0.05)
 
     async def scenario(console: Served) -> None:
         with HandTurnedLoop(64, shared=True).ring as ring:
-            async with console.hold() as hold:
-                with suppress(ConnectionClosed):
-                    for _ in range(1000):
-                        await hold.send('{"beat":true}')
-                with pytest.raises(ConnectionClosed):
-                    await hold.recv()
+            for open_socket, sent in (
+                (console.hold, 1000 * ['{"beat":true}']),
+                (console.socket, 1000 * ['{"do":""}']),
+                (console.socket, ["x" * (1 << 17)]),
+            ):
+                async with open_socket() as socket:
+                    with pytest.raises(ConnectionClosed):
+                        await flood(socket, sent)
             async with console.hold() as hold:
                 await stop_by(hold, ring)
 
@@ -501,34 +512,6 @@ def test_a_real_rig_is_armed_from_no_page_alone(tmp_path: Path) -> None:
             refused = await page.ask("run", job="hit", url="serial:///dev/ttyACM0")
             assert "does not run in a terminal" in refused["error"]["error"]
             assert "rig console" in refused["error"]["remedy"]
-
-    play(tmp_path, scenario)
-
-
-@pytest.mark.exhaustive("::test_before_the_token_the_server_parses_one_bounded_head_and_no_frame")
-def test_a_malformed_request_is_answered_and_a_flood_is_cut_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.extras.console.server.CLOSE_S", 0.05)
-
-    async def scenario(console: Served) -> None:
-        async with console.page() as page:
-            await page.socket.send("no json")
-            await page.socket.send(b"\xff\xfe")
-            answer = await page.ask("regions", damping=-1.0)
-            assert "damping" in answer["error"]["error"]
-            answer = await page.ask("experiment", rig="no-such-rig")
-            assert "no-such-rig" in answer["error"]["error"]
-            answer = await page.ask("experiment", changes={"wall.law": "rm"})
-            assert "wall.law" in answer["error"]["error"]
-            for _ in range(1000):
-                await page.say("")
-            with pytest.raises(ConnectionClosed):
-                await page.until(lambda _: False)
-        async with console.page() as page:
-            await page.socket.send("x" * (1 << 17))
-            with pytest.raises(ConnectionClosed):
-                await page.until(lambda _: False)
 
     play(tmp_path, scenario)
 
@@ -608,6 +591,8 @@ def test_a_page_receives_the_theory_of_a_wall(tmp_path: Path, monkeypatch: pytes
             assert nothing["passive"] is None or nothing["passive"] < nothing["stable"]
             experiment = (await page.ask("experiment", changes={"wall.stiffness": 33}))["result"]
             assert experiment["wall"]["stiffness"] == 33
+            answer = await page.ask("experiment", changes={"wall.law": "rm"})
+            assert "wall.law" in answer["error"]["error"]
 
     play(tmp_path, scenario)
 
@@ -631,16 +616,10 @@ def test_settings_of_an_estimator_are_those_of_the_registry_and_checked_as_overr
             changes = {"controller.estimator": "fdm-butterworth", "controller.parameters.cutoff_hz": 90}
             made = (await page.ask("experiment", changes=changes))["result"]
             assert made["controller"]["parameters"] == {"cutoff_hz": 90}
-            for key, value, reason in (
-                ("cutoff_hz", 1e9, "out of range"),
-                ("cutoff_hz", "many", "not a number"),
-                ("noise", 1.0, "unknown parameter 'noise'"),
-            ):
-                wrong = {**changes, f"controller.parameters.{key}": value}
-                for do in ("experiment", "regions"):
-                    more = {"damping": 0.1} if do == "regions" else {}
-                    answer = await page.ask(do, changes=wrong, **more)
-                    assert reason in answer["error"]["error"], answer
+            wrong = {**changes, "controller.parameters.cutoff_hz": 1e9}
+            for do, more in (("experiment", {}), ("regions", {"damping": 0.1})):
+                answer = await page.ask(do, changes=wrong, **more)
+                assert "out of range" in answer["error"]["error"], answer
 
     play(tmp_path, scenario)
 
