@@ -17,7 +17,7 @@ from rig.core.errors import ConfigError
 from rig.experiments.design import _listing
 from rig.experiments.hits.hit_simulator import HitSimulator
 from rig.extras.papers.ranking import compare, measure, rule
-from rig.extras.papers.ranking.compare import RigResults, compare_areas
+from rig.extras.papers.ranking.compare import Ratio, RigResults, compare_areas
 from rig.extras.papers.ranking.page import is_new, page
 from rig.extras.papers.ranking.rule import Ground, Pair, Tuned
 from sim_backend.bare.hits import render
@@ -106,20 +106,23 @@ def test_the_area_is_that_of_a_triangle_and_ends_after_two_empty_dampings() -> N
     assert measure.area_under([0.0] * 3, dampings, 1.0) == pytest.approx(0.05)
 
 
+def compared(first: Any, second: Any) -> Ratio:
+    return compare_areas(tuple(first), tuple(second))
+
+
 def test_win_and_tie() -> None:
     rigs = np.random.default_rng(1).lognormal(0.0, 1.0, 9)
-    assert astuple(compare_areas(1.3 * rigs, rigs)) == pytest.approx((1.3, 1.3, 1.3))
-    assert compare_areas(1.3 * rigs, rigs).outcome == "wins"
-    assert compare_areas(rigs, 1.3 * rigs).outcome == "loses"
-    assert compare_areas(1.2 * rigs, rigs).outcome == "ties"  # clear, but too small
-    assert compare_areas(1.2 * rigs, rigs).low > 1.0
-    uneven = rigs * np.array([10.0, *[0.95] * 8])
-    found = compare_areas(uneven, rigs)  # large, but of a single rig
+    assert astuple(compared(1.3 * rigs, rigs)) == pytest.approx((1.3, 1.3, 1.3))
+    assert compared(1.3 * rigs, rigs).outcome == "wins"
+    assert compared(rigs, 1.3 * rigs).outcome == "loses"
+    assert compared(1.2 * rigs, rigs).outcome == "ties"  # clear, but too small
+    assert compared(1.2 * rigs, rigs).low > 1.0
+    found = compared(rigs * np.array([10.0, *[0.95] * 8]), rigs)  # large, but of a single rig
     assert found.low < 1.0 < found.mean
     assert found.outcome == "ties"
     # Against the normal interval of a mean, which the bootstrap approaches for logarithms without outliers.
     logs = np.random.default_rng(2).normal(0.5, 0.2, 9)
-    found = compare_areas(np.exp(logs), np.ones(9))
+    found = compared(np.exp(logs), np.ones(9))
     half = 1.96 * logs.std() / 3.0
     assert math.log(found.low) == pytest.approx(logs.mean() - half, abs=0.02)
     assert math.log(found.high) == pytest.approx(logs.mean() + half, abs=0.02)
@@ -188,15 +191,24 @@ def test_an_unknown_rig_is_refused() -> None:
         Ground.of("no-rig")
 
 
-PAIRS = (Pair("fdm"), Pair("disturbance"), Pair("disturbance", law=rule.ESTIMATED))
-SMALL: dict[str, Any] = {"pairs": PAIRS, "grips": ("none",), "delays": (0,), "variations": 1}
+PAIRS = (Pair("fdm"), Pair("disturbance", law=rule.ESTIMATED))
+ENTRY = Tuned(estimator="disturbance", parameter="frequency_hz", low=10.0, high=20.0, per_rate=False)
+SMALL: dict[str, Any] = {
+    "pairs": PAIRS,
+    "entries": [ENTRY],
+    "grips": ("none",),
+    "delays": (0,),
+    "variations": 1,
+}
 
 
-def test_a_small_ranking_resumes_from_its_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_ranking_with_an_own_entry_resumes_from_its_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL)
-    assert list(whole["conditions"]) == [pair.name for pair in PAIRS]
+    assert list(whole["conditions"]) == [*(pair.name for pair in PAIRS), ENTRY.estimator]
     assert all(len(cells["none/0"][0]) == 2 for cells in whole["conditions"].values())
-    assert whole["tuned"]["disturbance"].keys() == {"frequency_hz"}
+    assert 10.0 <= whole["tuned"]["disturbance"]["frequency_hz"] <= 22.0  # the entry's range, not the table's
     assert json.loads(json.dumps(whole)) == whole
     journal = tmp_path / "chawda-linear-judging.journal"
     lines = journal.read_bytes().splitlines(keepends=True)
@@ -211,14 +223,6 @@ def test_a_small_ranking_resumes_from_its_journal(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(measure, "series", series)
     assert measure.measure_rig("chawda-linear", directory=tmp_path, **SMALL) == whole
     assert again == [*rule.OFFSETS, *rule.OFFSETS]
-
-
-def test_an_own_entry_is_measured_beside_the_others() -> None:
-    entry = Tuned(estimator="period-frequency", parameter="window_s", low=1e-3, high=2e-3, per_rate=False)
-    found = measure.measure_rig(
-        "chawda-linear", entries=[entry], **{**SMALL, "pairs": (Pair("fdm"),), "variations": 0}
-    )
-    assert list(found["conditions"]) == ["fdm", "period-frequency"]
 
 
 def test_the_command_writes_results_and_the_page_that_follows_from_them(

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rig.core.deferred import stats
 from rig.extras.papers.ranking import rule
@@ -40,7 +40,8 @@ class Ratio:
         return "loses" if self.mean < 1.0 / rule.WIN and self.high < 1.0 else "ties"
 
 
-def compare_areas(first: ArrayLike, second: ArrayLike) -> Ratio:
+@cache  # a page compares most pairs several times
+def compare_areas(first: tuple[float, ...], second: tuple[float, ...]) -> Ratio:
     """Return the ratio of two areas of rendered walls: its geometric mean and interval over the variations of a rig.
 
     Both have a value for each variation, in the same order.
@@ -112,15 +113,13 @@ class RigResults:
         """Return the results of an estimator–law pair under a grip of the hand and a delay (ticks)."""
         return Cell(*self.conditions[pair][f"{grip}/{delay}"])
 
-    def areas(self, pair: str, grip: str, delay: str) -> list[float]:
+    def areas(self, pair: str, grip: str, delay: str) -> tuple[float, ...]:
         """Return the areas (K–B plane) of walls that an estimator–law pair renders, on the rig and its variations."""
-        return self.cell(pair, grip, delay).areas
+        return tuple(self.cell(pair, grip, delay).areas)
 
     def best(self, grip: str, delay: str, among: Iterable[str] | None = None) -> str:
         """Return the estimator–law pair with the largest area of rendered walls, at a grip and a delay (ticks)."""
-        return max(
-            among or self.pairs, key=lambda pair: float(np.mean(np.log(self.areas(pair, grip, delay))))
-        )
+        return max(among or self.pairs, key=lambda pair: math.prod(self.areas(pair, grip, delay)))
 
     def ratio(self, pair: str, other: str, grip: str, delay: str) -> Ratio:
         """Return the area of walls that one estimator–law pair renders, divided by that of the pair `other`."""
