@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol import messages as m
-from firmware_protocol.connection import Connection, State
+from firmware_protocol.connection import Connection
 from rig.core.errors import ConfigError
 from rig.devices.device import DeviceUrl
 from rig.devices.fault_script import Direction, FaultKind, Faults, FrameFault
@@ -28,25 +28,11 @@ RATE = 2_000
 TICK_S = 1.0 / RATE
 CURRENT = 100
 TO_DEVICE, TO_HOST = Direction.TO_DEVICE, Direction.TO_HOST
-SHORT_RUN = 20  # ticks
 needs_compiler = pytest.mark.skipif(not COMPILED, reason="function types need the compiler")
 
 
 def fresh(faults: Faults | None = None, **device: Any) -> MemoryLink:
     return MemoryLink(SimulatedDevice(rotary_rig(current_noise_a=0.002), **device), faults)
-
-
-def run(link: MemoryLink, ticks: int = SHORT_RUN) -> Host:
-    """Run a host on the link for some ticks, with a COMMAND for each STATE, and return the host."""
-    host = Host(link)
-    host.begin(position_rate=RATE, command_lifetime_us=3_000)
-    for _ in range(ticks):
-        list(host.events(TICK_S))
-        if host.connection.state is State.FAULT:
-            break
-        if host.states:
-            host.command(CURRENT, lifetime_us=3_000)
-    return host
 
 
 # ---------------------------------------------------------------------- the contract
@@ -110,14 +96,6 @@ def test_waiting_jumps_to_the_deadline_and_no_further() -> None:
     assert link.clock.now_ns() == now_ns + 500_000
 
 
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    def stream(seed: int) -> list[m.State]:
-        return run(fresh(seed=seed), 100).states
-
-    assert stream(3) == stream(3)
-    assert stream(3) != stream(4)
-
-
 def test_unread_buffer_is_bounded() -> None:
     link = fresh()
     Host(link).begin(position_rate=20_000)
@@ -153,11 +131,6 @@ def test_a_url_opens_a_device_as_its_options_say() -> None:
 def test_a_wrong_option_is_refused_by_name(url: str, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         open_link(DeviceUrl.parse(url), rotary_rig())
-
-
-def test_without_a_model_there_is_nothing_to_simulate() -> None:
-    with pytest.raises(ConfigError, match="names no rig to simulate"):
-        open_link(DeviceUrl.parse("sim://test"))
 
 
 # ---------------------------------------------------------------------- the compiled loop's side

@@ -170,14 +170,6 @@ def test_the_inner_step_divides_the_tick_and_is_never_longer_than_asked() -> Non
 # Amplifier -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rig", [LINEAR, ROTARY], ids=["rigid", "two-mass"])
-def test_without_lag_the_effort_is_the_command(rig: RigModel) -> None:
-    plant = DiscretePlant.build(with_amplifier(rig, lag_s=0.0), TICK_S)
-    state = plant.at_rest(0.0)
-    for command in (0.3, -0.7, 0.0):
-        assert run(plant, 1, state=state, command=command)[0, plant.effort] == command
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_command_beyond_the_limit_acts_as_the_limit_before_the_lag(sign: float) -> None:
     plant = DiscretePlant.build(ROTARY, TICK_S)
@@ -266,13 +258,6 @@ def test_a_push_below_the_friction_level_moves_nothing_exactly(
     rows = run(plant, 2000, state=start.copy(), command=command, external=external)
     assert (rows[:, still] == start[still]).all()
     assert (rows[:, plant.edge_age] == math.inf).all()  # and no encoder edge came
-
-
-def test_a_push_above_the_friction_level_accelerates_by_the_difference() -> None:
-    plant = DiscretePlant.build(with_mechanics(LINEAR, motor_coulomb=0.19), 1e-3)
-    rows = run(plant, 200, state=plant.at_rest(0.0), command=1.0)
-    t, acceleration = 0.2, (1.0 - 0.19) / 0.52
-    assert rows[-1, :2] == pytest.approx([acceleration * t**2 / 2, acceleration * t], rel=1e-12)
 
 
 @given(speed=st.floats(1e-4, 0.3), push=st.floats(-0.1, 0.1, allow_subnormal=False))

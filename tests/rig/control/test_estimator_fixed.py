@@ -102,17 +102,6 @@ def test_a_fast_motion_is_scaled_by_the_gain_at_rest(numerator: str) -> None:
     assert steady(5000, **given) == pytest.approx(5000 * gain, rel=1e-4)
 
 
-@given(motion=MOTION, rounding=st.sampled_from(ROUNDINGS), bits=st.integers(0, 8))
-def test_limit_cycle_at_rest_stays_within_its_bound(motion: Any, rounding: Any, bits: int) -> None:
-    """At rest after any motion the output is at most e·Σ|g| LSB; with rounding to zero it is zero."""
-    given = {"cutoff_hz": 100.0, "state_bits": bits, "rounding": rounding}
-    counts = [*np.cumsum(motion).tolist()]
-    rest = velocities(fixed(**given), counts + counts[-1:] * 600)[-100:] / ONE_COUNT
-    assert np.abs(rest).max() <= largest_error(design(**given)) + 1e-9
-    if rounding == "zero":
-        assert not rest.any()
-
-
 def test_a_velocity_beyond_the_word_saturates_and_keeps_its_sign() -> None:
     """A word of 16 bits with 4 fraction bits ends at 2048 counts a period."""
     given = {"word_bits": 16, "state_bits": 4}

@@ -8,21 +8,11 @@ import pytest
 from rig.control import estimators
 from rig.control.estimators import arrays
 from rig.core.errors import ConfigError
+from tests.conformance.estimator_accuracy import case_of
 
 NAME = "foaw-levant"
 RESOLUTION, PERIOD = 2e-5, 5e-4  # a coarse linear encoder at 2 kHz
 BOUND = 25.0
-
-
-def bounce(period_s: Any = PERIOD, resolution: Any = RESOLUTION) -> Any:
-    """Return counts and true velocities of PHYSICS 2i (C): 0.1 m/s into a wall that rings at 34 Hz, ζ = 0.05."""
-    t = np.arange(0.0, 0.4, period_s) - 0.1
-    w, zeta = 2 * np.pi * 34.0, 0.05
-    wd, s = w * np.sqrt(1 - zeta**2), np.maximum(t, 0.0)
-    decay = 0.1 * np.exp(-zeta * w * s)
-    position = np.where(t < 0, 0.1 * t, decay / wd * np.sin(wd * s))
-    velocity = np.where(t < 0, 0.1, decay * (np.cos(wd * s) - zeta * w / wd * np.sin(wd * s)))
-    return arrays.quantise(position, resolution), velocity
 
 
 def run_both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, **given: Any) -> Any:
@@ -35,7 +25,7 @@ def run_both(counts: Any, period_s: Any = PERIOD, resolution: Any = RESOLUTION, 
 
 
 def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents() -> None:
-    counts, _ = bounce()
+    counts = case_of("wall-bounce", 1 / PERIOD, RESOLUTION).counts
     foaw, window, levant, hybrid = run_both(counts, lipschitz=BOUND, fast_window=2.0, slow_window=8.0)
     straight = np.clip((window - 2.0) / 6.0, 0.0, 1.0)
     levant_bound = 2 * np.sqrt(BOUND * RESOLUTION)
@@ -48,7 +38,7 @@ def test_every_sample_is_the_weighted_mean_of_the_two_that_it_documents() -> Non
 
 
 def test_the_window_in_the_row_is_that_of_foaw() -> None:
-    counts, _ = bounce()
+    counts = case_of("wall-bounce", 1 / PERIOD, RESOLUTION).counts
     expected = arrays.estimate_with_window("foaw-end", counts, PERIOD, resolution=RESOLUTION)[1]
     assert (arrays.estimate_with_window(NAME, counts, PERIOD, resolution=RESOLUTION)[1] == expected).all()
 

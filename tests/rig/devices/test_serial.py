@@ -392,13 +392,3 @@ def test_a_plug_pulled_while_reading_is_noticed_at_once(line: Any, link: Any) ->
     with pytest.raises(LinkLostError):  # at the timeout it would return no bytes
         link.read(60.0)
     pulling.join()
-
-
-def test_bytes_from_before_a_pulled_plug_are_read_first(line: Any, link: Any) -> None:
-    os.write(line.device, b"last words")
-    line.unplug()
-    received = b""
-    with contextlib.suppress(LinkLostError):
-        while True:
-            received += link.read(0.5)
-    assert received in (b"last words", b""), "Linux may throw it away, but nothing else comes"

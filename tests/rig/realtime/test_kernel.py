@@ -126,7 +126,7 @@ def project(tmp_path: Path) -> Project:
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, dict[str, Any]]:
     """Return a project that one process has compiled, and that process's report."""
     made = project_in(tmp_path_factory.mktemp("first"))
-    return made, made.run(before=f"kernel.numba.config.CACHE_DIR = {made.cache + '-elsewhere'!r}")
+    return made, made.run()
 
 
 SLOW = """
@@ -191,20 +191,18 @@ def test_edited_constant_of_an_imported_file_recompiles(first: tuple[Project, di
     project.write(gain=2.0)
 
 
-def test_numbas_configured_cache_is_not_used(first: tuple[Project, dict[str, Any]]) -> None:
-    """numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from its cache."""
-    project, report = first
-    assert report["value"] == 3.0
-    assert not Path(project.cache + "-elsewhere").exists()
-    assert list(Path(report["cache"]).rglob("*.nbi"))
+def test_run_goes_without_a_writable_cache_and_without_numbas(project: Project, tmp_path: Path) -> None:
+    """A file in place of the cache directory stops every user, also root.
 
-
-def test_run_goes_without_a_writable_cache(project: Project, tmp_path: Path) -> None:
-    """A file in place of the cache directory stops every user, also root."""
+    numba reads .numba_config.yaml of the current directory before it compiles, and loads pickles from its cache.
+    """
     (tmp_path / "cache").touch()
-    report = project.run(after="import shutil; shutil.rmtree(kernel.CACHE_DIRECTORY)")
+    removed = "import shutil; assert [*kernel.CACHE_DIRECTORY.rglob('*.nbi')]; shutil.rmtree(kernel.CACHE_DIRECTORY)"
+    elsewhere = tmp_path / "numbas"
+    report = project.run(before=f"kernel.numba.config.CACHE_DIR = {str(elsewhere)!r}", after=removed)
     assert report["value"] == 3.0
     assert not report["cache"].startswith(project.cache)
+    assert not elsewhere.exists()
 
 
 def test_cache_that_others_can_write_is_refused_with_one_warning(
