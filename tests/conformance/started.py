@@ -9,6 +9,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 LEASH = ("setpriv", "--pdeathsig", "KILL")  # before a command
@@ -23,6 +24,14 @@ def started(*command: object, **options: Any) -> Iterator[subprocess.Popen[Any]]
             yield process
         finally:
             process.kill()
+
+
+def is_alive(pid: int) -> bool:
+    """Return True if the process exists and has not ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def die_with_parent() -> None:

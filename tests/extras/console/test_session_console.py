@@ -31,8 +31,8 @@ from rig.session.terminal._asking import SILENCE_S
 from rig.session.terminal._held import RELEASED_S
 from rig.session.terminal._live import snapshot_of
 from rig.session.terminal.desk import ConsoleDesk, at_console
+from tests.conformance.started import is_alive
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_desks import is_alive
 
 ROOT = Path(__file__).parents[3]
 RATE = 250  # Hz: a loop that a loaded machine has time for

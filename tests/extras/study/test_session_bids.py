@@ -155,22 +155,6 @@ def test_the_official_validator_finds_no_error(dataset: Any, tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
 
 
-def test_names_are_those_of_the_standard(dataset: Any) -> None:
-    name = re.compile(
-        r"sub-P0[12]/motion/sub-P0[12]_task-wallhit_tracksys-rig_run-\d{4}_"
-        r"(motion\.tsv|motion\.json|channels\.tsv|events\.tsv)"
-    )
-    at_root = {
-        "README.md", "dataset_description.json", "participants.tsv", "participants.json",
-        "task-wallhit_tracksys-rig_channels.json", "task-wallhit_tracksys-rig_events.json",
-    }  # fmt: skip
-    files = {str(path.relative_to(dataset)) for path in dataset.rglob("*") if path.is_file()}
-    scans = {f"sub-{p}/sub-{p}_scans.{suffix}" for p in ("P01", "P02") for suffix in ("tsv", "json")}
-    assert at_root | scans <= files
-    assert all(name.fullmatch(file) for file in files - at_root - scans)
-    assert all(file.count("P01") != 1 for file in files)  # directory and name agree
-
-
 def test_a_run_holds_the_recording_and_says_what_each_column_is(dataset: Any, hit: Any) -> None:
     recording = open_recording(hit)
     for path in runs_of(dataset):

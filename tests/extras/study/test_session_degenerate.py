@@ -61,23 +61,19 @@ def test_a_residual_at_the_resolution_of_the_levels_gives_no_p_and_no_interval(t
         assert all(row["p"] == "" and row["problem"] for row in csv.DictReader(file))
 
 
+# Cases that the next test does not draw.
 CASES: Mapping[str, tuple[Mapping[str, Any], Mapping[str, Person]]] = {
     "equal": ({}, people(*[(410.0, 460.0)] * 3)),
     "equal, many": ({"search": {"rule": "psi", "settings": {"hits": 10}}}, people(*[(410.0, 410.0)] * 9)),
-    "one": ({}, people((400.0, 460.0))),
-    "two": ({}, people((400.0, 460.0), (430.0, 430.0))),
-    "above": ({}, people(*[(1e5, 1e5)] * 3)),
-    "below": ({}, people(*[(1.0, 1.0)] * 3)),
     "one condition": (
         {"condition": [{"name": "dual", "scheme": "dual:20k/2k", "damping": [0.0, 0.5]}]},
         people((400.0, 460.0), (420.0, 480.0), (440.0, 470.0)),
     ),
-    "always unsure": ({}, people((400.0, 460.0), (420.0, 440.0), (400.0, 400.0), unsure=1.0)),
     "judged by the machine": ({"study": {"judge": "automatic"}}, people(*[(410.0, 460.0)] * 3)),
 }
 
 
-@pytest.mark.parametrize("name", first_by_default(sorted(CASES, key="equal, many".__eq__)))
+@pytest.mark.parametrize("name", first_by_default(CASES))
 def test_a_degenerate_study_has_its_tables_and_its_report(name: str, tmp_path: Path) -> None:
     sections, of = CASES[name]
     mapping = protocol(**{"search": {"step": 50.0}, "order": {"repeats": 1}, **sections})
@@ -107,7 +103,7 @@ def test_any_small_study_has_its_tables_and_its_page(
     of = people(
         *[(data.draw(limit, "uniform"), data.draw(limit, "dual")) for _ in range(count)],
         spread=data.draw(st.sampled_from([0.01, 10.0]), "spread"),
-        unsure=data.draw(st.sampled_from([0.0, 0.3]), "unsure"),
+        unsure=data.draw(st.sampled_from([0.0, 0.3, 1.0]), "unsure"),
         invalid=data.draw(st.sampled_from([0.0, 0.2]), "invalid"),
     )
     mapping = protocol(

@@ -347,13 +347,6 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return one_person(tmp_path_factory.mktemp("alone"))
 
 
-def test_a_panel_without_data_says_so(tmp_path: Path) -> None:
-    figure = pictures(found := one_person(tmp_path, 1))["effects"](found)
-    texts = [[text.get_text() for text in axes.texts] for axes in figure.axes]
-    empty, useless = ["no run is complete"], ["no trial was invalid, redone or aborted"]
-    assert texts == [empty, empty, empty, [], useless, empty]
-
-
 def test_no_column_is_dashes_only(found: Any, alone: Any, tmp_path: Path) -> None:
     for some in (found, alone, one_person(tmp_path, repeats=2)):
         read = ParsedPage(render(some, {}))

@@ -223,3 +223,26 @@ def test_a_command_shows_an_argument_as_its_option(capsys: pytest.CaptureFixture
     assert output.for_terminal(text).endswith("the risk: --arm-anyway; see `rig doctor`")
     assert rig.cli.run(["session", "check", "/nowhere.toml", "--threshold", "x=1"]) == 2
     assert "`" not in capsys.readouterr().err
+
+
+INTERRUPTED = """
+import sys
+
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == "click":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupted())
+sys.argv = ["rig", "hit"]
+from rig.__main__ import main
+main()
+"""
+
+
+def test_an_interrupt_while_a_command_is_loaded_is_a_stop() -> None:
+    """Ctrl-C before the commands are loaded ends the program as Ctrl-C in a running command does."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", INTERRUPTED], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "\nrig: stopped\n")

@@ -15,7 +15,7 @@ import pytest
 
 from rig.core.errors import DeviceNotFoundError, RigError
 from rig.core.process import start_announced
-from tests.conformance.started import started
+from tests.conformance.started import is_alive, started
 
 WAIT_S = 50.0
 
@@ -28,14 +28,6 @@ def announce_and_wait(announce: Callable[[Any], None]) -> None:
 
 def refuse(announce: Callable[[Any], None]) -> None:
     raise RigError("not today", remedy="tomorrow")
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def until_dead(pid: int) -> None:
@@ -56,7 +48,7 @@ def test_a_process_outlives_the_thread_that_started_it_and_ends_with_its_context
         thread.start()
         thread.join()
         (pid,) = found
-        time.sleep(0.2)
+        time.sleep(0.05)
         assert is_alive(pid)
     assert not is_alive(pid)
 

@@ -52,7 +52,7 @@ def test_recorder_keeps_every_row_of_a_faster_producer(
     tmp_path: Path, virtual: bool, capacity: int, block_rows: int
 ) -> None:
     """If a block is larger than the ring, rows must leave the ring before their block is full."""
-    rows = example_rows(120)
+    rows = example_rows(120 if capacity > 1 else 20)  # one by one they take long
     ring = Ring.allocate(capacity)
     path = tmp_path / "trial.rigcap"
     with Recorder(path, HEADER, ring, virtual=virtual, block_rows=block_rows) as recorder:
@@ -65,8 +65,10 @@ def test_recorder_keeps_every_row_of_a_faster_producer(
     assert found.header == HEADER
     assert found.trailer == trailer
     assert trailer["peak"] == 0.1
-    assert trailer["recorder"] | {"blocks": 0} == {"rows": 120, "blocks": 0, "ticks": 120, "dropped": 0}
-    assert recorder.rows == 120
+    assert trailer["recorder"] | {"blocks": 0} == {
+        "rows": len(rows), "blocks": 0, "ticks": len(rows), "dropped": 0,
+    }  # fmt: skip
+    assert recorder.rows == len(rows)
     assert recorder.error == 0
 
 
@@ -162,15 +164,6 @@ def test_rows_of_another_kind_are_refused(tmp_path: Path) -> None:
     header = {**HEADER, "schema": {"row_bytes": ROW.itemsize + 8, "columns": []}}
     with pytest.raises(RecordingError, match="does not describe the rows"):
         Recorder(tmp_path / "trial.rigcap", header, Ring.allocate(4))
-
-
-def test_a_full_device_is_an_errno() -> None:
-    descriptor = os.open("/dev/full", os.O_WRONLY)
-    data = np.zeros(100, dtype=np.uint8)
-    try:
-        assert write_all(descriptor, data.ctypes.data, 100) == errno.ENOSPC
-    finally:
-        os.close(descriptor)
 
 
 def test_syncing_is_asked_only_of_files(tmp_path: Path) -> None:

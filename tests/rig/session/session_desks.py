@@ -20,14 +20,13 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
-from rig.core.errors import RigError, StoppedError
+from rig.core.errors import StoppedError
 from rig.core.present import plain
 from rig.core.sample import Phase
 from rig.extras.console.client import Client
 from rig.extras.console.jobs import Job, Jobs
 from rig.extras.console.lease import Lease
-from rig.extras.console.requests import request_of
-from rig.extras.console.service import LATER, ServiceContext
+from rig.extras.console.service import ServiceContext
 from rig.extras.console.session_desk import PageDesk
 from rig.extras.console.sessions import JOB, Sessions
 from rig.extras.console.talk import Talk
@@ -40,7 +39,7 @@ from rig.session.terminal._pointer import HandKind
 from rig.session.terminal._seat import keymap_for
 from rig.session.terminal.desk import ConsoleDesk, MovedHand
 from tests.conformance.terminal import PATIENCE_S, Terminal
-from tests.extras.console.console_fakes import Here
+from tests.extras.console.console_fakes import Here, Page, ask
 
 _BYTES = {"space": " ", "enter": "\r", "f5": "\x1b[15~", "end": "\x1b[F", "home": "\x1b[H", "left": "\x1b[D"}
 
@@ -70,14 +69,9 @@ def watched(desk: Desk) -> StoppedError:
     raise AssertionError("nothing ended the hit")
 
 
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+class Seated(ABC):
+    """An operator at a desk, who presses keys by their names and types lines; `hang` and `leave` end all messages."""
 
-
-class Place(ABC):
     desk: AskingDesk
 
     def sees(self, *texts: str) -> None:
@@ -89,37 +83,11 @@ class Place(ABC):
     def screen(self) -> str:
         """Return the text on the screen, or printed since the last key; keys as ``[g] go``."""
 
-    @property
-    @abstractmethod
-    def all_shown(self) -> str:
-        """Return all text that was ever sent to the screen."""
-
-    @property
-    @abstractmethod
-    def rings(self) -> int:
-        """Return how often the bell has rung."""
-
-    @abstractmethod
-    def press(self, key: str) -> None:
-        """Press a key, by its name."""
-
-    @abstractmethod
-    def line(self, text: str) -> None:
-        """Type a line as soon as the desk expects one."""
-
-    @abstractmethod
-    def hang(self) -> None:
-        """Send nothing from now on, as a hung console."""
-
-    @abstractmethod
-    def leave(self) -> None:
-        """Remove the operator and their terminal."""
-
     def close(self) -> None:
         self.desk.close()
 
 
-class AtTerminal(Place):
+class AtTerminal(Seated):
     def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
         self.terminal = Terminal()
         moved = None if hand is None else MovedHand(path=hand[1], press=4.0)
@@ -135,10 +103,6 @@ class AtTerminal(Place):
     @property
     def screen(self) -> str:
         return self.terminal.fresh
-
-    @property
-    def all_shown(self) -> str:
-        return self.terminal.printed
 
     @property
     def rings(self) -> int:
@@ -196,28 +160,22 @@ class FakeJob:
         self._page.line_.replies.put(json.loads(json.dumps(value)))
 
 
-class FakeClient:
-    """A page in a browser, with the newest message of each kind and the text of all messages."""
+class FakeClient(Page):
+    """A page in a browser, with the newest message of each kind."""
 
     def __init__(self, name: str, *, participant: bool = False) -> None:
-        self.name, self.participant = name, participant
+        super().__init__(name)
+        self.participant = participant
         self.newest: dict[str, dict[str, Any]] = {}
-        self.all = ""
-        self.answers: SimpleQueue[RigError | None] = SimpleQueue()
-
-    def reply(self, number: int, result: Any = None, error: RigError | None = None) -> None:
-        self.answers.put(error)
 
     def put_newest(self, message: Any) -> None:
-        text = json.dumps(message, ensure_ascii=False)
-        self.newest[message["say"]] = json.loads(text)
-        self.all += text + "\n"
+        self.newest[message["say"]] = json.loads(json.dumps(message))
 
     def put(self, message: str) -> None:
         self.put_newest(json.loads(message))
 
 
-class AtPage(Place):
+class AtPage(Seated):
     """An operator's page: its service runs in a thread, as in the console's server."""
 
     def __init__(self, keys: Keys, hand: tuple[HandKind, Path] | None, silence_s: float) -> None:
@@ -253,18 +211,7 @@ class AtPage(Place):
 
     def ask(self, do: str, client: FakeClient | None = None, **content: Any) -> Any:
         """Send a request as a page's socket would, and return its reply or raise its error."""
-        client = client or self.client
-        handlers = self.service.handlers()
-        request = request_of(
-            json.dumps({"do": do, **content}), {name: kind for name, (kind, _) in handlers.items()}
-        )
-        result = self.in_loop(self._answered(handlers[do][1](cast("Client", client), request)))
-        if result is LATER and (error := client.answers.get(timeout=PATIENCE_S)) is not None:
-            raise error
-        return result
-
-    async def _answered(self, answer: Any) -> Any:
-        return await answer
+        return self.in_loop(ask(self.service, client or self.client, do, **content))
 
     @property
     def session(self) -> dict[str, Any]:
@@ -288,10 +235,6 @@ class AtPage(Place):
         parts += [f"{name} {text}" for name, _, text in view["gauges"]]
         parts += [f"{key} {meaning}" for key, meaning in view["keys"]] if view["help"] else []
         return "\n".join([*parts, *view["lines"]])
-
-    @property
-    def all_shown(self) -> str:
-        return self.client.all + self.participant.all
 
     @property
     def rings(self) -> int:
@@ -340,4 +283,5 @@ class FakeJobs:
         return self.job
 
 
+Place = AtTerminal | AtPage
 PLACES: dict[str, type[AtTerminal] | type[AtPage]] = {"terminal": AtTerminal, "page": AtPage}

@@ -32,7 +32,7 @@ from rig.session.planning._protocol import Protocol
 from rig.session.planning._schedule import levels_of
 from tests.conformance.made_links import link
 from tests.conformance.tiers import first_by_default
-from tests.rig.session.session_fakes import FakeRunner, ScriptedDesk, protocol_of, study
+from tests.rig.session.session_fakes import SHORT_SEARCH, FakeRunner, ScriptedDesk, protocol_of, study
 from tests.system.session_study import PROTOCOL
 
 KOUL = preset("koul-rigid")
@@ -197,7 +197,9 @@ def test_a_rig_of_unverified_polarity_is_refused_before_anything_else(real_devic
 
 
 def test_the_check_of_a_study_asks_the_device(real_device: None, tmp_path: Path) -> None:
-    plan = check(protocol_of(), tmp_path, of_device=partial(device_checks, "serial:///dev/rig"))
+    plan = check(
+        protocol_of(search=SHORT_SEARCH), tmp_path, of_device=partial(device_checks, "serial:///dev/rig")
+    )
     (found,) = (one for one in plan.checks if one.name == "arming")
     assert found.outcome is Outcome.WARNING
     assert "dual-hidden" in found.text

@@ -45,7 +45,8 @@ def template(name: str, folder: Path) -> Protocol:
 
 @pytest.fixture(scope="module")
 def schemes(tmp_path_factory: pytest.TempPathFactory) -> Protocol:
-    return template("compare-schemes", tmp_path_factory.mktemp("study"))
+    found = template("compare-schemes", tmp_path_factory.mktemp("study"))
+    return replace(found, search=replace(found.search, ratio=1.3))  # few levels, because each one is planned
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,7 @@ def test_a_wall_that_no_plan_allows_is_refused_with_its_condition(schemes: Proto
     found = check(replace(schemes, study=replace(schemes.study, changes=narrow)), Path())
     refused = check_named(found, "after the wall")
     assert refused.outcome is Outcome.REFUSED
-    assert "63 of 63 walls" in refused.text
+    assert "21 of 21 walls" in refused.text
     assert "uniform 20 kHz, K = 100 N·m/rad" in refused.text
     assert not found.ok
 

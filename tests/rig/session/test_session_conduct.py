@@ -22,7 +22,7 @@ from rig.session.engine._hits import heat_after
 from rig.session.engine._log import Event, read
 from rig.session.engine._rehearsal import Day, Person
 from rig.session.engine._run import row_of, summary
-from rig.session.engine._state import BOOKKEEPING, SessionState
+from rig.session.engine._state import SessionState
 from rig.session.engine._telling import line_of_event
 from tests.rig.session.session_fakes import (
     INVALID,
@@ -30,7 +30,6 @@ from tests.rig.session.session_fakes import (
     SPOILED,
     FakeRunner,
     ScriptedDesk,
-    decisions,
     protocol_of,
     rehearsed,
     started,
@@ -590,24 +589,6 @@ def test_a_machine_that_spoils_one_trial_after_another_pauses_the_session(tmp_pa
     assert SessionState.of(events).trials == state.trials
 
 
-@pytest.mark.parametrize("kept", ["trial", "paused", "continued"])
-def test_a_session_killed_at_such_a_pause_continues_like_one_that_was_not(tmp_path: Path, kept: str) -> None:
-    protocol = protocol_of(stop={"machine": 3})
-    run_with(started(tmp_path / "calm", protocol), runner_spoiling(2, 3, 4), ScriptedDesk())
-    calm = read(tmp_path / "calm" / LOG)
-    paused = next(event.number for event in calm if event.kind == "paused")
-    last = {"trial": paused, "paused": paused + 1, "continued": paused + 2}[kept]
-    with started(tmp_path / "P01", protocol) as session:
-        for event in calm[1:last]:
-            if event.kind not in BOOKKEEPING:
-                session.record(event.kind, **event.content)
-    desk = ScriptedDesk()
-    with resume(tmp_path / "P01", clock=Day()) as session:
-        conduct(session, runner_spoiling(2, 3, 4), desk)
-    assert decisions(read(tmp_path / "P01" / LOG)) == decisions(calm)
-    assert sum(question.kind == "paused" for question in desk.questions) == (kept != "continued")
-
-
 def test_a_rehearsal_ends_at_such_a_pause_and_is_resumed(tmp_path: Path) -> None:
     session, person = started(tmp_path / "P01", protocol_of(stop={"machine": 3})), Person(thresholds={})
     with pytest.raises(OverrunError, match="made 3 trials in a row invalid: from contact on") as ended:
@@ -627,3 +608,91 @@ def test_a_rehearsed_person_cannot_say_after_their_share_of_the_trials() -> None
     verdicts = [person.judge(trial, drawn) for _ in range(2000)]
     assert set(verdicts) == {"stable", "unsure"}
     assert verdicts.count("unsure") / len(verdicts) == pytest.approx(0.25, abs=0.03)
+
+
+# Redo: a trial that does not count is repeated, also if a stop rule is about to end the session.
+
+STOPS: list[dict[str, Any]] = [{}, {"minutes": 0.001}, {"aborts": 2}]
+
+
+def end_with_redos(directory: Path, runner: FakeRunner, redos: int, **sections: Any) -> SessionState:
+    """Return the state of a session at whose end the operator answers redo `redos` times in succession."""
+    answered = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal answered
+        wanted = question.text == "end the session?" or (0 < answered < redos and question.kind == "ready")
+        if wanted and answered < redos and "redo" in question.actions:
+            answered += 1
+            return Reply(action="redo")
+        return None
+
+    state = run_with(started(directory, protocol_of(**sections)), runner, ScriptedDesk(answer))
+    again = SessionState.of(read(directory / LOG))
+    assert (again.trials, again.ended) == (state.trials, state.ended)
+    return state
+
+
+@pytest.mark.parametrize("redos", [1, 2])
+@pytest.mark.parametrize("order", [{"kind": "fixed"}, {"kind": "fixed", "interleave": True}])
+def test_a_trial_redone_after_a_stop_rule_comes_again(tmp_path: Path, redos: int, order: Any) -> None:
+    runner = FakeRunner()
+    state = end_with_redos(tmp_path, runner, redos, stop={"trials": 3}, order=order)
+    assert state.ended == "3 trials"
+    assert [trial.void for trial in state.trials] == [""] * (3 - redos) + ["redone"] * redos + [""] * redos
+    walls = [(trial.run, trial.stiffness) for trial in state.trials]
+    assert walls[3:] == walls[3 - redos : 3]
+
+
+def test_redone_in_the_middle_does_not_count_towards_the_end(tmp_path: Path) -> None:
+    ready = 0
+
+    def answer(question: Question) -> Reply | None:
+        nonlocal ready
+        ready += question.kind == "ready"
+        return Reply(action="redo") if question.kind == "ready" and ready == 2 else None
+
+    state = run_with(started(tmp_path, protocol_of(stop={"trials": 3})), FakeRunner(), ScriptedDesk(answer))
+    assert [trial.void for trial in state.trials] == ["redone", "", "", ""]
+
+
+def test_only_a_trial_of_the_block_that_runs_can_be_redone(tmp_path: Path) -> None:
+    offered: list[bool] = []
+
+    def answer(question: Question) -> Reply | None:
+        if question.text == "ready?":
+            offered.append("redo" in question.actions)
+        return None
+
+    session = started(tmp_path, protocol_of(order={"repeats": 2}))
+    blocks = [trial.block for trial in run_with(session, FakeRunner(), ScriptedDesk(answer)).trials]
+    assert set(blocks) == {1, 2}
+    assert offered == [before == block for before, block in zip([0, *blocks], blocks, strict=False)]
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: next(iter(stop), "none"))
+def test_every_end_waits_for_what_was_redone(tmp_path: Path, stop: Any) -> None:
+    cut = {"automatic": "unstable", "aborted": "energy"}
+    runner = FakeRunner(dict.fromkeys((1, 2), (cut, None)) if "aborts" in stop else {})
+    state = end_with_redos(tmp_path, runner, 1, stop=stop)
+    void = [trial for trial in state.trials if trial.void]
+    assert len(void) == 1
+    after = state.trials[void[0].trial]
+    assert (after.stiffness, after.run, after.void) == (void[0].stiffness, void[0].run, "")
+
+
+def test_an_invalid_redone_trial_is_repeated_until_its_run_is_skipped(tmp_path: Path) -> None:
+    """After the skip no repetition is due, and the stop rule ends the session."""
+
+    def answer(question: Question) -> Reply | None:
+        if question.text == "end the session?" and len(runner.hits) == 3:
+            return Reply(action="redo")
+        return Reply(action="skip") if question.kind == "trouble" else None
+
+    runner = FakeRunner(dict.fromkeys(range(4, 20), (INVALID, None)))
+    state = run_with(
+        started(tmp_path, protocol_of(stop={"invalid": 3, "trials": 3})), runner, ScriptedDesk(answer)
+    )
+    assert [trial.void for trial in state.trials[:3]] == ["", "", "redone"]
+    assert state.skipped == {1}
+    assert state.ended is not None

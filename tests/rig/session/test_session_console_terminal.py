@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,11 @@ import pytest
 
 from rig.core.errors import ConfigError, RigError, StoppedError
 from rig.core.sample import Phase
-from rig.session.engine._desk import DeskView, Question, Reply
+from rig.session.engine._desk import DeskView, Question
 from rig.session.terminal.desk import ConsoleDesk, at_console
+from tests.conformance.started import is_alive
 from tests.conformance.terminal import PATIENCE_S, Program, Terminal
-from tests.rig.session.session_desks import answered, is_alive, watched
+from tests.rig.session.session_desks import answered, watched
 from tests.rig.session.session_fakes import FakeRunner, protocol_of
 
 ROOT = Path(__file__).parents[3]
@@ -44,10 +45,6 @@ def console(terminal: Terminal, **options: Any) -> Iterator[tuple[ConsoleDesk, T
         except BaseException:
             terminal.close()  # a console without a terminal says so, and the question ends
             raise
-
-
-def asking(desk: ConsoleDesk, asker: ThreadPoolExecutor, question: Question) -> Future[Reply]:
-    return asker.submit(desk.ask, question)
 
 
 def assert_given_back(terminal: Terminal) -> None:
@@ -100,7 +97,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
             desk.show(
                 DeskView(state="hold", code="P07", lines=tuple(f"line {number}" * 20 for _ in range(8)))
             )
-        reply = asking(desk, asker, VERDICT)
+        reply = asker.submit(desk.ask, VERDICT)
         wait_for_console(terminal, 2, "the verdict?", "P07")
         terminal.type("1")
         assert answered(reply) == ("judge", "stable")
@@ -111,7 +108,7 @@ def test_a_stopped_console_ends_the_hit_and_is_replaced(terminal: Terminal) -> N
 def test_a_console_that_dies_is_started_anew_with_the_same_question(terminal: Terminal) -> None:
     with console(terminal, silence_s=20.0) as (desk, asker):
         desk.show(DeskView(state="verdict?", code="P08"))
-        reply = asking(desk, asker, VERDICT)
+        reply = asker.submit(desk.ask, VERDICT)
         terminal.wait("the verdict?")
         before = desk.pid
         os.kill(before, signal.SIGKILL)
@@ -135,7 +132,7 @@ def test_a_console_that_dies_again_and_again_ends_the_session(
 ) -> None:
     monkeypatch.setattr("rig.session.terminal.desk.RESTARTS", 1)
     with console(terminal) as (desk, asker):
-        reply = asking(desk, asker, VERDICT)
+        reply = asker.submit(desk.ask, VERDICT)
         for number in (1, 2):
             wait_for_console(terminal, number, "the verdict?")
             os.kill(desk.pid, signal.SIGKILL)
