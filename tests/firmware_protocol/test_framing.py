@@ -4,7 +4,7 @@ from itertools import pairwise
 from zlib import crc32
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.errors import LocalProtocolError
@@ -54,14 +54,6 @@ def test_only_what_the_encoder_makes_is_decoded(encoded: bytes) -> None:
     except FrameError:
         return
     assert encode_frame(raw) == encoded + b"\0"
-
-
-@settings(max_examples=25)
-@given(st.lists(st.integers(1, 255), min_size=11, max_size=60).map(bytes))
-def test_stuffing_that_does_not_add_up_is_a_frame_error(encoded: bytes) -> None:
-    splitter = FrameSplitter()
-    assert splitter.feed(encoded + b"\0") == []
-    assert splitter.statistics.cobs_errors + splitter.statistics.crc_errors == 1
 
 
 def test_the_crc_is_the_one_of_the_catalogue() -> None:

@@ -1,7 +1,6 @@
 """The simulated device in readable Python: its protocol, physics and safety monitors."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
@@ -102,29 +101,19 @@ def test_dictionary_contains_the_rig_and_its_limits() -> None:
     assert limit.maximum == 10_000  # effort limit 1 N·m at 0.1 N·m/A and 1 mA
 
 
-def test_a_rate_above_the_devices_own_maximum_is_refused_with_its_id() -> None:
-    host = host_of(position_rate_maximum=8_000)
-    host.identify()
-    ack = host.configure(**RUN_PARAMETERS, position_rate=8_001)
-    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["position_rate"].id)
-    assert device_of(host).rate == 1_000
-
-
-def test_parameters_of_the_other_motion_are_refused() -> None:
-    host = host_of(rotary_rig())
-    host.identify()
-    ack = host.configure(**RUN_PARAMETERS, motion=1)
-    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["motion"].id)
-
-
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_other_sign_of_the_encoder_is_refused(sign: Literal[-1, 1]) -> None:
-    rig = rotary_rig()
-    host = host_of(replace(rig, encoder=replace(rig.encoder, sign=sign)))
+@pytest.mark.parametrize(
+    ("sign", "name", "value"),
+    [(1, "position_rate", 8_001), (1, "motion", 1), (1, "encoder_sign", -1), (-1, "encoder_sign", 1)],
+)
+def test_a_parameter_beyond_the_device_is_refused_with_its_id(
+    sign: Literal[-1, 1], name: str, value: int
+) -> None:
+    host = host_of(rotary_rig(sign=sign), position_rate_maximum=8_000)
     host.identify()
     assert host.configure(**RUN_PARAMETERS, encoder_sign=sign).status == Status.OK
-    ack = host.configure(**RUN_PARAMETERS, encoder_sign=-sign)
-    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME["encoder_sign"].id)
+    ack = host.configure(**{**RUN_PARAMETERS, name: value})
+    assert (ack.status, ack.detail) == (Status.OUT_OF_RANGE, BY_NAME[name].id)
+    assert device_of(host).rate == 1_000
 
 
 def test_device_sends_state_at_100_hz_from_identify_until_armed() -> None:

@@ -22,7 +22,6 @@ COGS = {
     "rig.cogging.period": 0.02, "rig.cogging.orders": [3], "rig.cogging.cosine": [0.01],
     "rig.cogging.sine": [0.02], "rig.cogging.ripple_cosine": [0.05], "rig.cogging.ripple_sine": [0.02],
 }  # fmt: skip
-RIGID = {"rig.mechanics.motor_coulomb": 0.0, "rig.mechanics.motor_damping": 0.0}
 
 
 def new_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any) -> Any:
@@ -35,17 +34,6 @@ def new_rig(name: str = "chawda-linear", law: str = "bilateral", **changes: Any)
 
 def excited_plant(x: Any, model: Any, acquisition_hz: float = 4000.0, ticks: int = 2000) -> Any:
     return ExcitedPlant(model, 1.0 / x.controller.position_rate, acquisition_hz, ticks)
-
-
-def test_a_steady_push_moves_a_free_mass_by_half_a_t_squared() -> None:
-    x, model, law = new_rig(**RIGID, **{"wall.stiffness": 0.0, "wall.damping": 0.0})
-    run = excited_plant(x, model).excite(law, 0.0, np.array([0.26]), 0.0, 100)
-    time_s = np.arange(len(run.position)) * run.acquisition_s
-    assert len(run.position) == 400
-    assert run.position == pytest.approx(0.5 * (0.26 / 0.52) * time_s**2, abs=1e-12)
-    assert run.velocity == pytest.approx((0.26 / 0.52) * time_s, abs=1e-12)
-    assert (run.counts == np.floor(run.position / 1e-6 + 0.5)).all()
-    assert not run.withheld.any()
 
 
 @pytest.mark.parametrize(

@@ -12,15 +12,6 @@ from scipy.optimize import brentq
 
 from rig.control.estimators import levant_regions as regions
 
-MU2 = (1.0, 1.5, 2.0, 2.449, 2.5, 2.828, 3.0, 4.0, 6.0, 10.0)
-LFBA = (5.0, 3.889, 3.5, 3.334, 3.32, 3.250, 3.222, 3.125, 3.056, 3.02)
-HBA = (math.inf, math.inf, math.inf, 5.005, 4.556, 3.001, 2.6, 1.667, 1.25, 1.083)
-
-
-def test_the_boundaries_are_those_of_the_table() -> None:
-    assert [regions.lfba_mu1(m) for m in MU2] == pytest.approx(LFBA, rel=2e-4)
-    assert [regions.hba_mu1(m) for m in MU2] == pytest.approx(HBA, rel=5e-4)
-
 
 def test_boundaries_cross_at_3_2656_2_7443() -> None:
     mu1, mu2 = regions.find_crossing()

@@ -100,11 +100,6 @@ def test_the_lead_in_stands_for_the_whole_trial(seed: int) -> None:
         assert numbers[name] == pytest.approx(value, rel=1e-6), name
 
 
-def test_a_constant_leaves_no_ripple_at_all() -> None:
-    numbers = measure_counts(np.full(RATE, 1.234e-3), effort=np.full(RATE, 0.7), resolution=0.0)
-    assert [numbers[name] for name in ("felt", "heard", "moved", "growth", "felt_floor")] == [0.0] * 5
-
-
 @given(
     values=st.lists(
         st.sampled_from([-2.0, 0.0, 0.5, 1e-9, 7.0]) | st.floats(-1e9, 1e9, allow_subnormal=False), min_size=1
