@@ -2,7 +2,9 @@
 
 import asyncio
 import os
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,6 +38,12 @@ def test_a_reply_that_is_too_long_is_an_error_and_ends_its_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sent, "LINE_BYTES", 10)
+    start = asyncio.create_subprocess_exec
+
+    async def writes_much(*_: str, **options: Any) -> Any:
+        return await start(sys.executable, "-S", "-c", "print(10**6 * 'x'); input()", **options)
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", writes_much)
 
     async def body() -> None:
         errands = Errands()

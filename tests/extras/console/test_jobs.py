@@ -14,7 +14,7 @@ import pytest
 
 from rig.core.errors import ConfigError
 from rig.extras.console.jobs import Job, Jobs
-from rig.extras.console.lease import Lease
+from rig.extras.console.lease import LOOK_S, Lease
 from rig.extras.console.live import Live
 from rig.extras.console.runs import Runs
 from rig.extras.console.service import ServiceContext
@@ -118,7 +118,7 @@ def test_a_job_without_an_operator_ends_unless_it_is_detached(
             await here.wait_for_end()
             here.messages.clear()
             going = await here.jobs.start("hit", {}, is_detached=True)
-            await asyncio.sleep(0.3)
+            await asyncio.sleep(3 * LOOK_S)
             assert here.jobs.running is going
             going.end()
             await here.wait_for_end()

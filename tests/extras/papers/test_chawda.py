@@ -196,15 +196,6 @@ def test_a_measurement_of_a_grid_is_that_of_the_command() -> None:
 # --- pieces ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive("::test_readings_do_not_depend_on_the_number_of_workers")
-def test_every_scale_plans_every_part_once_and_in_plain_data() -> None:
-    quick, full = (chawda.ChawdaPlan(scale).parts() for scale in (QUICK, FULL))
-    assert set(quick) == set(full)  # nothing is left out when it is quick
-    for part in quick.values():
-        assert len({task.key for task in part}) == len(part)
-        json.dumps([task.payload for task in part], allow_nan=False)
-
-
 def test_schemes_can_run_on_their_rigs_and_table_one_is_in_their_order() -> None:
     for scheme in SCHEMES.values():
         scheme.applied(excited_rig(FULL))

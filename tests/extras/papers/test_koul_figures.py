@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from rig.extras.papers.koul.compare import (
     koul_figure_8,
     word_lengths,
 )
-from rig.extras.papers.koul.impact_pictures import draw_figure_7, draw_figure_8
 
 
 def test_the_handle_is_at_the_start_at_the_first_sample() -> None:
@@ -126,8 +124,3 @@ def test_early_and_late_follow_each_other_and_the_handle_is_slower_late() -> Non
     assert profiles[20_000, FLOAT].cutoff_hz == 2000.0
     assert profiles.counts.max() == 57.0
     json.dumps(plain(profiles), allow_nan=False)
-
-
-def test_pictures_are_drawn(tmp_path: Path, figure_7: Any, figure_8: Any) -> None:
-    assert draw_figure_7(figure_7, tmp_path / "7.png").stat().st_size > 30_000
-    assert draw_figure_8(figure_8, tmp_path / "8.png").stat().st_size > 30_000

@@ -175,11 +175,6 @@ def test_every_picture_is_shown_and_every_one_shown_is_drawn(paper: Paper) -> No
     }
 
 
-def test_every_template_can_be_read() -> None:
-    assert len(names()) == 7
-    assert all(template._text(name) for name in names())
-
-
 # --- numbers in words ------------------------------------------------------------------------------------------------
 
 
@@ -287,6 +282,17 @@ def test_the_command_writes_one_report_and_resumes_from_its_journal(
     assert rig.cli.run([*command[:3], "-o", str(tmp_path)]) == 0
     printed = capfd.readouterr().out
     assert all(claim["claim"] in printed for claim in results[0]["claims"])
+
+
+@pytest.mark.exhaustive("::test_the_command_writes_one_report_and_resumes_from_its_journal")
+@pytest.mark.parametrize("paper", [KOUL, CHAWDA], ids=lambda paper: paper.name)
+def test_every_scale_plans_every_part_once_and_in_plain_data(paper: Paper) -> None:
+    quick, full = (paper.plan(scale).parts() for scale in (paper.quick, paper.full))
+    names, all_names = ({name.partition("/")[0] for name in parts} for parts in (quick, full))
+    assert names == all_names  # nothing is left out when it is quick
+    for part in quick.values():
+        assert len({task.key for task in part}) == len(part)
+        json.dumps([task.payload for task in part], allow_nan=False)
 
 
 def test_a_page_that_calls_for_what_it_does_not_get_is_an_error(templates: None) -> None:
