@@ -447,19 +447,6 @@ def test_an_answer_of_before_is_not_taken_for_a_new_one() -> None:
     assert state.missed_ticks == 1
 
 
-def test_the_drive_limits_the_torque_too() -> None:
-    """Register 0x025 contains the amplifier's limit, in case a sent torque is wrong."""
-    world, host = armed()
-    push(host, 5)
-    assert world.drive._words[world_word("max_torque")] == pytest.approx(1.0 / 2.0)
-
-
-def world_word(name: str) -> int:
-    from sim_backend.drives.moteus_law import W  # noqa: PLC0415
-
-    return int(getattr(W, name))
-
-
 # ---------------------------------------------------------------------- the C code and its mirror
 
 

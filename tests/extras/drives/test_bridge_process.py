@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,17 +70,25 @@ def test_a_link_starts_a_bridge_and_ends_it_and_one_that_is_killed_is_a_lost_lin
     assert not Path(f"/proc/{bridge}").exists()
 
 
-def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
-    announced, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
-    options = {"place": bus, "settings": MOTEUS_SETUP, "stop": stop, "announce": lambda _: announced.set()}
-    drive = threading.Thread(target=serve_drive, args=("moteus", bridged_rig()), kwargs=options)
+@contextmanager
+def drive_on_a_bus(kind: str, bus: str, settings: dict[str, str]) -> Iterator[None]:
+    """Serve a simulated drive on a CAN bus from a thread."""
+    announced, stop = threading.Event(), threading.Event()
+    options = {"place": bus, "settings": settings, "stop": stop, "announce": lambda _: announced.set()}
+    drive = threading.Thread(target=serve_drive, args=(kind, bridged_rig()), kwargs=options)
     drive.start()
     try:
         assert announced.wait(PATIENCE_S)
-        found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
+        yield
     finally:
         stop.set()
         drive.join(PATIENCE_S)
+
+
+def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
+    bus = str(tmp_path / "bus")
+    with drive_on_a_bus("moteus", bus, MOTEUS_SETUP):
+        found = look(DeviceUrl("moteus", bus, {}, f"moteus://{bus}"))
     assert (found.counts, found.source) == (4 * 4096, "SPI")
 
 
@@ -88,39 +97,28 @@ def test_a_drive_on_a_can_bus_is_asked_by_its_frames(tmp_path: Path) -> None:
 )
 def test_an_odrive_gets_no_torque_when_its_bridge_is_killed(tmp_path: Path) -> None:
     """A link starts its bridge on a bus; after the kill the drive's own watchdog ends the torque."""
-    announced, stop, bus = threading.Event(), threading.Event(), str(tmp_path / "bus")
+    bus, file = str(tmp_path / "bus"), write_endpoints(tmp_path / "flat_endpoints.json")
     slow = ODRIVE_SETUP | {odrive.WATCHDOG_S: "0.05", odrive.ENCODER_MS: "10", odrive.TORQUES_MS: "10"}
-    options = {"place": bus, "settings": slow, "stop": stop, "announce": lambda _: announced.set()}
-    drive = threading.Thread(target=serve_drive, args=("odrive", bridged_rig()), kwargs=options)
-    drive.start()
-    try:
-        assert announced.wait(PATIENCE_S)
-        file = write_endpoints(tmp_path / "flat_endpoints.json")
-        with devices.open_device(f"odrive://{bus}?endpoints={file}", bridged_rig()) as device:
-            assert isinstance(device.link, BridgeLink)
-            assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
-            device.configure(SLOW_RUN_PARAMETERS)
-            device.arm()
-            assert len(device.states(0.3)) > 5
-            facts = device.link.bus_facts()
-            assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
-            watching = CanBus(bus, _connect(bus))
-            os.kill(device.link.process, signal.SIGKILL)
-            until, state = time.monotonic() + PATIENCE_S, 8
-            while state != 1 and time.monotonic() < until:
-                frame = watching.receive(PATIENCE_S)
-                state = (
-                    frame.data[4]
-                    if frame is not None and frame.id == odrive.OdriveCommand.HEARTBEAT
-                    else state
-                )
-            assert state == 1
-            watching.close()
-            with pytest.raises(LinkLostError):
-                device.states(PATIENCE_S)
-    finally:
-        stop.set()
-        drive.join(PATIENCE_S)
+    url = f"odrive://{bus}?endpoints={file}"
+    with drive_on_a_bus("odrive", bus, slow), devices.open_device(url, bridged_rig()) as device:
+        assert isinstance(device.link, BridgeLink)
+        assert device.dictionary.firmware == "bridge to ODrive 0.6.11"
+        device.configure(SLOW_RUN_PARAMETERS)
+        device.arm()
+        assert len(device.states(0.3)) > 5
+        facts = device.link.bus_facts()
+        assert (facts["cycle_us"], facts["temperature"]) == (10_000, 25)
+        watching = CanBus(bus, _connect(bus))
+        os.kill(device.link.process, signal.SIGKILL)
+        until, state = time.monotonic() + PATIENCE_S, 8
+        while state != 1 and time.monotonic() < until:
+            frame = watching.receive(PATIENCE_S)
+            if frame is not None and frame.id == odrive.OdriveCommand.HEARTBEAT:
+                state = frame.data[4]
+        assert state == 1
+        watching.close()
+        with pytest.raises(LinkLostError):
+            device.states(PATIENCE_S)
 
 
 def test_a_host_that_is_gone_ends_its_bridge_and_stops_the_drive() -> None:
