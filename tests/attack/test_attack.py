@@ -3,7 +3,6 @@
 The core is fuzzed by `tests/firmware/test_core_fuzz.py`.
 """
 
-import json
 import shutil
 from pathlib import Path
 
@@ -56,14 +55,6 @@ def test_a_failure_names_what_repeats_it() -> None:
         report.add(answer(Broken(), "liars", SEED, case))
     assert report.failures == {1: "ZeroDivisionError: here"}
     assert any("--only liars --seed 1 --case 1" in line for line in report.lines("liars", SEED))
-
-
-def test_a_report_for_machines_has_its_figures_by_name() -> None:
-    report = AreaReport()
-    report.add({"case": 0, "figures": {"runs": 1}, "known": {"a lie": 2}})
-    report.add({"case": 1, "figures": {"runs": 1}, "failure": "what"})
-    read = json.loads(json.dumps(report.as_mapping()))
-    assert (read["figures"], read["known"], read["failures"]) == ({"runs": 2}, {"a lie": 2}, {"1": "what"})
 
 
 def test_a_case_is_the_same_each_time_and_unlike_the_others() -> None:

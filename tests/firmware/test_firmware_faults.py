@@ -284,19 +284,3 @@ def test_a_brown_out_in_mid_run_is_no_effort_and_a_device_that_knows_nothing() -
     heir.identify()
     assert heir.ask(m.GetFaultLog(heir.nonce(), 0)).fault == Fault.WATCHDOG_RESET
     assert far.device.state is State.FAULT
-
-
-def test_every_reported_count_is_the_true_one() -> None:
-    far = InTheWall()
-    assert far.arm().status == Status.OK
-    far.run(20_000)
-    truth, samples = far.device.truth(), far.samples
-    assert len(samples) >= 20_000 - RATE // 200
-    assert far.device.status.dropped == 0
-    encoder = MODEL.encoder
-    counts = encoder.sign * np.floor(truth["position_true"] / encoder.resolution + encoder.offset)
-    reported = np.array([(sample.index, sample.count) for sample in samples])
-    first = int(np.flatnonzero(truth["sample_index"] == reported[0, 0])[0])
-    np.testing.assert_array_equal(reported[:, 0], truth["sample_index"][first : first + len(reported)])
-    np.testing.assert_array_equal(reported[:, 1], counts[first : first + len(reported)])
-    assert np.ptp(counts) > 100
