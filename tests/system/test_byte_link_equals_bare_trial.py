@@ -14,12 +14,9 @@ from rig.devices.framed import FramedDevice
 from rig.recording.header import repeatable
 from rig.recording.reader import open_recording
 from sim_backend.bare import trial as bare
-from sim_backend.board.device import SimulatedDevice
 from sim_backend.ends.link import open_link
 from sim_backend.mechanics.operator import OperatorScript
 from sim_backend.mechanics.plant import DiscretePlant
-from tests.conformance.firmware import hide_compiler, need_compiler
-from tests.conformance.rigs import rotary_rig
 from tests.conformance.tiers import first_by_default
 from tests.conformance.trials import CURRENTS, trial_on
 
@@ -100,24 +97,6 @@ def test_the_same_seed_gives_the_same_recording_bit_for_bit(tmp_path: Path) -> N
     assert first.rows["count"].tobytes() == other.rows["count"].tobytes(), (
         "sensor noise of the current is not felt"
     )
-
-
-@pytest.mark.exhaustive("::test_the_trajectory_over_the_byte_link_is_that_of_a_trial_without_bytes")
-@pytest.mark.parametrize("changes", first_by_default([{}, HELD, COGS]), ids=["pushed", "held", "cogging"])
-def test_without_a_c_compiler_the_recording_is_the_same_bit_for_bit(
-    changes: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    need_compiler()
-    noise = {"rig.amplifier.current_noise_a": 0.01}
-    experiment = config.override(presets.load("koul-compliant"), {**SHORT, **noise, **changes})
-    first = over_the_wire(experiment, tmp_path / "with.rigcap")
-    hide_compiler(monkeypatch)
-    assert isinstance(open_link(DeviceUrl.parse("sim://"), rotary_rig()).device, SimulatedDevice)
-    second = over_the_wire(experiment, tmp_path / "without.rigcap")
-
-    assert first.rows.tobytes() == second.rows.tobytes()
-    assert repeatable(first.header) == repeatable(second.header)
-    assert first.trailer == second.trailer
 
 
 def test_a_second_trial_in_the_same_hand_begins_where_the_first_one_left_the_handle(tmp_path: Path) -> None:
