@@ -1,6 +1,7 @@
 """Fits of an identification recover the parameters of data integrated by scipy, independent of the simulation."""
 
 import math
+from dataclasses import replace
 from itertools import accumulate
 from typing import Any
 
@@ -376,10 +377,6 @@ def test_two_masses_show_their_mode_and_how_the_inertia_splits() -> None:
     assert set(plain(found)["mode"]) == set(mode.__slots__)
 
 
-def changed(run: Any, **changes: Any) -> Any:
-    return ExcitedRun(**{**{f: getattr(run, f) for f in run.__dataclass_fields__}, **changes})
-
-
 def test_one_realisation_is_refused(damped: Any) -> None:
     with pytest.raises(IdentificationError, match="number of realisations: 1"):
         fit_dynamics(damped[:1], resolution=QUANTUM, inertia=MASS)
@@ -387,7 +384,7 @@ def test_one_realisation_is_refused(damped: Any) -> None:
 
 def test_motion_that_does_not_follow_the_excitation_is_refused(damped: Any) -> None:
     rng = np.random.default_rng(3)
-    noisy = [changed(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in damped]
+    noisy = [replace(run, position=rng.normal(0.0, 1e-3, len(run.position))) for run in damped]
     with pytest.raises(IdentificationError, match="2 of 28 frequencies have a coherence of"):
         check_excited(noisy, QUANTUM)
 
@@ -411,7 +408,7 @@ def test_the_band_is_the_lowest_row_of_coherent_lines_and_an_octave_may_lie_in_a
 
 
 def test_a_held_handle_is_refused(damped: Any) -> None:
-    held = [changed(run, position=np.zeros(len(run.position))) for run in damped]
+    held = [replace(run, position=np.zeros(len(run.position))) for run in damped]
     with pytest.raises(IdentificationError, match=r"moved 0\.0 counts"):
         check_excited(held, QUANTUM)
 
@@ -421,7 +418,7 @@ def test_motion_that_has_not_settled_is_refused(damped: Any) -> None:
     twice = {name: np.tile(getattr(run, name), 2) for name in ("excitation", "effort", "position")}
     twice["position"][: run.period_samples] *= 0.5
     with pytest.raises(IdentificationError, match="from one period to the next"):
-        check_excited([changed(run, periods=2, **twice)] * 2, QUANTUM)
+        check_excited([replace(run, periods=2, **twice)] * 2, QUANTUM)
 
 
 @pytest.mark.exhaustive("::test_motion_that_does_not_follow_the_excitation_is_refused")
@@ -433,6 +430,6 @@ def test_a_motion_that_no_model_explains_is_refused(damped: Any) -> None:
         spectrum = np.fft.rfft(run.position)
         spectrum[run.bins] *= 1.0 + 1.5 * np.sin(run.lines_hz)
         position = np.fft.irfft(spectrum, len(run.position))
-        bent.append(changed(run, position=position, lines_hz=run.lines_hz[::2]))
+        bent.append(replace(run, position=position, lines_hz=run.lines_hz[::2]))
     with pytest.raises(IdentificationError, match="unexplained"):
         fit_dynamics(bent, resolution=QUANTUM, inertia=MASS, damping=Interval(DAMPING, 0.0))

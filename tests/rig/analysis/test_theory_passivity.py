@@ -40,37 +40,6 @@ def test_beta_of_a_bare_difference_is_one(rates: str) -> None:
     assert beta("uniform:1k,cutoff_hz=499") == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize(("rate", "cutoff_hz"), [(2_000, 100.0), (2_000, 400.0), (20_000, 500.0)])
-def test_beta_of_a_difference_through_one_pole_is_t_over_t_and_two_tau(rate: int, cutoff_hz: float) -> None:
-    """Brown's formula, for his filter: the bilinear pole of order 1 has T + 2τ = T/tan(π f_c T)·(…) in its place.
-
-    H = B (z − 1)/T · g (z + 1)/(z (z − p)): the test finds the maximum by a dense search over the formula.
-    """
-    omega = np.linspace(1e-4, math.pi, 200_001)
-    z, warped = np.exp(1j * omega), math.tan(math.pi * cutoff_hz / rate)
-    pole, gain = (1 - warped) / (1 + warped), warped / (1 + warped)
-    h = rate * (1 - 1 / z) * gain * (z + 1) / (z - pole)
-    exact = (0.5 / rate / (1 - np.cos(omega)) * ((1 - 1 / z) * h).real).max()
-    assert beta(f"uniform:{rate},order=1,cutoff_hz={cutoff_hz}") == pytest.approx(exact, abs=1e-6)
-
-
-def test_beta_of_an_extrapolated_velocity_is_the_largest_eigenvalue_of_the_lifted_wall() -> None:
-    """Brute force: eigenvalues at each frequency of the map from position increments in a period to efforts."""
-    scheme, n = "dual:10k/2k,cutoff_hz=400,prediction=extrapolate", 5
-    loop = theory.linear_loop(IDEAL, scheme)
-    worst = -math.inf
-    for omega in np.linspace(0.003, math.pi, 1501):
-        z = np.exp(1j * omega)
-        h = complex(loop.estimator.response(omega / (2 * math.pi * 5e-4))[0])
-        position = np.ones(n) / (z - 1)  # at the period's start: all increments before
-        estimate = h * position
-        slope = (1 - 1 / z) * estimate / n
-        efforts = np.stack([estimate + i * slope for i in range(n)])
-        worst = max(worst, 1e-4 * np.linalg.eigvalsh(-(efforts + efforts.conj().T) / 2).max())
-    assert theory.beta(loop) == pytest.approx(worst, rel=1e-4)
-    assert theory.beta(loop) > beta("dual:10k/2k,cutoff_hz=400")
-
-
 def test_extrapolation_between_samples_that_are_as_fast_as_the_ticks_is_nothing() -> None:
     assert beta("uniform:2k,prediction=extrapolate") == beta("uniform:2k")
 
