@@ -75,6 +75,7 @@ def test_true_harmonics_and_no_others_come_out_within_the_interval(harmonics: An
     assert found.friction.value == pytest.approx(0.5 * (UP + DOWN), abs=1e-4)  # the half difference
     measured = ~np.isnan(found.effort)
     assert np.abs(found.effort - true.effort(found.position))[measured].mean() < 6e-4
+    assert np.nanmedian(found.rubbing) == pytest.approx(found.friction.value, abs=5e-4)
     assert found.peak == pytest.approx(np.abs(true.effort(at)).max(), abs=spread)
 
 

@@ -140,7 +140,9 @@ def test_a_rig_without_damping_has_no_stable_wall_until_the_wall_brings_some() -
     assert none.stiffness == 0.0
     assert none.highest == 0.0
     assert some.stiffness > 100.0
-    assert theory.b_max(bare, "dual:20k/2k").damping == pytest.approx(0.98, rel=0.01)
+    end = theory.b_max(bare, "dual:20k/2k")
+    assert end.damping == pytest.approx(0.98, rel=0.01)
+    assert end.frequency_hz == pytest.approx(137, rel=0.01)
 
 
 def test_a_damping_must_be_a_number() -> None:

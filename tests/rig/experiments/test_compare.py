@@ -134,6 +134,14 @@ def test_a_comparison_is_the_same_again_and_each_offset_is_a_trial_of_its_own() 
     dual = first["dual"]
     assert [impact.offset for impact in dual.impacts] == [0.2, 0.6]
     assert dual.peaks[0] <= dual.numbers.peak <= dual.peaks[1]
+    resolution = experiment.rig.encoder.resolution
+    give = (
+        2.0 * experiment.rig.limits.effort / experiment.rig.mechanics.transmission_stiffness
+    )  # of the capstan
+    for impact in dual.impacts:
+        assert (impact.counts[0] >= 1.0, impact.time_s[0]) == (True, 0.0), "traces begin inside the wall"
+        np.testing.assert_allclose(impact.penetration, impact.counts * resolution)
+        assert np.abs(impact.penetration - impact.penetration_true).max() < give + resolution
     alone = compare(experiment, [dual.entry], offsets=(0.6,)).outcomes[0].impacts[0]
     assert alone.counts.tobytes() == dual.impacts[1].counts.tobytes()
     json.dumps(plain(first), allow_nan=False)
