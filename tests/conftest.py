@@ -27,7 +27,6 @@ from hypothesis.internal.constants_ast import Constants
 
 from rig.core import program
 from rig.core.errors import ConfigError
-from tests.conformance import tolerance
 from tests.conformance.census import still_there
 
 RUN = "HAPTIC_RIG_TEST_RUN"  # in the environment of whatever a run of the tests starts
@@ -207,22 +206,3 @@ def _skipping_without_compiler() -> Generator[None, object, object]:
         if has_one or not error.message.startswith("there is no C compiler"):
             raise
         return pytest.skip("no C compiler is installed (package gcc)")
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add to each report what its test tolerated."""
-    report = yield
-    report.user_properties += tolerance.taken()
-    return report
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print what the tests tolerated because the machine was busy."""
-    reports = [
-        one for some in terminalreporter.stats.values() for one in some if isinstance(one, pytest.TestReport)
-    ]
-    if lines := tolerance.summary(reports):
-        terminalreporter.section("tolerated on this machine")
-        for line in lines:
-            terminalreporter.line(line)
