@@ -35,6 +35,7 @@ def walks() -> list[list[tuple[int, str, str]]]:
 
 def test_the_design_is_a_page() -> None:
     assert len((RIG / "DESIGN.md").read_text().splitlines()) <= 300
+    assert len((RIG.parent / "README.md").read_text().splitlines()) <= 110
     for record in (RIG / "decisions").iterdir():
         assert len(record.read_text().splitlines()) <= 30, record.name
 

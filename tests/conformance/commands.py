@@ -24,7 +24,7 @@ def commands(group: click.Command = rig.cli.rig, above: Words = ()) -> Iterator[
 def resolve(words: Sequence[str]) -> tuple[click.Context, Words]:
     """Return the context of the command that a line without ``rig`` calls, and the words after its name."""
     context = click.Context(rig.cli.rig, info_name="rig")
-    while isinstance(context.command, click.Group) and not words[0].startswith("-"):
+    while words and isinstance(context.command, click.Group) and not words[0].startswith("-"):
         name, *words = words
         found = context.command.get_command(context, name)
         assert found is not None, f"no command {name!r} in {context.command_path}"

@@ -8,11 +8,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
 import rig
@@ -139,6 +140,15 @@ COMMANDS = [
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_command_that_is_not_run_exists_with_its_options(line: str) -> None:
     parse_line(shlex.split(line, comments=True)[1:])
+
+
+@pytest.mark.parametrize("page", [*GUIDES, *(ROOT / ".github").rglob("*.md")], ids=lambda page: page.name)
+def test_commands_in_the_text_of_a_page_exist_with_their_options(page: Path) -> None:
+    text = re.sub(r"(?s)```.*?```", "", page.read_text(encoding="utf-8"))
+    for line in re.findall(r"`(?:\.venv/bin/)?rig\s([a-z][^`…|]*)`", text):
+        if "NAME" not in line:
+            with suppress(click.BadOptionUsage):  # the text names an option without its value
+                parse_line(shlex.split(line))
 
 
 def test_each_block_that_does_not_run_has_a_reason() -> None:
