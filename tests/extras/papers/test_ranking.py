@@ -186,9 +186,12 @@ def test_the_page_shows_the_committed_results_and_the_design_lists_no_new_scheme
     assert is_new("disturbance-two-mass"), "an entry"
 
 
-def test_an_unknown_rig_is_refused() -> None:
+def test_an_unknown_rig_or_estimator_is_refused() -> None:
     with pytest.raises(ConfigError, match="no-rig is not in the ranking"):
         Ground.of("no-rig")
+    entry = Tuned(estimator="two-mass", parameter="frequency_hz", low=40.0, high=2000.0, per_rate=False)
+    with pytest.raises(ConfigError, match=r"^unknown estimator 'two-mass'"):
+        measure.measure_rig("chawda-linear", entries=[entry], **{**SMALL, "pairs": ()})
 
 
 PAIRS = (Pair("fdm"), Pair("disturbance", law=rule.ESTIMATED))

@@ -221,7 +221,8 @@ def measure_rig(
     `matrix` limits `grips`, `delays` and `variations`. Raise `ConfigError` for an unknown rig or estimator.
     """
     ground = Ground.of(rig)
-    known = {**ESTIMATORS, **{entry.estimator: entry for entry in entries}}
+    # `get` refuses an unknown name here; else all others would be tuned first, which takes minutes.
+    known = {**ESTIMATORS, **{estimators.get(entry.estimator).name: entry for entry in entries}}
     chosen = [*(ground.pairs if pairs is None else pairs), *(Pair(entry.estimator) for entry in entries)]
     grids = {pair.plain: known[pair.estimator].grid(ground.velocity_rate(pair)) for pair in chosen}
 
