@@ -10,16 +10,11 @@ import pytest
 from firmware_protocol import messages as m
 from firmware_protocol.connection import Connection, Received, State
 from firmware_protocol.messages import Message, Role
-from rig.config import override
 from rig.config._derive import rig_model
 from rig.config.presets import load
 from rig.devices.framed import FramedDevice
 from rig.experiments.hits.admission import admit
 from rig.experiments.hits.hit import HitRequest, hit
-from rig.experiments.motion._board_pushes import board_pushes
-from rig.experiments.motion._motion_run import signs_of
-from rig.experiments.motion.pulse import SAME_SCALE
-from rig.experiments.trials._identify_motions import PUSH_COUNTS, slow_rate
 from rig.firmware._build import BuildResult
 from tests.firmware.rp2040 import emulator
 from tests.firmware.rp2040.conftest import PRESET
@@ -208,22 +203,3 @@ def test_a_whole_hit_by_rig_itself(built: BuildResult, tmp_path: Path) -> None:
     assert (look["enabled"], look["share"]) == (False, 0)
     assert np.array_equal(np.diff(rows["sample_index"]), np.ones(len(rows) - 1))
     assert look["truth"] == rows["count"][-1]
-
-
-def test_a_push_of_a_torque_pulse_by_the_board_itself(built: BuildResult, tmp_path: Path) -> None:
-    """The pulse moves the rig by a few counts, and the board cuts the current in the sample that leaves them."""
-    bare = override(load(PRESET), {**ON_DEVICE, "rig.mechanics.end_mass": 0.0})
-    with emulator.Pico(rig_model(bare), built.bin, position=0.0) as pico:
-        line = UsbLine(pico)
-        with FramedDevice(EmulatedUsb(line)) as device:
-            rows, _, ended = board_pushes(
-                device, bare, 1, tmp_path / "push.rigcap", verified=True, reference_count=0, extra={}
-            )
-        look = pico.look()
-        assert line.look()["errors"] == []
-    assert ended is None
-    assert (look["enabled"], look["share"]) == (False, 0)
-    (push,) = signs_of(bare, rows, slow_rate(bare)).pushes
-    assert (push.direction, push.moved) == (1, True)
-    assert PUSH_COUNTS < rows["count"][-1] - rows["count"][0] < 2 * PUSH_COUNTS
-    assert push.inertia == pytest.approx(bare.rig.mechanics.inertia, rel=SAME_SCALE - 1.0)
