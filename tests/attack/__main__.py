@@ -2,7 +2,6 @@
 
     python -m tests.attack                                   a minute of each area
     python -m tests.attack --minutes 480 --seed 7            a night
-    python -m tests.attack --bytes 1e9 --only devices
     python -m tests.attack --only liars --seed 7 --case 31   one failure again
 
 An area runs in its own process and mount namespaces if this user may create them. The exit code is 1 after a failure
@@ -93,8 +92,8 @@ def start_worker(area: str, seed: int) -> Iterator[list[Worker]]:
         workers[0].close()
 
 
-def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float, most_bytes: float) -> None:
-    """Run cases of an area until the time is over, enough bytes were sent, or no case remains."""
+def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: float) -> None:
+    """Run cases of an area until the time is over or no case remains."""
     with start_worker(area, seed) as workers:
         begun = printed = time.monotonic()
         for case in cases:
@@ -107,8 +106,7 @@ def attack(area: str, seed: int, report: AreaReport, cases: range, seconds: floa
             if time.monotonic() - printed > PROGRESS_S:
                 printed = time.monotonic()
                 print(f"{area}: {report.tries} tries, {len(report.failures)} failures", file=sys.stderr)
-            full = report.figures["bytes"] >= most_bytes
-            if report.seconds >= seconds or full or len(report.failures) >= FAILURES_MOST:
+            if report.seconds >= seconds or len(report.failures) >= FAILURES_MOST:
                 break
 
 
@@ -118,33 +116,23 @@ def main() -> int:
         prog="python -m tests.attack", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--minutes", type=float, help="in total; areas share them alike [one for each area]")
-    parser.add_argument("--bytes", type=float, default=float("inf"), help="into the devices, and then end")
     parser.add_argument("--seed", type=int, help="[drawn, and printed]")
     parser.add_argument("--only", action="append", choices=list(AREAS), metavar="AREA", help=", ".join(AREAS))
     parser.add_argument("--case", type=int, help="this one alone")
-    parser.add_argument("--json", action="store_true", help="the report as one JSON document")
     chosen = parser.parse_args()
     seed = random.SystemRandom().getrandbits(32) if chosen.seed is None else chosen.seed
     names = chosen.only or list(AREAS)
-    endless = chosen.minutes is None and chosen.bytes < float("inf")
     minutes = len(names) if chosen.minutes is None else chosen.minutes
-    seconds = float("inf") if endless else minutes * MINUTE_S / len(names)
+    seconds = minutes * MINUTE_S / len(names)
     cases = range(1 << 62) if chosen.case is None else range(chosen.case, chosen.case + 1)
     reports = {name: AreaReport() for name in names}
     print(f"seed {seed}; isolated by {' '.join(isolation()) or 'nothing'}", file=sys.stderr)
     try:
         for name in names:
-            attack(name, seed, reports[name], cases, seconds, chosen.bytes)
+            attack(name, seed, reports[name], cases, seconds)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-    if chosen.json:
-        print(
-            json.dumps(
-                {"seed": seed, "areas": {name: one.as_mapping() for name, one in reports.items()}}, indent=1
-            )
-        )
-    else:
-        print("\n".join(line for name, one in reports.items() for line in one.lines(name, seed)))
+    print("\n".join(line for name, one in reports.items() for line in one.lines(name, seed)))
     return int(any(one.failures for one in reports.values()))
 
 

@@ -1,7 +1,7 @@
-"""The report of an attack: sums and failures of each area, as text and as JSON."""
+"""The report of an attack: sums and failures of each area."""
 
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 SHOWN = 2000  # characters of a failure
@@ -33,11 +33,6 @@ class AreaReport:
         if self.figures["bytes"] and self.seconds:
             found["bytes/s"] = self.figures["bytes"] / self.seconds
         return found
-
-    def as_mapping(self) -> dict[str, Any]:
-        # asdict() breaks a Counter's names.
-        named = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {**named, "shares": self.shares()}
 
     def lines(self, name: str, seed: int) -> list[str]:
         sums = ", ".join(
