@@ -166,12 +166,12 @@ def test_device_enters_fault_from_every_state_and_the_host_follows(pair: Pair, s
         pair.host.fault()
 
 
-@pytest.mark.parametrize("cls", [*HOST_MESSAGES, *DEVICE_MESSAGES])
-def test_each_end_refuses_to_send_the_messages_of_the_other(pair: Pair, cls: type[Message]) -> None:
+def test_each_end_refuses_to_send_the_messages_of_the_other(pair: Pair) -> None:
     pair.bring_to(State.RUNNING)
-    name, end = ("device", pair.device) if cls in HOST_MESSAGES else ("host", pair.host)
-    with pytest.raises(LocalProtocolError, match=f"a {name} must not send"):
-        end.send(example(cls))
+    for cls in (*HOST_MESSAGES, *DEVICE_MESSAGES):
+        name, end = ("device", pair.device) if cls in HOST_MESSAGES else ("host", pair.host)
+        with pytest.raises(LocalProtocolError, match=f"a {name} must not send"):
+            end.send(example(cls))
 
 
 def test_tables_cover_every_state_and_sender() -> None:

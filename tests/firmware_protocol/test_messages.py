@@ -24,8 +24,6 @@ from firmware_protocol.packing import (
 from firmware_protocol.wire import wire_fields
 from tests.conformance.wire_strategies import any_message, messages_of
 
-ALL = sorted(m.MESSAGES)
-
 
 @given(any_message(), st.integers(0, 255), st.integers(0, 65535))
 def test_a_message_comes_back(message: m.Message, session: int, sequence: int) -> None:
@@ -43,19 +41,21 @@ def test_the_tail_of_a_newer_minor_version_is_ignored(message: m.Message, tail: 
     assert unpack(raw)[1] == message
 
 
-@pytest.mark.parametrize("type_id", ALL)
-def test_a_frame_that_is_cut_is_the_peers_fault(type_id: int) -> None:
-    raw = HEADER.pack(m.MAJOR, type_id, 0, 0, 0) + bytes(LAYOUTS[type_id].size)
-    assert unpack(raw)
-    for length in range(len(raw)):
-        with pytest.raises(RemoteProtocolError):
-            unpack(raw[:length])
+def test_a_frame_that_is_cut_is_the_peers_fault() -> None:
+    for type_id in m.MESSAGES:
+        raw = HEADER.pack(m.MAJOR, type_id, 0, 0, 0) + bytes(LAYOUTS[type_id].size)
+        assert unpack(raw)
+        for length in range(len(raw)):
+            with pytest.raises(RemoteProtocolError):
+                unpack(raw[:length])
 
 
-@pytest.mark.parametrize("type_id", [type_id for type_id in ALL if m.MESSAGES[type_id] is not m.Batch])
-def test_only_a_batch_may_be_long(type_id: int) -> None:
-    with pytest.raises(RemoteProtocolError, match="payload"):
-        unpack(HEADER.pack(m.MAJOR, type_id, 0, 0, 0) + bytes(SHORT_RAW_LIMIT - CRC_BYTES - HEADER_BYTES + 1))
+def test_only_a_batch_may_be_long() -> None:
+    payload = bytes(SHORT_RAW_LIMIT - CRC_BYTES - HEADER_BYTES + 1)
+    for type_id, cls in m.MESSAGES.items():
+        if cls is not m.Batch:
+            with pytest.raises(RemoteProtocolError, match="payload"):
+                unpack(HEADER.pack(m.MAJOR, type_id, 0, 0, 0) + payload)
 
 
 def test_an_unknown_type_is_the_peers_fault() -> None:

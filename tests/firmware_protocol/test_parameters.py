@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.faults import Status
-from firmware_protocol.parameter import Parameter, Value
+from firmware_protocol.parameter import Value
 from firmware_protocol.parameters import (
     BY_NAME,
     DEFAULTS,
@@ -22,8 +22,6 @@ from firmware_protocol.parameters import (
 )
 from tests.conformance.wire_strategies import parameter_sets
 
-IDS = [parameter.name for parameter in PARAMETERS]
-FLOATS = [parameter for parameter in PARAMETERS if parameter.ctype == "f32"]
 RANGES = {
     "u8": (0, 255),
     "i8": (-128, 127),
@@ -72,23 +70,25 @@ def test_any_bytes_give_values_or_a_typed_refusal(block: bytes) -> None:
         assert 0 <= refusal.detail <= 0xFFFF
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS, ids=IDS)
-def test_the_ends_of_a_range_are_in_it_and_what_lies_beyond_is_not(parameter: Parameter) -> None:
-    for value in (parameter.minimum, parameter.maximum, parameter.default):
-        assert decode_block(encode_block({parameter.name: value})) == {parameter.name: value}
-    for value in (parameter.minimum - 1, parameter.maximum + 1, math.inf, -math.inf, math.nan):
-        with pytest.raises(ParameterError) as caught:
-            encode_block({parameter.name: value})
-        assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
-        assert caught.value.name == parameter.name
+def test_the_ends_of_a_range_are_in_it_and_what_lies_beyond_is_not() -> None:
+    for parameter in PARAMETERS:
+        for value in (parameter.minimum, parameter.maximum, parameter.default):
+            assert decode_block(encode_block({parameter.name: value})) == {parameter.name: value}
+        for value in (parameter.minimum - 1, parameter.maximum + 1, math.inf, -math.inf, math.nan):
+            with pytest.raises(ParameterError) as caught:
+                encode_block({parameter.name: value})
+            assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
+            assert caught.value.name == parameter.name
 
 
-@pytest.mark.parametrize("parameter", FLOATS, ids=lambda parameter: parameter.name)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_the_device_refuses_a_float_that_is_no_number(parameter: Parameter, value: float) -> None:
-    with pytest.raises(ParameterError) as caught:
-        decode_block(struct.pack("<Hf", parameter.id, value))
-    assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
+def test_the_device_refuses_a_float_that_is_no_number() -> None:
+    for parameter in PARAMETERS:
+        if parameter.ctype != "f32":
+            continue
+        for value in (math.nan, math.inf, -math.inf):
+            with pytest.raises(ParameterError) as caught:
+                decode_block(struct.pack("<Hf", parameter.id, value))
+            assert (caught.value.status, caught.value.detail) == (Status.OUT_OF_RANGE, parameter.id)
 
 
 def test_the_wall_has_a_side() -> None:

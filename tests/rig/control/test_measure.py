@@ -173,19 +173,16 @@ def test_the_floor_of_a_frequency_sums_the_harmonics_in_the_band_in_power() -> N
     assert floor_at(0.0) == 0.0
 
 
-@pytest.mark.parametrize(
-    "position",
-    [
+def test_one_changing_count_reads_no_more_than_its_floor() -> None:
+    """A harmonic just above the band passes in part and adds a tenth (510 Hz of 170)."""
+    for position in (
         *(square(hz, duty) for hz in (5, 12, 31, 47, 52, 90, 130, 170) for duty in (0.5, 0.2, 0.05)),
         *(jittered(hz, jitter) for hz in (40, 80, 150) for jitter in (0.05, 0.2)),
         *(telegraph(rate, seed) for rate in (20, 60, 100, 200, 400, 1000) for seed in range(3)),
         *(counts(rate * DELTA * TIME) for rate in (10, 30, 50, 70, 110, 200, 400, 550)),
-    ],
-)
-def test_one_changing_count_reads_no_more_than_its_floor(position: Any) -> None:
-    """A harmonic just above the band passes in part and adds a tenth (510 Hz of 170)."""
-    numbers = measure_counts(position)
-    assert numbers["felt"] < 1.12 * numbers["felt_floor"]
+    ):
+        numbers = measure_counts(position)
+        assert numbers["felt"] < 1.12 * numbers["felt_floor"]
 
 
 @pytest.mark.parametrize("stiffness", [15, 20, 30, 60, 200])

@@ -163,18 +163,18 @@ def test_elapsed_is_made_of_times_as_the_remedy_says(case: str, wrap: Any) -> No
     assert speeds(COUNTS[kept], **given) == pytest.approx(TRUE)
 
 
-@pytest.mark.parametrize("name", sorted(set(estimators.names()) - {*REQUIRED}))
 @pytest.mark.parametrize(("width", "signed"), [(8, False), (12, False), (12, True), (16, True), (32, True)])
-def test_counter_of_any_width_gives_the_same_velocity(name: str, width: int, signed: bool) -> None:
+def test_counter_of_any_width_gives_the_same_velocity(width: int, signed: bool) -> None:
     k = np.arange(3000)
     true = np.round(9e4 / (2 * np.pi) * np.sin(2 * np.pi * k / 3000 * 2)).astype(np.int64)
     true = true if width > 8 else true // 4
     held = (true + 2 ** (width - 1)) % 2**width - 2 ** (width - 1) if signed else true % 2**width
-    plain = estimate(name, true, DT, resolution=DELTA)
-    assert estimate(name, held, DT, resolution=DELTA, width=width).tolist() == plain.tolist()
-    if width in (8, 16, 32):
-        typed = held.astype(f"{'i' if signed else 'u'}{width // 8}")
-        assert estimate(name, typed, DT, resolution=DELTA).tolist() == plain.tolist()
+    for name in set(estimators.names()) - {*REQUIRED}:
+        plain = estimate(name, true, DT, resolution=DELTA)
+        assert estimate(name, held, DT, resolution=DELTA, width=width).tolist() == plain.tolist(), name
+        if width in (8, 16, 32):
+            typed = held.astype(f"{'i' if signed else 'u'}{width // 8}")
+            assert estimate(name, typed, DT, resolution=DELTA).tolist() == plain.tolist(), name
 
 
 @pytest.mark.parametrize("period", [2**8, 2**12, 4000, 2**16])

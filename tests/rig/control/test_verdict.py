@@ -293,10 +293,9 @@ def test_a_slow_press_is_neither_felt_nor_heard_nor_moved() -> None:
     assert verdict.heard < 0.01 * LIMITS.heard_effort
 
 
-@pytest.mark.parametrize("hz", [10, 20, 31, 40, 51, 60, 70, 80, 90, 100, 112, 120, 200, 400, 700, 1500])
-def test_one_toggling_count_is_never_called_a_limit_cycle(hz: int) -> None:
-    verdict = judge(signals(toggling(hz), resolution=DELTA), LIMITS)
-    assert verdict.kind is Kind.STABLE
+def test_one_toggling_count_is_never_called_a_limit_cycle() -> None:
+    for hz in (10, 20, 31, 40, 51, 60, 70, 80, 90, 100, 112, 120, 200, 400, 700, 1500):
+        assert judge(signals(toggling(hz), resolution=DELTA), LIMITS).kind is Kind.STABLE, hz
 
 
 def test_a_vote_that_is_not_measurable_does_not_silence_the_others() -> None:
