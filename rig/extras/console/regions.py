@@ -24,7 +24,7 @@ class Regions:
     damping
         Damping of the wall (SI).
     passive
-        Largest passive stiffness; None if no wall is passive or theory gives no limit.
+        Largest passive stiffness; 0 if no wall is passive, None if theory does not compute it.
     stable
         Largest stiffness that is stable with every model of the hand; None if theory gives no limit.
     stable_own
@@ -52,7 +52,7 @@ def find_regions(rig: str, changes: Mapping[str, Any], damping: float, delay_tic
 
 
 def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions:
-    """Compute the stiffness limits at one damping (SI); if theory gives none, they are None and `note` has the reason.
+    """Compute the stiffness limits at one damping (SI); those that theory does not give are None, and `note` says why.
 
     Rates, estimator and hand of the experiment are used, its wall is not; `delay_ticks` is the measured delay of the
     link.
@@ -61,7 +61,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
         late = LateLoops.of(experiment, delay_ticks)
         limits = late.k_max([damping])[0]
         least = min(limits, key=lambda hand: limits[hand])
-        passive, note = 0.0, late.stand_in
+        passive, note = None, late.stand_in
         try:
             passive = min(_passive(late, [damping]))
         except NotLinearError as error:
@@ -71,7 +71,7 @@ def regions(experiment: Experiment, delay_ticks: int, damping: float) -> Regions
     own = experiment.operator.grip if experiment.trial.kind == "human" else "none"
     return Regions(
         damping=damping,
-        passive=passive if passive > 0.0 else None,
+        passive=passive,
         stable=limits[least],
         stable_own=limits.get("the experiment's own", limits.get(own)),
         hand=hand_text(least),

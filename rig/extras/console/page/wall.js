@@ -191,29 +191,20 @@ export class Wall {
   }
 
   #drawRegions() {
-    const { passive, stable, hand, note } = this.regions;
+    const { note } = this.regions;
     const { context, width, height } = cleared(this.bands);
     const [low, high] = this.ranges["wall.stiffness"];
     const x = (value) => Math.max(0, Math.min(1, (value - low) / (high - low))) * width;
     const paint = (from, to, name) => { context.fillStyle = colour(name); context.fillRect(x(from), 0, x(to) - x(from), height); };
-    if (stable === null) {
-      paint(low, high, "invalid");
-    } else {
-      const safe = this.simulated ? stable : passive ?? low; // no table has the passive walls
-      paint(low, safe, "stable");
-      paint(safe, stable, "limit-cycle");
-      paint(stable, high, "unstable");
-    }
-    const stiffness = Number(this.fields["wall.stiffness"].value);
-    const now = stable === null ? "no theoretical limit" : stiffness > stable ? "unstable" : this.simulated ? "stable" : passive !== null && stiffness <= passive ? "passive" : "stable, not passive";
-    const limits = stable === null ? "" : ` (${this.simulated ? "" : passive === null ? "no wall is passive, " : `passive up to ${written(passive, 3)}, `}stable up to ${written(stable, 3)} ${this.#unit("wall.stiffness")}, ${hand})`;
+    const shown = describeRegions(this.regions, Number(this.fields["wall.stiffness"].value), this.#unit("wall.stiffness"), !this.simulated);
+    for (const [from, to, name] of shown.bands) paint(from ?? low, to ?? high, name);
     const delay = this.simulated ? "" : ` with ${this.delay ?? 1} tick${this.delay === 1 || !this.delay ? "" : "s"} of delay${this.delay === undefined ? " (assumed)" : " (measured)"}`;
-    setText(this.legend, `By linear theory${delay}: ${now}${limits}${note ? `; ${note}` : ""}.`);
+    setText(this.legend, `By linear theory${delay}: ${shown.text}${note ? `; ${note}` : ""}.`);
     this.bands.ariaLabel = this.legend.textContent;
   }
 
   async #start(job) {
-    this.verdict.replaceChildren("starting …");
+    this.verdict.replaceChildren(STARTING);
     try {
       await this.link.ask("run", { job, rig: this.rig.value, url: this.url.value, changes: this.#changes(), is_detached: this.detached.checked });
     } catch (error) {
@@ -261,6 +252,18 @@ export class Wall {
   #trouble(error) {
     this.link.dispatchEvent(new CustomEvent("trouble", { detail: error }));
   }
+}
+
+// What theory says about a stiffness: a text, and bands of colour from one stiffness (null: the least) to another (null: the
+// greatest). `passivity`: a page without a server has no passive walls in its tables and shows stability alone. A passive limit
+// that is missing (null) is no limit of zero, with which no wall is passive.
+export function describeRegions({ passive, stable, hand }, stiffness, unit, passivity) {
+  if (stable === null) return { text: "no theoretical limit", bands: [[null, null, "invalid"]] };
+  const known = passivity && passive !== null;
+  const bands = known ? [[null, passive, "stable"], [passive, stable, "limit-cycle"]] : [[null, stable, passivity ? "invalid" : "stable"]];
+  const now = stiffness > stable ? "unstable" : !known ? "stable" : passive > 0 && stiffness <= passive ? "passive" : "stable, not passive";
+  const limit = !passivity ? "" : !known ? "passivity not computed, " : passive > 0 ? `passive up to ${written(passive, 3)}, ` : "no wall is passive, ";
+  return { text: `${now} (${limit}stable up to ${written(stable, 3)} ${unit}, ${hand})`, bands: [...bands, [stable, null, "unstable"]] };
 }
 
 // One hit's verdict with its numbers.
